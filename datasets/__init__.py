@@ -1,0 +1,49 @@
+"""Recordings and what is made from them: the vocabulary, files, importers, simulators.
+
+The data types are :class:`~stillpoint.datasets.recording.Recording` with its streams, and
+:class:`~stillpoint.datasets.trajectory.Reference` and :class:`~stillpoint.datasets.trajectory.Estimate`.
+"""
+
+from stillpoint.datasets.errors import (
+    BadFile,
+    BadParameter,
+    BadRecording,
+    BadSource,
+    StillpointError,
+    Unobservable,
+)
+from stillpoint.datasets.recording import (
+    Encoder,
+    Gps,
+    Imu,
+    Info,
+    Mag,
+    Recording,
+    Spin,
+    SpinGeometry,
+    Truth,
+)
+from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
+
+__all__ = [
+    "BadFile",
+    "BadParameter",
+    "BadRecording",
+    "BadSource",
+    "BasePoseReturn",
+    "Calibration",
+    "Encoder",
+    "Estimate",
+    "Gps",
+    "Imu",
+    "Info",
+    "Mag",
+    "Recording",
+    "Reference",
+    "RollReference",
+    "Spin",
+    "SpinGeometry",
+    "StillpointError",
+    "Truth",
+    "Unobservable",
+]

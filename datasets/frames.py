@@ -1,0 +1,103 @@
+"""The one door for quaternion orders, local frames, Euler angles, wrapping and interpolation of attitude.
+
+In memory a quaternion is Hamilton, ``w, x, y, z``, and ``q_nb`` takes body vectors to n = East-North-Up. ROS, scipy's
+default and the viewers write ``x, y, z, w``: only :func:`to_xyzw` and :func:`from_xyzw` convert.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+EulerFrame = Literal["enu", "nwu", "ned"]
+
+# Rows are the axes of the local frame, written in ENU.
+_LOCAL_FROM_ENU: dict[str, Floats] = {
+    "enu": np.eye(3),
+    "nwu": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "ned": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+}
+EULER_FRAMES: tuple[EulerFrame, ...] = ("enu", "nwu", "ned")
+
+
+def to_xyzw(q_wxyz: Floats) -> Floats:
+    """Quaternions ``(..., 4)`` in the order of ROS and the viewers; the bits are kept."""
+    return np.ascontiguousarray(q_wxyz[..., [1, 2, 3, 0]])
+
+
+def from_xyzw(q_xyzw: Floats) -> Floats:
+    """Quaternions ``(..., 4)`` from the order of ROS and the viewers; the bits are kept."""
+    return np.ascontiguousarray(q_xyzw[..., [3, 0, 1, 2]])
+
+
+def rotation(q_wxyz: ArrayLike) -> Rotation:
+    """scipy's ``Rotation`` of wxyz quaternions ``(4,)`` or ``(N, 4)``."""
+    return Rotation.from_quat(np.asarray(q_wxyz, dtype=np.float64), scalar_first=True)
+
+
+def quaternion(rot: Rotation) -> Floats:
+    """Unit quaternions wxyz of a ``Rotation``, with w >= 0."""
+    return np.asarray(rot.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
+
+
+def continuous(q_wxyz: Floats) -> Floats:
+    """The same rotations ``(N, 4)`` with signs chosen so that neighbours do not jump between q and -q."""
+    flips = np.sum(q_wxyz[1:] * q_wxyz[:-1], axis=1) < 0
+    sign = np.where(np.cumsum(flips) % 2, -1.0, 1.0)
+    return q_wxyz * np.concatenate([[1.0], sign])[:, None]
+
+
+def wrap(angle_rad: ArrayLike) -> Floats:
+    """Angles in (-pi, pi]."""
+    wrapped = np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2 * np.pi)
+    return np.asarray(wrapped, dtype=np.float64)
+
+
+def local_from_enu(frame: EulerFrame) -> Rotation:
+    """The rotation that takes ENU vectors to the axes of ``frame``."""
+    return Rotation.from_matrix(_LOCAL_FROM_ENU[frame])
+
+
+def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
+    """Roll, pitch, yaw in rad, shape ``(..., 3)``, as the named frame's users define them.
+
+    ``"nwu"``  paper 002, eqs (2)-(8): C = R3(yaw) R2(pitch) R1(roll) with the *passive* R_i of its eq (3), so that
+    roll = atan2(-a2, a3), pitch = asin(a1 / |a|) and yaw is the azimuth of the body x axis, clockwise from north.
+    ``"ned"``  paper 003: the aerospace z-y-x angles of a forward-right-down body in North-East-Down.
+    ``"enu"``  z-y-x angles in East-North-Up, as ROS uses them.
+    """
+    rot = local_from_enu(frame) * rotation(q_nb)
+    angles = rot.as_euler("ZYX")[..., ::-1]
+    return wrap(-angles) if frame == "nwu" else wrap(angles)
+
+
+def from_euler(angles_rad: ArrayLike, frame: EulerFrame) -> Floats:
+    """Quaternions ``q_nb`` of roll, pitch, yaw ``(..., 3)`` in rad; the inverse of :func:`euler`."""
+    angles = np.asarray(angles_rad, dtype=np.float64)[..., ::-1]
+    rot = Rotation.from_euler("ZYX", -angles if frame == "nwu" else angles)
+    return quaternion(local_from_enu(frame).inv() * rot)
+
+
+def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> Floats:
+    """Attitude at other times: the great-circle path between neighbouring samples.
+
+    ``t_ns`` (N,) rising, ``q_wxyz`` (N, 4), ``at_ns`` (M,) within ``[t_ns[0], t_ns[-1]]``; returns (M, 4), w >= 0.
+    Raises ``ValueError`` for a time outside: an attitude is never extrapolated.
+    """
+    if len(at_ns) and (at_ns.min() < t_ns[0] or at_ns.max() > t_ns[-1]):
+        raise ValueError("slerp: a time lies outside the samples; cut to the common span first")
+    if len(t_ns) == 1:
+        return quaternion(rotation(np.repeat(q_wxyz, len(at_ns), axis=0)))
+    right = np.clip(np.searchsorted(t_ns, at_ns, side="right"), 1, len(t_ns) - 1)
+    left = right - 1
+    share = (at_ns - t_ns[left]) / (t_ns[right] - t_ns[left])
+    first = rotation(q_wxyz[left])
+    step = first.inv() * rotation(q_wxyz[right])
+    return quaternion(first * Rotation.from_rotvec(step.as_rotvec() * share[:, None]))
+
+
+def heading_rotation(angle_rad: float) -> Rotation:
+    """The rotation by ``angle_rad`` about up, counter-clockwise seen from above."""
+    return Rotation.from_rotvec([0.0, 0.0, angle_rad])

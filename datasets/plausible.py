@@ -1,0 +1,75 @@
+"""Do the sizes of a recording fit its units? One second of rest is enough to tell m/s^2 from g, and uT from gauss."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import BadRecording
+
+if TYPE_CHECKING:
+    from stillpoint.datasets.recording import Recording
+
+GRAVITY_RANGE_MPS2 = (9.0, 10.6)  # at rest: the Earth's 9.76-9.84 and a MEMS scale and bias error of 8 %
+FIELD_RANGE_UT = (20.0, 70.0)
+STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at rest or close to it
+STILL_RATE_RADPS = 0.5  # faster than that for a whole second is a spin, whose centripetal force is no gravity
+FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
+WINDOW_S = 1.0
+
+
+def check_units(recording: "Recording") -> None:
+    """Raise :class:`BadRecording` with the likely unit when a size does not fit; silent when nothing is still."""
+    if recording.imu is not None:
+        fastest = float(np.abs(recording.imu.gyro_b_radps).max())
+        if fastest > FASTEST_GYRO_RADPS:
+            raise BadRecording(
+                f"{recording.name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: multiply by pi/180, "
+                "or set units_unchecked to look at it with the doctor"
+            )
+        size = still_norm(recording.imu.t_ns, recording.imu.accel_b_mps2, recording.imu.gyro_b_radps)
+        if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
+            guess = {
+                0: "in g: multiply by 9.80665",
+                1: "in cm/s^2 (gal): divide by 100",
+                2: "in milli-g: x 0.00980665",
+            }
+            near = np.argmin(np.abs(np.log(size / np.array([1.0, 981.0, 1000.0]))))
+            hint = f"; it looks {guess[int(near)]}" if 0.9 < size / (1.0, 981.0, 1000.0)[near] < 1.1 else ""
+            raise BadRecording(
+                f"{recording.name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
+                "convert it, or set units_unchecked to look at it with the doctor"
+            )
+    if recording.mag is not None and not recording.info.mag_uncalibrated:
+        size = float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1)))
+        if not FIELD_RANGE_UT[0] <= size <= FIELD_RANGE_UT[1]:
+            hint = ""
+            for factor, unit in ((1e6, "tesla"), (100.0, "gauss"), (0.1, "milligauss"), (1e-3, "nanotesla")):
+                if FIELD_RANGE_UT[0] <= size * factor <= FIELD_RANGE_UT[1]:
+                    hint = f"; it looks like {unit}: multiply by {factor:g}"
+            raise BadRecording(
+                f"{recording.name}: mag.mag_b_ut has a median size of {size:.4g} uT, not 20-70{hint}; "
+                "convert it, or set mag_uncalibrated where the sensor is not calibrated"
+            )
+
+
+def still_norm(
+    t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]
+) -> float | None:
+    """Mean length over the calmest second that does not spin; None when there is none or the stream is shorter."""
+    seconds = (t_ns - t_ns[0]) // int(WINDOW_S * 1e9)
+    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
+    counts = np.diff(starts, append=len(t_ns))
+    whole = counts >= 0.5 * np.median(counts)
+    if t_ns[-1] - t_ns[0] < WINDOW_S * 1e9 or not whole.any() or counts.max() < 5:
+        return None
+    mean = np.add.reduceat(vectors, starts, axis=0) / counts[:, None]
+    spread = np.add.reduceat(vectors**2, starts, axis=0) / counts[:, None] - mean**2
+    size = np.linalg.norm(mean, axis=1)
+    relative = np.sqrt(np.maximum(spread.sum(axis=1), 0)) / np.maximum(size, 1e-300)
+    spins = (
+        np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
+    )
+    relative[~whole | spins] = np.inf
+    calmest = int(relative.argmin())
+    return float(size[calmest]) if relative[calmest] < STILL_ACCEL_SPREAD else None

@@ -1,0 +1,314 @@
+"""The vocabulary: what a recording of a moving sensor is.
+
+Frozen dataclasses of arrays, checked once at construction; nothing later checks them again. Frames: b = sensor body,
+n = East-North-Up. Units are SI (field: microtesla) and stand in the names. Every stream has its own clock, ``t_ns``:
+int64 nanoseconds, strictly rising, >= 0, either on the Unix epoch or from the source's own zero (``Info.epoch``).
+A gyro sample at t_k describes the interval (t_{k-1}, t_k].
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.plausible import check_units
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
+
+
+def check_times(owner: str, t_ns: ArrayLike) -> Times:
+    t = np.asarray(t_ns)
+    if t.ndim != 1 or t.dtype.kind not in "iu":
+        raise BadRecording(
+            f"{owner}.t_ns: is {t.dtype} of shape {t.shape}; give int64 nanoseconds of shape (N,)"
+        )
+    if len(t) == 0:
+        raise BadRecording(f"{owner}: has no sample; leave the stream out instead")
+    t = t.astype(np.int64)
+    falls = np.flatnonzero(np.diff(t) <= 0)
+    if len(falls):
+        k = int(falls[0]) + 1
+        raise BadRecording(
+            f"{owner}: time does not rise at sample {k} ({(t[k] - t[0]) / 1e9:.6f} s from the start), "
+            f"{len(falls)} such in all; sort or drop these samples first"
+        )
+    if t[0] < 0 or t[-1] > LAST_T_NS:
+        raise BadRecording(f"{owner}: times lie outside 0 .. 2^31 s; shift them so that they start at 0")
+    return t
+
+
+def check_floats(
+    owner: str, name: str, values: ArrayLike, shape: tuple[int, ...], finite: bool = True
+) -> Floats:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise BadRecording(f"{owner}.{name}: has shape {array.shape}; its times ask for {shape}")
+    if finite and not np.isfinite(array).all():
+        rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        raise BadRecording(
+            f"{owner}.{name}: {len(rows)} rows are not finite, the first is {rows[0]}; drop these samples first"
+        )
+    return array
+
+
+def check_bools(owner: str, name: str, values: ArrayLike, n: int) -> NDArray[np.bool_]:
+    array = np.ascontiguousarray(values)
+    if array.shape != (n,) or array.dtype != np.bool_:
+        raise BadRecording(
+            f"{owner}.{name}: is {array.dtype} of shape {array.shape}; give bool of shape ({n},)"
+        )
+    return array
+
+
+def check_quaternions(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    array = check_floats(owner, name, values, shape)
+    off = np.abs(np.linalg.norm(array, axis=-1) - 1.0)
+    if off.size and off.max() > 1e-6:
+        raise BadRecording(
+            f"{owner}.{name}: a quaternion's norm differs from 1 by {off.max():.3g} (row {int(off.argmax())}); normalise"
+        )
+    return array
+
+
+def freeze(obj: object, **arrays: object) -> None:
+    """Put checked arrays into a frozen dataclass, read-only."""
+    for name, array in arrays.items():
+        if isinstance(array, np.ndarray):
+            array = array.view()
+            array.flags.writeable = False
+        object.__setattr__(obj, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class Imu:
+    """Gyro and accelerometer of one body on one clock, N samples. All rows are finite."""
+
+    t_ns: Times
+    gyro_b_radps: Floats  # (N, 3) angular rate over the interval that ends at the stamp
+    accel_b_mps2: Floats  # (N, 3) specific force: +g along the axis that points up, at rest
+
+    def __post_init__(self) -> None:
+        t = check_times("imu", self.t_ns)
+        gyro = check_floats("imu", "gyro_b_radps", self.gyro_b_radps, (len(t), 3))
+        accel = check_floats("imu", "accel_b_mps2", self.accel_b_mps2, (len(t), 3))
+        freeze(self, t_ns=t, gyro_b_radps=gyro, accel_b_mps2=accel)
+
+
+@dataclass(frozen=True, eq=False)
+class Mag:
+    """Magnetometer on its own clock, N samples. All rows are finite."""
+
+    t_ns: Times
+    mag_b_ut: Floats  # (N, 3) microtesla
+
+    def __post_init__(self) -> None:
+        t = check_times("mag", self.t_ns)
+        freeze(self, t_ns=t, mag_b_ut=check_floats("mag", "mag_b_ut", self.mag_b_ut, (len(t), 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Gps:
+    """Satellite fixes on their own clock. Rows with ``valid`` False, and altitude, course and speed, may be NaN."""
+
+    t_ns: Times
+    lat_deg: Floats  # (N,) geodetic, WGS 84
+    lon_deg: Floats  # (N,)
+    alt_m: Floats  # (N,) above the ellipsoid
+    course_rad: Floats  # (N,) direction of travel, clockwise from true north
+    speed_mps: Floats  # (N,) over ground
+    valid: NDArray[np.bool_]  # (N,)
+
+    def __post_init__(self) -> None:
+        t = check_times("gps", self.t_ns)
+        names = ("lat_deg", "lon_deg", "alt_m", "course_rad", "speed_mps")
+        columns = {
+            name: check_floats("gps", name, getattr(self, name), (len(t),), finite=False) for name in names
+        }
+        valid = check_bools("gps", "valid", self.valid, len(t))
+        where = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["lon_deg"])
+        if not where[valid].all():
+            raise BadRecording("gps: a valid fix has no latitude or longitude; mark it as not valid")
+        if (np.abs(columns["lat_deg"][valid]) > 90).any() or (np.abs(columns["lon_deg"][valid]) > 360).any():
+            raise BadRecording(
+                "gps: a latitude lies outside +-90 or a longitude outside +-360 deg; check the columns"
+            )
+        freeze(self, t_ns=t, valid=valid, **columns)
+
+
+@dataclass(frozen=True, eq=False)
+class SpinGeometry:
+    """Where the single-axis sensors of a spinning body sit (paper 000, eq (1)): k accelerometers, m gyros."""
+
+    accel_r_b_m: Floats  # (k, 3) lever arms from the centre of rotation
+    accel_axis_b: Floats  # (k, 3) unit vectors of the sensitive axes
+    gyro_axis_b: Floats  # (m, 3) unit vectors of the sensitive axes
+
+    def __post_init__(self) -> None:
+        k, m = len(self.accel_r_b_m), len(self.gyro_axis_b)
+        arms = check_floats("spin.geometry", "accel_r_b_m", self.accel_r_b_m, (k, 3))
+        axes = check_floats("spin.geometry", "accel_axis_b", self.accel_axis_b, (k, 3))
+        gyros = check_floats("spin.geometry", "gyro_axis_b", np.reshape(self.gyro_axis_b, (m, 3)), (m, 3))
+        for name, vectors in (("accel_axis_b", axes), ("gyro_axis_b", gyros)):
+            if len(vectors) and np.abs(np.linalg.norm(vectors, axis=1) - 1).max() > 1e-9:
+                raise BadRecording(f"spin.geometry.{name}: an axis is not of length 1; normalise it")
+        freeze(self, accel_r_b_m=arms, accel_axis_b=axes, gyro_axis_b=gyros)
+
+
+@dataclass(frozen=True, eq=False)
+class Spin:
+    """Single-axis accelerometers and gyros of a fast-spinning body on one clock."""
+
+    t_ns: Times
+    accel_mps2: Floats  # (N, k) one column per accelerometer of the geometry
+    gyro_radps: Floats  # (N, m) one column per gyro; m may be 0
+    geometry: SpinGeometry
+
+    def __post_init__(self) -> None:
+        t = check_times("spin", self.t_ns)
+        k, m = len(self.geometry.accel_r_b_m), len(self.geometry.gyro_axis_b)
+        accel = check_floats("spin", "accel_mps2", self.accel_mps2, (len(t), k))
+        gyro = check_floats("spin", "gyro_radps", self.gyro_radps, (len(t), m))
+        freeze(self, t_ns=t, accel_mps2=accel, gyro_radps=gyro)
+
+
+@dataclass(frozen=True, eq=False)
+class Encoder:
+    """Shaft encoder on its own clock."""
+
+    t_ns: Times
+    angle_rad: Floats  # (N,) unwrapped
+    rate_radps: Floats  # (N,)
+
+    def __post_init__(self) -> None:
+        t = check_times("encoder", self.t_ns)
+        angle = check_floats("encoder", "angle_rad", self.angle_rad, (len(t),))
+        rate = check_floats("encoder", "rate_radps", self.rate_radps, (len(t),))
+        freeze(self, t_ns=t, angle_rad=angle, rate_radps=rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Independent truth (optical, or by construction) on its own clock; a gap is a missing sample, never a NaN row.
+
+    Positions may be NaN where only the attitude is known.
+    """
+
+    t_ns: Times
+    q_nb: Floats  # (N, 4) wxyz, body to n
+    moving: NDArray[np.bool_]  # (N,) the samples that scores count
+    position_n_m: Floats | None = None  # (N, 3)
+
+    def __post_init__(self) -> None:
+        t = check_times("truth", self.t_ns)
+        q_nb = check_quaternions("truth", "q_nb", self.q_nb, (len(t), 4))
+        moving = check_bools("truth", "moving", self.moving, len(t))
+        position = self.position_n_m
+        if position is not None:
+            position = check_floats("truth", "position_n_m", position, (len(t), 3), finite=False)
+        freeze(self, t_ns=t, q_nb=q_nb, moving=moving, position_n_m=position)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Where a recording comes from and what was done to it; everything here is kept in the MCAP file."""
+
+    source: str = ""  # the dataset, app or simulator
+    licence: str = ""
+    citation: str = ""
+    sensor: str = ""  # model of the device
+    epoch: str = "source"  # "unix": t_ns counts from 1970 in UTC; "source": from a zero of the source's own
+    date: str = ""  # ISO date (UTC) of the recording, "" when unknown
+    place_lat_lon_alt: tuple[float, float, float] | None = None  # deg, deg, m: for declination and gravity
+    mag_uncalibrated: bool = False  # True: the field's size says nothing (hard iron, raw counts)
+    units_unchecked: bool = False  # True: sizes were not tested at construction (the doctor opens such files)
+    sha256: Mapping[str, str] = field(default_factory=dict)  # of each source file, by its relative name
+    conversions: tuple[str, ...] = ()  # "gyro deg/s -> rad/s", one line each
+    notes: tuple[str, ...] = ()  # what was dropped, merged or doubtful, with counts
+    extra: Mapping[str, str] = field(default_factory=dict)  # facts of the source that have no place above
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of one sensor. Streams keep their own clocks; those of one recording share their zero.
+
+    Raises :class:`BadRecording` when there is neither ``imu`` nor ``spin``, or when sizes are implausible: a still
+    stretch whose specific force is far from 9.8 m/s^2, or a field outside 20-70 uT without
+    ``info.mag_uncalibrated``.
+    """
+
+    name: str
+    imu: Imu | None = None
+    mag: Mag | None = None
+    gps: Gps | None = None
+    spin: Spin | None = None
+    encoder: Encoder | None = None
+    truth: Truth | None = None
+    base_pose: Floats | None = None  # (4,) q_nb of the pose in which the sensor rests, when it is known
+    info: Info = field(default_factory=Info)
+
+    def __post_init__(self) -> None:
+        if self.imu is None and self.spin is None:
+            raise BadRecording(f"{self.name}: has neither gyro and accelerometer (imu) nor a spin stream")
+        if self.base_pose is not None:
+            freeze(self, base_pose=check_quaternions(self.name, "base_pose", self.base_pose, (4,)))
+        if not self.info.units_unchecked:
+            check_units(self)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        name: str,
+        t_s: ArrayLike,
+        gyro_b_radps: ArrayLike,
+        accel_b_mps2: ArrayLike,
+        mag_b_ut: ArrayLike | None = None,
+        truth_q_nb: ArrayLike | None = None,
+        **info: Any,
+    ) -> "Recording":
+        """A recording from arrays on one clock: ``t_s`` (N,) seconds, vectors (N, 3), ``truth_q_nb`` (N, 4) wxyz.
+
+        Rows of ``truth_q_nb`` with NaN become missing samples; every other sample of the truth counts as moving.
+        Further keywords are fields of :class:`Info`. Raises :class:`BadRecording`.
+        """
+        seconds = np.asarray(t_s, dtype=np.float64)
+        if seconds.ndim != 1 or not np.isfinite(seconds).all():
+            raise BadRecording(f"{name}.t_s: give finite seconds of shape (N,)")
+        t_ns = np.round(seconds * 1e9).astype(np.int64)
+        mag = None if mag_b_ut is None else Mag(t_ns, np.asarray(mag_b_ut))
+        truth = None
+        if truth_q_nb is not None:
+            q_nb = check_floats(name, "truth_q_nb", truth_q_nb, (len(t_ns), 4), finite=False)
+            known = np.isfinite(q_nb).all(axis=1)
+            truth = Truth(t_ns[known], q_nb[known], np.ones(int(known.sum()), dtype=np.bool_))
+        imu = Imu(t_ns, np.asarray(gyro_b_radps), np.asarray(accel_b_mps2))
+        return cls(name, imu=imu, mag=mag, truth=truth, info=Info(**info))
+
+    def require_imu(self) -> Imu:
+        """The IMU stream; raises :class:`BadRecording` when this recording has none."""
+        if self.imu is None:
+            raise BadRecording(f"{self.name}: has no gyro and accelerometer (imu); this needs them")
+        return self.imu
+
+    def streams(self) -> Iterator[tuple[str, Times]]:
+        """Names and clocks of the streams that are there."""
+        for name in ("imu", "mag", "gps", "spin", "encoder", "truth"):
+            stream = getattr(self, name)
+            if stream is not None:
+                yield name, stream.t_ns
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample of any stream but the truth to the last, in s."""
+        clocks = [t_ns for name, t_ns in self.streams() if name != "truth"]
+        return float(max(t[-1] for t in clocks) - min(t[0] for t in clocks)) / 1e9
+
+
+def rate_hz(t_ns: Times) -> float:
+    """Samples per second by the median step; 0 for a single sample."""
+    return 0.0 if len(t_ns) < 2 else 1e9 / float(np.median(np.diff(t_ns)))

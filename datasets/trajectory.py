@@ -1,0 +1,151 @@
+"""What comes out of a recording: a :class:`Reference` (smoother), a :class:`RollReference`, an :class:`Estimate`.
+
+Frames, units and clocks as in :mod:`stillpoint.datasets.recording`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.recording import (
+    Floats,
+    Times,
+    check_bools,
+    check_floats,
+    check_quaternions,
+    check_times,
+    freeze,
+)
+
+CONVENTION = (
+    "n = East-North-Up, b = sensor body, q_nb takes b to n, Hamilton; covariance of the rotation in b, rad^2"
+)
+
+
+@dataclass(frozen=True)
+class BasePoseReturn:
+    """One rest that was compared with the base pose, and what came of it."""
+
+    start_ns: int
+    end_ns: int
+    tilt_difference_rad: float  # of gravity's direction against the base's
+    accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What the smoother found about the sensor; None where it was not estimated.
+
+    Corrected rate = gyro_matrix @ (measured - bias), specific force likewise.
+    """
+
+    gyro_matrix: Floats | None = None  # (3, 3)
+    gyro_matrix_sd: Floats | None = None  # (3, 3)
+    accel_matrix: Floats | None = None  # (3, 3)
+    accel_matrix_sd: Floats | None = None  # (3, 3)
+    accel_bias_b_mps2: Floats | None = None  # (3,)
+    hard_iron_b_ut: Floats | None = None  # (3,)
+    field_n_ut: Floats | None = None  # (3,)
+    clock_offset_s: Mapping[str, float] = field(default_factory=dict)  # stream -> late (+) against the gyro
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Attitude at every IMU sample with its covariance, and how it came about."""
+
+    t_ns: Times
+    q_nb: Floats  # (N, 4) wxyz
+    cov_b_rad2: Floats  # (N, 3, 3) of the small rotation d in q_true = q_nb * exp(d), d in body axes
+    gyro_bias_b_radps: Floats  # (N, 3)
+    method: str
+    name: str = ""  # of the recording
+    calibration: Calibration = field(default_factory=Calibration)
+    rests_ns: Times = field(
+        default_factory=lambda: np.empty((0, 2), dtype=np.int64)
+    )  # (R, 2) first, last stamp
+    returns: tuple[BasePoseReturn, ...] = ()
+    params: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    made_from: Mapping[str, str] = field(default_factory=dict)  # file name -> sha256
+
+    def __post_init__(self) -> None:
+        t = check_times("reference", self.t_ns)
+        q_nb = check_quaternions("reference", "q_nb", self.q_nb, (len(t), 4))
+        cov = check_floats("reference", "cov_b_rad2", self.cov_b_rad2, (len(t), 3, 3))
+        bias = check_floats("reference", "gyro_bias_b_radps", self.gyro_bias_b_radps, (len(t), 3))
+        rests = np.asarray(self.rests_ns, dtype=np.int64).reshape(-1, 2)
+        if (np.diagonal(cov, axis1=1, axis2=2) <= 0).any():
+            raise BadRecording(
+                "reference.cov_b_rad2: a variance is not positive; a reference states its accuracy"
+            )
+        freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
+
+
+@dataclass(frozen=True, eq=False)
+class RollReference:
+    """Angle and rate about the spin axis with their standard deviations."""
+
+    t_ns: Times
+    angle_rad: Floats  # (N,) unwrapped
+    rate_radps: Floats  # (N,)
+    angle_sd_rad: Floats  # (N,)
+    rate_sd_radps: Floats  # (N,)
+    method: str
+    name: str = ""
+    params: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    made_from: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        t = check_times("roll reference", self.t_ns)
+        names = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
+        columns = {
+            name: check_floats("roll reference", name, getattr(self, name), (len(t),)) for name in names
+        }
+        freeze(self, t_ns=t, **columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What one streaming estimator said at every sample: an attitude ``q_nb``, or an angle and a rate about one axis."""
+
+    t_ns: Times
+    name: str  # the estimator's, as in the table ESTIMATORS
+    q_nb: Floats | None = None  # (N, 4) wxyz
+    angle_rad: Floats | None = None  # (N,)
+    rate_radps: Floats | None = None  # (N,)
+    cov_b_rad2: Floats | None = None  # (N, 3, 3)
+    innovation: Floats | None = None  # (N, m) normalised; NaN rows where there was no update
+    gyro_bias_b_radps: Floats | None = None  # (N, 3)
+    ready: NDArray[np.bool_] | None = None  # (N,) False while the estimator says that it is still starting
+    recording: str = ""
+    params: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    ns_per_sample: float = float("nan")
+    made_from: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        t = check_times("estimate", self.t_ns)
+        n = len(t)
+        if self.q_nb is None and self.angle_rad is None:
+            raise BadRecording(f"estimate {self.name}: has neither an attitude nor an angle")
+        if self.q_nb is not None:
+            freeze(self, q_nb=check_quaternions("estimate", "q_nb", self.q_nb, (n, 4)))
+        shapes = {"angle_rad": (n,), "rate_radps": (n,), "cov_b_rad2": (n, 3, 3), "gyro_bias_b_radps": (n, 3)}
+        for name, shape in shapes.items():
+            if getattr(self, name) is not None:
+                freeze(self, **{name: check_floats("estimate", name, getattr(self, name), shape)})
+        if self.innovation is not None:
+            width = np.shape(self.innovation)[-1]
+            freeze(
+                self,
+                innovation=check_floats("estimate", "innovation", self.innovation, (n, width), finite=False),
+            )
+        if self.ready is not None:
+            freeze(self, ready=check_bools("estimate", "ready", self.ready, n))
+        freeze(self, t_ns=t)

@@ -1,0 +1,74 @@
+"""The command ``stillpoint VERB``: finds the verb, runs it, and turns errors into one line and an exit code.
+
+Exit codes: 0 done; 2 the user can put it right (one line on stderr); 1 a defect of stillpoint (traceback).
+Verbs are imported when they are called, so that ``stillpoint --help`` loads neither numpy nor numba nor gtsam.
+"""
+
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from importlib import metadata
+from typing import NoReturn
+
+from cyclopts import App, CycloptsError
+
+# verb -> (function, what it does); the order is the order of the data and of the help page.
+VERBS: dict[str, tuple[str, str]] = {
+    "demo": ("demo:demo", "Simulate a phone in the hand and follow it the whole way to a report."),
+    "import": ("import_:import_", "Turn recordings of other formats into MCAP files."),
+    "simulate": ("simulate:simulate", "Make recordings whose truth is known by construction."),
+    "info": ("info:info", "Say what is in a file: streams, rates, gaps, rests, provenance."),
+    "doctor": ("doctor:doctor", "Test recordings by physics and say what to do."),
+    "reference": ("reference:reference", "Make the reference trajectory of recordings."),
+    "estimate": ("estimate:estimate", "Run streaming estimators over recordings."),
+    "score": ("score:score", "Score estimates against a reference or a truth."),
+    "validate": ("validate:validate", "Score references against independent truth."),
+    "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
+    "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
+}
+
+
+def app() -> App:
+    """The command line, with verbs that are imported when called."""
+    cli = App(
+        name="stillpoint",
+        help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.",
+        version=lambda: metadata.version("stillpoint"),
+        version_flags=["--version"],
+        help_flags=["--help", "-h"],
+    )
+    for place, (verb, (target, summary)) in enumerate(VERBS.items()):
+        cli.command(f"stillpoint.scripts.{target}", name=verb, help=summary, sort_key=place)
+    return cli
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point of the console script; never returns normally."""
+    tokens = list(sys.argv[1:] if argv is None else argv)
+    if tokens and not tokens[0].startswith("-") and tokens[0] not in VERBS:
+        near = get_close_matches(tokens[0], VERBS, n=1)
+        _stop(
+            f"no verb {tokens[0]!r}; "
+            + (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}")
+        )
+    try:
+        code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as error:
+        _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0] if tokens else ''} --help")
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)
+    except Exception as error:
+        from stillpoint.datasets.errors import StillpointError
+
+        if isinstance(error, StillpointError):
+            _stop(str(error))
+        raise
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _stop(message: str) -> NoReturn:
+    print(f"stillpoint: {message}", file=sys.stderr)
+    sys.exit(2)

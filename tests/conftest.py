@@ -1,0 +1,21 @@
+"""Where the real recordings are, for the tests that need them."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("stillpoint", deadline=None, max_examples=50)
+settings.load_profile("stillpoint")
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder named by STILLPOINT_DATA (with broad/, tyrex/, bench/, disc/); the test is skipped without it."""
+    folder = os.environ.get("STILLPOINT_DATA")
+    if not folder:
+        pytest.skip("STILLPOINT_DATA does not name a folder of real recordings")
+    if not Path(folder).is_dir():
+        pytest.fail(f"STILLPOINT_DATA={folder} is not a folder")
+    return Path(folder)
