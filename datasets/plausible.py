@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
 from stillpoint.datasets.errors import BadRecording
 
 if TYPE_CHECKING:
@@ -53,9 +52,7 @@ def check_units(recording: "Recording") -> None:
             )
 
 
-def still_norm(
-    t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]
-) -> float | None:
+def still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:
     """Mean length over the calmest second that does not spin; None when there is none or the stream is shorter."""
     seconds = (t_ns - t_ns[0]) // int(WINDOW_S * 1e9)
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
@@ -67,9 +64,7 @@ def still_norm(
     spread = np.add.reduceat(vectors**2, starts, axis=0) / counts[:, None] - mean**2
     size = np.linalg.norm(mean, axis=1)
     relative = np.sqrt(np.maximum(spread.sum(axis=1), 0)) / np.maximum(size, 1e-300)
-    spins = (
-        np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
-    )
+    spins = np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
     relative[~whole | spins] = np.inf
     calmest = int(relative.argmin())
     return float(size[calmest]) if relative[calmest] < STILL_ACCEL_SPREAD else None

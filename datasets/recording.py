@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.plausible import check_units
 
@@ -23,11 +22,10 @@ LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
 
 
 def check_times(owner: str, t_ns: ArrayLike) -> Times:
+    """Rising int64 stamps of shape (N,), N >= 1."""
     t = np.asarray(t_ns)
     if t.ndim != 1 or t.dtype.kind not in "iu":
-        raise BadRecording(
-            f"{owner}.t_ns: is {t.dtype} of shape {t.shape}; give int64 nanoseconds of shape (N,)"
-        )
+        raise BadRecording(f"{owner}.t_ns: is {t.dtype} of shape {t.shape}; give int64 nanoseconds of shape (N,)")
     if len(t) == 0:
         raise BadRecording(f"{owner}: has no sample; leave the stream out instead")
     t = t.astype(np.int64)
@@ -43,9 +41,8 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
     return t
 
 
-def check_floats(
-    owner: str, name: str, values: ArrayLike, shape: tuple[int, ...], finite: bool = True
-) -> Floats:
+def check_floats(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Floats:
+    """A float64 column of the given shape, finite unless its stream says otherwise."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise BadRecording(f"{owner}.{name}: has shape {array.shape}; its times ask for {shape}")
@@ -58,15 +55,15 @@ def check_floats(
 
 
 def check_bools(owner: str, name: str, values: ArrayLike, n: int) -> NDArray[np.bool_]:
+    """A bool column."""
     array = np.ascontiguousarray(values)
     if array.shape != (n,) or array.dtype != np.bool_:
-        raise BadRecording(
-            f"{owner}.{name}: is {array.dtype} of shape {array.shape}; give bool of shape ({n},)"
-        )
+        raise BadRecording(f"{owner}.{name}: is {array.dtype} of shape {array.shape}; give bool of shape ({n},)")
     return array
 
 
 def check_quaternions(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Finite wxyz columns of length 1 within 1e-6."""
     array = check_floats(owner, name, values, shape)
     off = np.abs(np.linalg.norm(array, axis=-1) - 1.0)
     if off.size and off.max() > 1e-6:
@@ -127,17 +124,13 @@ class Gps:
     def __post_init__(self) -> None:
         t = check_times("gps", self.t_ns)
         names = ("lat_deg", "lon_deg", "alt_m", "course_rad", "speed_mps")
-        columns = {
-            name: check_floats("gps", name, getattr(self, name), (len(t),), finite=False) for name in names
-        }
+        columns = {name: check_floats("gps", name, getattr(self, name), (len(t),), finite=False) for name in names}
         valid = check_bools("gps", "valid", self.valid, len(t))
         where = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["lon_deg"])
         if not where[valid].all():
             raise BadRecording("gps: a valid fix has no latitude or longitude; mark it as not valid")
         if (np.abs(columns["lat_deg"][valid]) > 90).any() or (np.abs(columns["lon_deg"][valid]) > 360).any():
-            raise BadRecording(
-                "gps: a latitude lies outside +-90 or a longitude outside +-360 deg; check the columns"
-            )
+            raise BadRecording("gps: a latitude lies outside +-90 or a longitude outside +-360 deg; check the columns")
         freeze(self, t_ns=t, valid=valid, **columns)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import (
     Floats,
@@ -21,9 +20,7 @@ from stillpoint.datasets.recording import (
     freeze,
 )
 
-CONVENTION = (
-    "n = East-North-Up, b = sensor body, q_nb takes b to n, Hamilton; covariance of the rotation in b, rad^2"
-)
+CONVENTION = "n = East-North-Up, b = sensor body, q_nb takes b to n, Hamilton; covariance of the rotation in b, rad^2"
 
 
 @dataclass(frozen=True)
@@ -65,9 +62,7 @@ class Reference:
     method: str
     name: str = ""  # of the recording
     calibration: Calibration = field(default_factory=Calibration)
-    rests_ns: Times = field(
-        default_factory=lambda: np.empty((0, 2), dtype=np.int64)
-    )  # (R, 2) first, last stamp
+    rests_ns: Times = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))  # (R, 2) first, last stamp
     returns: tuple[BasePoseReturn, ...] = ()
     params: Mapping[str, Any] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
@@ -80,9 +75,7 @@ class Reference:
         bias = check_floats("reference", "gyro_bias_b_radps", self.gyro_bias_b_radps, (len(t), 3))
         rests = np.asarray(self.rests_ns, dtype=np.int64).reshape(-1, 2)
         if (np.diagonal(cov, axis1=1, axis2=2) <= 0).any():
-            raise BadRecording(
-                "reference.cov_b_rad2: a variance is not positive; a reference states its accuracy"
-            )
+            raise BadRecording("reference.cov_b_rad2: a variance is not positive; a reference states its accuracy")
         freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
 
 
@@ -104,9 +97,7 @@ class RollReference:
     def __post_init__(self) -> None:
         t = check_times("roll reference", self.t_ns)
         names = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
-        columns = {
-            name: check_floats("roll reference", name, getattr(self, name), (len(t),)) for name in names
-        }
+        columns = {name: check_floats("roll reference", name, getattr(self, name), (len(t),)) for name in names}
         freeze(self, t_ns=t, **columns)
 
 

@@ -47,10 +47,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     tokens = list(sys.argv[1:] if argv is None else argv)
     if tokens and not tokens[0].startswith("-") and tokens[0] not in VERBS:
         near = get_close_matches(tokens[0], VERBS, n=1)
-        _stop(
-            f"no verb {tokens[0]!r}; "
-            + (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}")
-        )
+        _stop(f"no verb {tokens[0]!r}; " + (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}"))
     try:
         code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
