@@ -23,8 +23,8 @@ def check_units(recording: "Recording") -> None:
         fastest = float(np.abs(recording.imu.gyro_b_radps).max())
         if fastest > FASTEST_GYRO_RADPS:
             raise BadRecording(
-                f"{recording.name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: multiply by pi/180, "
-                "or set units_unchecked to look at it with the doctor"
+                f"{recording.name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
+                "multiply by pi/180, or set units_unchecked to look at it with the doctor"
             )
         size = still_norm(recording.imu.t_ns, recording.imu.accel_b_mps2, recording.imu.gyro_b_radps)
         if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:

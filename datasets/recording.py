@@ -68,7 +68,7 @@ def check_quaternions(owner: str, name: str, values: ArrayLike, shape: tuple[int
     off = np.abs(np.linalg.norm(array, axis=-1) - 1.0)
     if off.size and off.max() > 1e-6:
         raise BadRecording(
-            f"{owner}.{name}: a quaternion's norm differs from 1 by {off.max():.3g} (row {int(off.argmax())}); normalise"
+            f"{owner}.{name}: a quaternion is off unit norm by {off.max():.3g} (row {int(off.argmax())}); normalise"
         )
     return array
 

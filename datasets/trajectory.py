@@ -103,7 +103,7 @@ class RollReference:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What one streaming estimator said at every sample: an attitude ``q_nb``, or an angle and a rate about one axis."""
+    """What one streaming estimator said at every sample: an attitude, or an angle and a rate about one axis."""
 
     t_ns: Times
     name: str  # the estimator's, as in the table ESTIMATORS
