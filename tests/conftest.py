@@ -19,3 +19,10 @@ def data_dir() -> Path:
     if not Path(folder).is_dir():
         pytest.fail(f"STILLPOINT_DATA={folder} is not a folder")
     return Path(folder)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Every test that takes ``data_dir`` can be chosen with ``-m real_data``."""
+    for item in items:
+        if "data_dir" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.real_data)

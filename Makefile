@@ -1,0 +1,51 @@
+# stillpoint: `make demo` shows what it does, `make test` checks it. Both are complete on a fresh machine
+# with Python 3.11-3.13 and make: they create .venv, install what constraints.txt pins, and run.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PYTEST := $(BIN)/python -m pytest
+
+.PHONY: demo test test-data test-wheel lint types format clean
+
+demo: .venv/.run
+	$(BIN)/stillpoint demo -o demo
+
+test: .venv/.dev
+	$(PYTEST) -q -n auto
+
+test-data: .venv/.dev
+	$(PYTEST) -q -n auto -m real_data
+
+test-wheel: .venv/.dev
+	$(PYTEST) -q -m wheel
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: .venv/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# The types of the package as users get it: a wheel, unpacked, seen from outside the checkout.
+types: .venv/.dev
+	rm -rf build/types
+	$(INSTALL) --no-deps --target build/types .
+	MYPYPATH=build/types $(BIN)/mypy -p stillpoint
+
+.venv/.python:
+	$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info < (3, 14) else "stillpoint needs Python 3.11-3.13, and $(PYTHON) is " + sys.version.split()[0] + "; run: make PYTHON=python3.12 $(MAKECMDGOALS)")'
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/.run: .venv/.python pyproject.toml constraints.txt
+	$(INSTALL) --editable '.[peers]'
+	touch $@
+
+.venv/.dev: .venv/.python pyproject.toml constraints.txt
+	$(INSTALL) --editable '.[peers,dev]'
+	touch $@ .venv/.run
+
+clean:
+	rm -rf .venv build demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

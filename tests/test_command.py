@@ -1,0 +1,82 @@
+"""The root of the command line: one line and exit code 2 for what the user can put right, and a light help page."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stillpoint.scripts import main as command
+
+HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    code = "from stillpoint.scripts.main import main; main()"
+    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["inof", "x.mcap"], "did you mean 'info'"),
+        (["frobnicate"], "there are demo, import"),
+        (["simulate", "phone-9"], "phone-3"),
+        (["simulate", "phone-3", "--sed", "1"], "--seed"),
+        (["simulate", "phone-3", "--minutes", "soon"], "minutes"),
+        (["info", "no-such-file.mcap"], "no-such-file.mcap"),
+        (["validate", "no-such-folder"], "no-such-folder"),
+        (["import", "broad", "no-such-folder"], "no-such-folder"),
+    ],
+)
+def test_a_wrong_call_is_one_line_and_exit_code_2(words: list[str], says: str) -> None:
+    result = run(*words)
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1, result.stderr
+    assert result.stderr.startswith("stillpoint: ")
+    assert says in result.stderr
+
+
+def test_help_names_every_verb_and_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom stillpoint.scripts.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print([m for m in {HEAVY} if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip().endswith("[]")
+    assert all(verb in result.stdout for verb in command.VERBS)
+
+
+@pytest.mark.parametrize("verb", sorted(command.VERBS))
+def test_every_verb_explains_itself_and_its_options(verb: str) -> None:
+    result = run(verb, "--help")
+    assert result.returncode == 0, result.stderr
+    assert f"Usage: stillpoint {verb}" in result.stdout
+    options = [line for line in result.stdout.splitlines() if line.startswith("│") and "--" in line]
+    assert options, "a verb without options has no --help worth reading"
+
+
+def test_a_defect_is_a_traceback_and_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr(command, "app", lambda: lambda *_, **__: broken())
+    with pytest.raises(ZeroDivisionError):
+        command.main(["info", "x"])
+
+
+def test_interrupt_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "app", lambda: lambda *_, **__: interrupted())
+    with pytest.raises(SystemExit) as stop:
+        command.main(["info", "x"])
+    assert stop.value.code == 130
+
+
+def test_importing_the_package_leaves_the_name_datasets_free() -> None:
+    code = "import stillpoint.datasets, sys; print('datasets' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path("/"), check=True)
+    assert result.stdout.strip() == "False"
