@@ -1,0 +1,93 @@
+"""Files, folders and globs on the command line become lists of MCAP files of one kind.
+
+The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, any other ``NAME.mcap`` is a recording.
+"""
+
+import glob
+from collections.abc import Iterable
+from pathlib import Path
+
+from stillpoint.datasets.errors import BadParameter
+
+SUFFIX = ".mcap"
+KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
+RECORDING = "recording"
+
+
+def kind_of(path: Path) -> str:
+    """``"recording"``, ``"reference"`` or ``"estimate"``, by the name of an MCAP file."""
+    return next((kind for kind, suffix in KINDS.items() if path.name.endswith(suffix)), RECORDING)
+
+
+def recordings(paths: Iterable[str | Path]) -> list[Path]:
+    """MCAP files that are neither a reference nor an estimate; raises :class:`BadParameter` when there is none."""
+    return _of_kind(paths, RECORDING)
+
+
+def references(paths: Iterable[str | Path]) -> list[Path]:
+    """Files ``*.reference.mcap``; raises :class:`BadParameter` when there is none."""
+    return _of_kind(paths, "reference")
+
+
+def estimates(paths: Iterable[str | Path]) -> list[Path]:
+    """Files ``*.estimate.mcap``; raises :class:`BadParameter` when there is none."""
+    return _of_kind(paths, "estimate")
+
+
+def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
+    """MCAP files of every kind, each once, in the order of ``paths`` and sorted within a folder or glob.
+
+    A folder stands for all MCAP files in it and below. Raises :class:`BadParameter` for a path that is not there,
+    names another format, or holds no MCAP file.
+    """
+    return list(dict.fromkeys(file for path in paths for file in _expand(Path(path))))
+
+
+def output_dir(path: str | Path) -> Path:
+    """The folder to write into, made when it is not there; raises :class:`BadParameter` when that cannot be."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise BadParameter(f"{folder}: is a file; name a folder to write into") from None
+    except OSError as error:
+        raise BadParameter(f"{folder}: cannot be made ({error.strerror}); name a folder you may write into") from None
+    return folder
+
+
+def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
+    named = [Path(path) for path in paths]
+    if not named:
+        raise BadParameter(f"no input: name {kind}s as files, folders or globs")
+    for path in named:
+        if path.is_file() and path.name.endswith(SUFFIX) and kind_of(path) != kind:
+            raise BadParameter(f"{path}: is a {kind_of(path)} by its name; give a {kind}")
+    found = [file for file in mcap_files(named) if kind_of(file) == kind]
+    if not found:
+        wanted = KINDS.get(kind, SUFFIX)
+        raise BadParameter(f"{', '.join(map(str, named))}: holds no {kind} (*{wanted})")
+    return found
+
+
+def _expand(path: Path) -> list[Path]:
+    if path.is_dir():
+        found = sorted(file for file in path.rglob(f"*{SUFFIX}") if file.is_file() and not _hidden(file, path))
+        if not found:
+            raise BadParameter(f"{path}: this folder holds no MCAP file; import recordings first: stillpoint import")
+        return found
+    if path.is_file():
+        if not path.name.endswith(SUFFIX):
+            raise BadParameter(f"{path}: is not an MCAP file; turn it into one first: stillpoint import")
+        return [path]
+    matches = sorted(Path(match) for match in glob.glob(str(path), recursive=True))
+    if not matches:
+        raise BadParameter(f"{path}: there is no such file or folder")
+    kept = [match for match in matches if match.is_dir() or match.name.endswith(SUFFIX)]
+    if not kept:
+        raise BadParameter(f"{path}: matches {len(matches)} files, but no MCAP file among them")
+    return [file for match in kept for file in _expand(match)]
+
+
+def _hidden(file: Path, below: Path) -> bool:
+    """Temporary and hidden files are nobody's input."""
+    return any(part.startswith(".") for part in file.relative_to(below).parts)
