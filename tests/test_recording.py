@@ -1,0 +1,104 @@
+"""Construction checks once and says what is wrong; afterwards nothing can be changed."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from stillpoint.datasets import BadRecording, Estimate, Gps, Imu, Info, Mag, Recording, Reference, Truth
+
+N = 500
+T_NS = np.arange(N, dtype=np.int64) * 10_000_000
+REST = np.tile([0.0, 0.0, 9.81], (N, 1))
+ZERO = np.zeros((N, 3))
+LEVEL = np.tile([1.0, 0.0, 0.0, 0.0], (N, 1))
+
+
+def imu(**changes: Any) -> Imu:
+    return Imu(**{"t_ns": T_NS, "gyro_b_radps": ZERO, "accel_b_mps2": REST, **changes})
+
+
+def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
+    copy = array.copy()
+    copy[row] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: imu(gyro_b_radps=np.zeros((N, 2))), r"imu.gyro_b_radps: has shape \(500, 2\)"),
+        (lambda: imu(accel_b_mps2=spoilt(REST, 7, np.nan)), "1 rows are not finite, the first is 7"),
+        (lambda: imu(t_ns=T_NS / 1e9), "int64 nanoseconds"),
+        (lambda: imu(t_ns=spoilt(T_NS, 3, T_NS[2])), r"time does not rise at sample 3 \(0.020000 s from the start\)"),
+        (lambda: imu(t_ns=T_NS - 1), "start at 0"),
+        (lambda: imu(t_ns=T_NS[:0], gyro_b_radps=ZERO[:0], accel_b_mps2=REST[:0]), "has no sample"),
+        (lambda: Truth(T_NS, LEVEL * 1.01, np.ones(N, bool)), "off unit norm by 0.01"),
+        (lambda: Truth(T_NS, LEVEL, np.ones(N)), "give bool"),
+        (lambda: Truth(T_NS, spoilt(LEVEL, 0, np.nan), np.ones(N, bool)), "not finite"),
+        (lambda: Recording("r"), "neither gyro and accelerometer"),
+        (lambda: Recording("r", imu(), base_pose=np.ones(4)), "base_pose"),
+        (lambda: Recording("r", imu(accel_b_mps2=REST / 9.80665)), "looks in g: multiply by 9.80665"),
+        (lambda: Recording("r", imu(accel_b_mps2=REST * 100)), "gal"),
+        (lambda: Recording("r", imu(gyro_b_radps=spoilt(ZERO, 4, 250.0))), "looks like deg/s"),
+        (
+            lambda: Recording("r", imu(), Mag(T_NS, np.tile([0.2, 0, -0.4], (N, 1)))),
+            "like gauss: multiply by 100",
+        ),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([2e-5, 0, -4e-5], (N, 1)))), "looks like tesla"),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([370.0, 0, 0], (N, 1)))), "mag_uncalibrated"),
+        (lambda: Estimate(T_NS, "ekf"), "neither an attitude nor an angle"),
+        (lambda: Reference(T_NS, LEVEL, np.zeros((N, 3, 3)), ZERO, "m"), "states its accuracy"),
+    ],
+)
+def test_a_broken_rule_is_named(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(BadRecording, match=says) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_field_outside_the_range_is_allowed_where_the_note_says_so() -> None:
+    mag = Mag(T_NS, np.tile([370.0, 0, 0], (N, 1)))
+    assert Recording("r", imu(), mag, info=Info(mag_uncalibrated=True)).mag is mag
+
+
+def test_units_are_not_guessed_when_nothing_is_still() -> None:
+    """A fast spin presses constantly outwards: that is no gravity, so its size says nothing."""
+    spin = imu(gyro_b_radps=np.tile([0.0, 0, 30.0], (N, 1)), accel_b_mps2=np.tile([60.0, 0, 9.8], (N, 1)))
+    shaken = imu(accel_b_mps2=REST * (2 + np.sin(np.arange(N)))[:, None])
+    assert Recording("spin", spin).imu is spin
+    assert Recording("shaken", shaken).imu is shaken
+
+
+def test_the_doctor_can_open_what_is_implausible() -> None:
+    in_g = imu(accel_b_mps2=REST / 9.80665)
+    assert Recording("r", in_g, info=Info(units_unchecked=True)).imu is in_g
+
+
+def test_arrays_are_read_only_and_the_givers_stay_writeable() -> None:
+    mine = ZERO.copy()
+    stream = imu(gyro_b_radps=mine)
+    with pytest.raises(ValueError, match="read-only"):
+        stream.gyro_b_radps[0] = 1.0
+    assert mine.flags.writeable
+
+
+def test_from_arrays_keeps_nanoseconds_and_makes_nan_truth_a_gap() -> None:
+    t_s = np.arange(N) * 0.0035
+    truth = spoilt(LEVEL, 5, np.nan)
+    recording = Recording.from_arrays("r", t_s, ZERO, REST, truth_q_nb=truth, date="2024-05-01")
+    assert recording.require_imu().t_ns[1:3].tolist() == [3_500_000, 7_000_000]
+    assert recording.truth is not None
+    assert len(recording.truth.t_ns) == N - 1
+    assert 5 * 3_500_000 not in recording.truth.t_ns
+    assert recording.info.date == "2024-05-01"
+    assert recording.duration_s == pytest.approx((N - 1) * 0.0035)
+
+
+def test_gps_may_miss_course_but_a_valid_fix_has_a_place() -> None:
+    t_ns = T_NS[:2]
+    nan = np.array([np.nan, np.nan])
+    fix = Gps(t_ns, np.array([50.0, np.nan]), np.array([8.0, np.nan]), nan, nan, nan, np.array([True, False]))
+    assert fix.valid.tolist() == [True, False]
+    with pytest.raises(BadRecording, match="mark it as not valid"):
+        Gps(t_ns, np.array([50.0, np.nan]), np.array([8.0, np.nan]), nan, nan, nan, np.array([True, True]))
