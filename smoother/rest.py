@@ -1,0 +1,146 @@
+"""Where is the sensor at rest? Stretches without motion, told from the sensor's noise and from steady slow turning.
+
+A rest shows little *change*: its specific force and rate, freed of white noise by a short mean, stay within a small
+deviation for a whole window. The rate's level says nothing, as a phone's gyro reads up to 6 deg/s at rest; so a
+candidate is dropped when gravity's direction turns during it, or when its mean rate is not the recording's rest bias.
+What an IMU alone cannot tell: a recording that does nothing but turn steadily about the vertical looks like rest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
+
+
+@dataclass(frozen=True)
+class RestParams:
+    """Thresholds of :func:`find_rests`. The defaults lie between what was measured at rest and in a calm hand.
+
+    Deviation of the rate at rest: 0.02-0.07 deg/s (BROAD, MPU6050 bench); of a phone held still: 0.9-6 deg/s.
+    """
+
+    window_s: float = 1.0  # the deviation is taken over this time; shorter rests go unseen; 0.3 .. 5
+    smooth_s: float = 0.1  # mean that takes out white noise and vibration before; 0 .. 0.3
+    gyro_sd_radps: float = np.deg2rad(0.2)  # largest deviation of the smoothed rate (three axes together)
+    accel_sd_mps2: float = 0.08  # largest deviation of the smoothed specific force (three axes together)
+    noise_factor: float = 3.0  # a noisier sensor raises both to this multiple of its own white noise; 1 .. 5
+    noise_limit: float = 5.0  # ... but never above this multiple of them; 1 .. 10
+    tilt_change_rad: float = np.deg2rad(1.0)  # gravity may turn by this much between the ends of a rest
+    bias_change_radps: float = np.deg2rad(0.4)  # the rest bias may differ by this much from one rest to the next
+    bias_limit_radps: float = np.deg2rad(10.0)  # a steadier rate above this is a rotation, not a bias
+    min_rest_s: float = 1.0  # shorter rests are not reported
+    edge_s: float = 0.1  # cut from both ends, where motion starts and fades out
+
+
+def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:  # noqa: B008 - frozen
+    """First and last stamp of each rest, ``(R, 2)`` int64 ns, in the order of time; R may be 0.
+
+    Works in seconds on the stream's own stamps, regular or not; a stretch where half of the samples are missing is
+    no rest.
+    """
+    if len(imu.t_ns) < 3:
+        return np.empty((0, 2), dtype=np.int64)
+    t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
+    gyro_sd, gyro_noise = _deviation(t_s, imu.gyro_b_radps, params)
+    accel_sd, accel_noise = _deviation(t_s, imu.accel_b_mps2, params)
+    calmest = np.argmin(gyro_sd / params.gyro_sd_radps + accel_sd / params.accel_sd_mps2)
+    gyro_limit = _limit(params.gyro_sd_radps, gyro_noise[calmest], params)
+    accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
+
+    still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(imu.t_ns), params)
+    first, last = _window(t_s, params.window_s)
+    touched = np.concatenate([[0], np.cumsum(still)])
+    spans = _runs(touched[last] > touched[first])
+    spans = _cut_edges(t_s, spans, params)
+    spans = spans[[_keeps_tilt(imu, t_s, span, params) for span in spans]] if len(spans) else spans
+    spans = spans[_at_bias(imu, spans, gyro_sd, params)]
+    return imu.t_ns[spans]
+
+
+def _window(t_s: Floats, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Index range [first, last) of the samples within half a width of each stamp."""
+    first = np.searchsorted(t_s, t_s - width_s / 2, side="left")
+    return first, np.searchsorted(t_s, t_s + width_s / 2, side="right")
+
+
+def _mean(t_s: Floats, values: Floats, width_s: float) -> Floats:
+    """Centred moving mean over time; shorter windows at the ends."""
+    first, last = _window(t_s, width_s)
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return (total[last] - total[first]) / (last - first)[:, None]
+
+
+def _deviation(t_s: Floats, values: Floats, params: RestParams) -> tuple[Floats, Floats]:
+    """Standard deviation of the smoothed values in each window, and the share of it that white noise explains."""
+    centred = values - values.mean(axis=0)  # keeps the sums of squares small
+    smooth = _mean(t_s, centred, params.smooth_s)
+    variance = _mean(t_s, smooth**2, params.window_s) - _mean(t_s, smooth, params.window_s) ** 2
+    deviation = np.sqrt(np.maximum(variance.sum(axis=1), 0.0))
+    steps = np.diff(centred, axis=0, prepend=centred[:1])
+    white = np.sqrt(_mean(t_s, steps**2, params.window_s).sum(axis=1) / 2)
+    first, last = _window(t_s, params.smooth_s)
+    return deviation, white / np.sqrt(last - first)
+
+
+def _limit(threshold: float, noise: float, params: RestParams) -> float:
+    return float(np.clip(params.noise_factor * noise, threshold, params.noise_limit * threshold))
+
+
+def _dense(t_s: Floats, rate: float, params: RestParams) -> NDArray[np.bool_]:
+    """At least half of the samples that the recording's rate promises are in the window."""
+    first, last = _window(t_s, params.window_s)
+    inside_s = np.minimum(t_s + params.window_s / 2, t_s[-1]) - np.maximum(t_s - params.window_s / 2, t_s[0])
+    return (last - first >= 0.5 * rate * inside_s) & (last - first >= 3)
+
+
+def _runs(mask: NDArray[np.bool_]) -> Times:
+    """First and last index of each run of True, (R, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return np.stack([edges[::2], edges[1::2] - 1], axis=1).astype(np.int64)
+
+
+def _cut_edges(t_s: Floats, spans: Times, params: RestParams) -> Times:
+    """Shorten each span at the ends that are not the recording's own, and drop those that become too short."""
+    long_enough = t_s[spans[:, 1]] - t_s[spans[:, 0]] >= params.min_rest_s
+    start, end = spans[long_enough].T
+    cut_start = np.where(start > 0, np.searchsorted(t_s, t_s[start] + params.edge_s), 0)
+    cut_end = np.searchsorted(t_s, t_s[end] - params.edge_s, side="right") - 1
+    cut_end = np.where(end < len(t_s) - 1, cut_end, len(t_s) - 1)
+    cut = np.stack([cut_start, cut_end], axis=1)
+    return cut[cut_end > cut_start].astype(np.int64)
+
+
+def _keeps_tilt(imu: Imu, t_s: Floats, span: Times, params: RestParams) -> bool:
+    """Gravity's direction is the same at both ends of the span."""
+    start, end = span
+    part_s = min(params.window_s, (t_s[end] - t_s[start]) / 2)
+    head = imu.accel_b_mps2[start : np.searchsorted(t_s, t_s[start] + part_s, side="right")].mean(axis=0)
+    tail = imu.accel_b_mps2[np.searchsorted(t_s, t_s[end] - part_s) : end + 1].mean(axis=0)
+    turned = np.arctan2(np.linalg.norm(np.cross(head, tail)), head @ tail)
+    return bool(turned <= params.tilt_change_rad)
+
+
+def _at_bias(imu: Imu, spans: Times, gyro_sd: Floats, params: RestParams) -> NDArray[np.bool_]:
+    """Which spans show the gyro's rest bias, which may drift slowly from rest to rest.
+
+    The rest bias is the mean rate that most spans share (the smallest where that is undecided), among the spans
+    that are about as calm as the calmest.
+    """
+    keep = np.zeros(len(spans), dtype=np.bool_)
+    rates = np.array([imu.gyro_b_radps[start : end + 1].mean(axis=0) for start, end in spans]).reshape(-1, 3)
+    size = np.linalg.norm(rates, axis=1)
+    able = np.flatnonzero(size <= params.bias_limit_radps)
+    if len(able) == 0:
+        return keep
+    calm = np.array([np.median(gyro_sd[start : end + 1]) for start, end in spans])
+    calmest = able[calm[able] <= 2 * calm[able].min()]
+    gaps = np.linalg.norm(rates[calmest, None] - rates[None, able], axis=2)
+    votes = (gaps <= params.bias_change_radps).sum(axis=1)
+    best = calmest[np.lexsort((size[calmest], -votes))[0]]
+    for order in (range(best, len(spans)), range(best, -1, -1)):
+        bias = rates[best]
+        for k in order:
+            if np.linalg.norm(rates[k] - bias) <= params.bias_change_radps and size[k] <= params.bias_limit_radps:
+                keep[k], bias = True, rates[k]
+    return keep
