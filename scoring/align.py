@@ -1,0 +1,145 @@
+"""What two trajectories may differ in without either being wrong: heading, mounting and clock.
+
+The model is ``q_est(t + time) ~ Rz(heading) * q_true(t) * M(mounting)``. Signs: ``heading_rad`` > 0 when the estimate
+is turned counter-clockwise (seen from above) of the truth; ``mounting_rotvec_rad`` is the rotation M that takes
+vectors of the estimate's body to the truth's body; ``time_offset_s`` > 0 when the estimate is *late*: what it shows
+at t + time happened at t (BROAD's gyro: +4.2 ms; a gyro whose stamps are late gives a late estimate).
+
+Mounting and clock are fitted to the chordal distance, ``sum |R_est - R_fit|^2 = 4 sum (1 - cos angle)``: the square of
+the angle where it is small, bounded where it is large, and with an optimum that is found for any start.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.recording import Times
+from stillpoint.scoring.errors import heading_offset
+from stillpoint.scoring.match import Track, attitude_at, match
+
+Floats = NDArray[np.float64]
+AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
+ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
+
+TIME_RANGE_S = 0.5  # clocks are searched within +- this
+COARSE_STEP_S = 0.02  # of the first search: short against any swing of an arm
+COARSE_SAMPLES = 2_000  # enough to find the right valley
+FINE_SAMPLES = 20_000  # enough for microseconds
+SMALLEST_MOUNTING = 1e-9  # weight of "no mounting": decides only where heading and mounting cannot be told apart
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """What was found, and what was not asked for at 0. Signs as in the module's first lines."""
+
+    kind: AlignKind
+    heading_rad: float = 0.0
+    mounting_rotvec_rad: Floats = field(default_factory=lambda: np.zeros(3))  # (3,)
+    time_offset_s: float = 0.0
+
+    @property
+    def time_offset_ns(self) -> int:
+        """The offset on the clocks' grid."""
+        return round(self.time_offset_s * 1e9)
+
+    @property
+    def mounting(self) -> Rotation:
+        """M: vectors of the estimate's body to the truth's."""
+        return Rotation.from_rotvec(self.mounting_rotvec_rad)
+
+    def attitude(self, q_est: Floats) -> Floats:
+        """The estimate (N, 4) as the truth would show it, without heading and mounting: ``Rz(-h) * q_est * M^-1``."""
+        return quaternion(heading_rotation(-self.heading_rad) * rotation(q_est) * self.mounting.inv())
+
+    def covariance(self, cov_b_rad2: Floats) -> Floats:
+        """Covariances (N, 3, 3) of the estimate, turned into the truth's body axes."""
+        turn = self.mounting.as_matrix()
+        return turn @ cov_b_rad2 @ turn.T
+
+
+def find_alignment(estimated: Track, truth_t_ns: Times, truth_q_nb: Floats, kind: AlignKind) -> Alignment:
+    """The alignment of this kind with the smallest error over the given truth samples (N,), (N, 4): the moving ones.
+
+    ``heading`` is the circular mean of the heading error, as in BROAD's evaluation. With ``time`` the clock is
+    searched within +-0.5 s; the samples nearer than that to an end of the estimate are left out of the search.
+    Raises :class:`BadParameter` for another kind, :class:`Unobservable` when no sample has an estimate.
+    """
+    if kind not in ALIGN_KINDS:
+        raise BadParameter(f"align: {kind!r} is not one of {', '.join(ALIGN_KINDS)}")
+    if kind == "none":
+        return Alignment(kind)
+    offset_ns = _clock_offset(estimated, truth_t_ns, truth_q_nb) if kind == "heading+mounting+time" else 0
+    at_ns = truth_t_ns + offset_ns
+    found = match(estimated, at_ns).found
+    if not found.any():
+        raise Unobservable(f"{estimated.label}: no moving sample of the truth has an estimate; are the clocks the same?")
+    q_est, q_true = attitude_at(estimated, at_ns[found]), truth_q_nb[found]
+    if kind == "heading":
+        return Alignment(kind, heading_rad=_circular_mean(heading_offset(q_est, q_true)))
+    heading_rad, mounting, _ = _fit(q_est, q_true)
+    return Alignment(kind, heading_rad, mounting.as_rotvec(), offset_ns / 1e9)
+
+
+def _circular_mean(angle_rad: Floats) -> float:
+    return float(np.angle(np.mean(np.exp(1j * angle_rad))))
+
+
+def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation, float]:
+    """Heading, mounting and the mean of ``3 - trace`` = 2 (1 - cos angle) of ``R_est ~ Rz(h) R_true M``.
+
+    For a given heading the best mounting is a polar decomposition of ``B(h) = sum R_true' Rz(-h) R_est``, which is
+    ``B_0 + cos h B_c + sin h B_s``: three sums over the data, then a search over one angle.
+    """
+    true, est = rotation(q_true).as_matrix(), rotation(q_est).as_matrix()
+    gram = (true.reshape(-1, 9).T @ est.reshape(-1, 9)).reshape(3, 3, 3, 3) / len(q_est)  # [row, col, row', col']
+    level, turned, upright = gram[0, :, 0] + gram[1, :, 1], gram[0, :, 1] - gram[1, :, 0], gram[2, :, 2]
+    upright = upright + SMALLEST_MOUNTING * np.eye(3)
+
+    def profile(heading_rad: Floats) -> Floats:
+        h = np.asarray(heading_rad)[..., None, None]
+        b = upright + np.cos(h) * level + np.sin(h) * turned
+        s = np.linalg.svd(b, compute_uv=False)
+        return s[..., 0] + s[..., 1] + np.sign(np.linalg.det(b)) * s[..., 2]
+
+    grid = np.linspace(-np.pi, np.pi, 361)
+    start = float(grid[int(np.argmax(profile(grid)))])
+    step = float(grid[1] - grid[0])
+    best = minimize_scalar(lambda h: -float(profile(h)), bounds=(start - step, start + step), options={"xatol": 1e-10})
+    heading_rad = float(np.angle(np.exp(1j * best.x)))
+    b = upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned
+    u, _, vt = np.linalg.svd(b)
+    mounting = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return heading_rad, Rotation.from_matrix(mounting), 3.0 + float(best.fun)
+
+
+def _clock_offset(estimated: Track, t_ns: Times, q_true: Floats) -> int:
+    """How late the estimate is, in ns: a coarse search over the whole range, then a fine one in the best valley."""
+    margin = round(TIME_RANGE_S * 1e9)
+    inside = np.flatnonzero((t_ns - margin >= estimated.t_ns[0]) & (t_ns + margin <= estimated.t_ns[-1]))
+    if len(inside) < 2:
+        raise Unobservable(
+            f"{estimated.label}: overlaps the truth's motion by too little to align the clocks within "
+            f"+-{TIME_RANGE_S} s; align heading+mounting instead"
+        )
+
+    def cost(offset_s: float, rows: NDArray[np.intp]) -> float:
+        at_ns = t_ns[rows] + round(offset_s * 1e9)
+        found = match(estimated, at_ns).found
+        return _fit(attitude_at(estimated, at_ns[found]), q_true[rows[found]])[2] if found.any() else np.inf
+
+    some, more = _spread(inside, COARSE_SAMPLES), _spread(inside, FINE_SAMPLES)
+    grid = np.linspace(-TIME_RANGE_S, TIME_RANGE_S, round(2 * TIME_RANGE_S / COARSE_STEP_S) + 1)
+    start = float(grid[int(np.argmin([cost(offset_s, some) for offset_s in grid]))])
+    bounds = (max(start - COARSE_STEP_S, -TIME_RANGE_S), min(start + COARSE_STEP_S, TIME_RANGE_S))
+    best = minimize_scalar(lambda offset_s: cost(offset_s, more), bounds=bounds, options={"xatol": 1e-6})
+    return round(float(best.x) * 1e9)
+
+
+def _spread(rows: NDArray[np.intp], n: int) -> NDArray[np.intp]:
+    """At most n of the rows, evenly spread."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(n, len(rows))).astype(np.intp))]

@@ -1,0 +1,100 @@
+"""An estimate laid on a truth: aligned, interpolated at the truth's stamps, with every sample accounted for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.recording import Times, Truth
+from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
+from stillpoint.scoring.match import Match, attitude_at, covariance_at, match, track
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """N samples of the truth, moving or not, at which there is an estimate; both in the truth's axes."""
+
+    estimated: str  # name of the estimator, or "reference (method)"
+    against: str  # "truth" or "reference (method)"
+    recording: str
+    alignment: Alignment
+    t_ns: Times  # (N,) the truth's clock
+    q_est: Floats  # (N, 4) after alignment
+    q_true: Floats  # (N, 4)
+    cov_b_rad2: Floats | None  # (N, 3, 3) of the estimate, in the truth's body axes
+    true_cov_b_rad2: Floats | None  # (N, 3, 3) of the reference; None against a truth
+    moving: Mask  # (N,) the samples that are scored
+    moving_share: float  # of all samples of the truth, with or without an estimate
+    samples_outside: int  # moving samples left out: beyond the estimate's ends
+    samples_in_gap: int  # ... between two samples of the estimate that are too far apart
+    samples_unready: int  # ... while the estimator said that it was starting
+
+
+def compare(
+    estimated: Estimate | Reference,
+    truth: Reference | Truth,
+    align: AlignKind = "heading",
+    moving: Mask | None = None,
+) -> Comparison:
+    """Align on the moving samples, then read the estimate at every stamp of the truth where it can be read.
+
+    ``moving`` (N,) says which samples of the truth count; by default ``truth.moving``, or outside a reference's rests.
+    Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps.
+    """
+    source, counted = track(estimated), moving_samples(truth, moving)
+    if not counted.any():
+        raise Unobservable(f"{name_of(truth)}: no sample of it moves, so there is nothing to score")
+    alignment = find_alignment(source, truth.t_ns[counted], truth.q_nb[counted], align)
+    at_ns = truth.t_ns + alignment.time_offset_ns
+    matched = match(source, at_ns)
+    kept = matched.found
+    if not (kept & counted).any():
+        raise Unobservable(f"{source.label}: {_why_not(matched, counted)}; are it and {name_of(truth)} on one clock?")
+    cov = covariance_at(source, at_ns[kept])
+    return Comparison(
+        estimated=name_of(estimated),
+        against=name_of(truth),
+        recording=estimated.recording if isinstance(estimated, Estimate) else estimated.name,
+        alignment=alignment,
+        t_ns=truth.t_ns[kept],
+        q_est=alignment.attitude(attitude_at(source, at_ns[kept])),
+        q_true=truth.q_nb[kept],
+        cov_b_rad2=None if cov is None else alignment.covariance(cov),
+        true_cov_b_rad2=truth.cov_b_rad2[kept] if isinstance(truth, Reference) else None,
+        moving=counted[kept],
+        moving_share=float(counted.mean()),
+        samples_outside=int((matched.outside & counted).sum()),
+        samples_in_gap=int((matched.in_gap & counted).sum()),
+        samples_unready=int((matched.unready & counted).sum()),
+    )
+
+
+def name_of(thing: Estimate | Reference | Truth) -> str:
+    """How tables call it: the estimator's name, "reference (method)" or "truth"."""
+    if isinstance(thing, Truth):
+        return "truth"
+    return f"reference ({thing.method})" if isinstance(thing, Reference) else thing.name
+
+
+def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask:
+    """The samples (N,) that count: the given ones, else the truth's own mask, else those outside a reference's rests."""
+    if moving is not None:
+        if moving.shape != truth.t_ns.shape or moving.dtype != np.bool_:
+            raise BadParameter(f"moving: is {moving.dtype} of shape {moving.shape}; give bool of {truth.t_ns.shape}")
+        return moving
+    if isinstance(truth, Truth):
+        return truth.moving
+    at_rest = np.zeros(len(truth.t_ns), dtype=np.bool_)
+    for first_ns, last_ns in truth.rests_ns:
+        at_rest |= (truth.t_ns >= first_ns) & (truth.t_ns <= last_ns)
+    return ~at_rest
+
+
+def _why_not(matched: Match, counted: Mask) -> str:
+    reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
+    counts = [f"{(mask & counted).sum()} {reason}" for reason, mask in reasons.items() if (mask & counted).any()]
+    return f"covers none of the {counted.sum()} moving samples ({', '.join(counts)})"

@@ -1,0 +1,75 @@
+"""How far one attitude is from another: angles that are exact for small errors too, and Euler errors of the papers.
+
+All functions take quaternions wxyz of shape (N, 4), ``q_nb``, and return radians.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.frames import EulerFrame, euler, quaternion, rotation, wrap
+
+Floats = NDArray[np.float64]
+
+GIMBAL_RAD = np.deg2rad(80.0)  # beyond this pitch, roll and yaw errors are large for any small rotation
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeError:
+    """The error of BROAD (Laidig et al., Data 6(7):72, 2021): the earth-frame rotation from truth to estimate, split.
+
+    heading is the part about the vertical, inclination the smallest rotation about a horizontal axis that is left.
+    """
+
+    total_rad: Floats  # (N,) 2 acos |w|
+    heading_rad: Floats  # (N,) 2 atan |z / w|
+    inclination_rad: Floats  # (N,) 2 acos sqrt(w^2 + z^2)
+
+
+def error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
+    """Earth-frame error e in ``q_est = e * q_true``, (N, 4) with w >= 0."""
+    return quaternion(rotation(q_est) * rotation(q_true).inv())
+
+
+def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
+    """Total, heading and inclination error, each in [0, pi]; arctangents keep errors of 1e-9 rad exact."""
+    w, x, y, z = error_quaternion(q_est, q_true).T
+    return AttitudeError(
+        total_rad=2 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)),
+        heading_rad=2 * np.arctan2(np.abs(z), np.abs(w)),
+        inclination_rad=2 * np.arctan2(np.hypot(x, y), np.hypot(w, z)),
+    )
+
+
+def heading_offset(q_est: Floats, q_true: Floats) -> Floats:
+    """Signed heading error (N,) in (-pi, pi]: positive when the estimate is turned counter-clockwise of the truth."""
+    w, _, _, z = error_quaternion(q_est, q_true).T
+    return wrap(2 * np.arctan2(z, w))
+
+
+def euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
+    """Estimate minus truth in roll, pitch, yaw, (N, 3), wrapped to (-pi, pi].
+
+    Near a pitch of +-90 deg roll and yaw are not defined and their errors say nothing; see :func:`near_gimbal`.
+    """
+    return wrap(euler(q_est, frame) - euler(q_true, frame))
+
+
+def near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
+    """Where the true pitch lies beyond +-80 deg, (N,)."""
+    return np.abs(euler(q_true, frame)[:, 1]) > GIMBAL_RAD
+
+
+def rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
+    """Rotation vector d (N, 3) in body axes of ``q_true = q_est * exp(d)``: what a covariance ``cov_b_rad2`` is about."""
+    return np.asarray((rotation(q_est).inv() * rotation(q_true)).as_rotvec(), dtype=np.float64)
+
+
+def rotation_error_n(q_est: Floats, q_true: Floats) -> Floats:
+    """Rotation vector e (N, 3) about east, north, up of ``q_est = exp(e) * q_true``."""
+    return np.asarray((rotation(q_est) * rotation(q_true).inv()).as_rotvec(), dtype=np.float64)
+
+
+def normalised_square(d_rad: Floats, cov_rad2: Floats) -> Floats:
+    """d' C^-1 d of each row, (N,): chi-square with 3 degrees of freedom when the covariance is right."""
+    return np.einsum("ni,ni->n", d_rad, np.linalg.solve(cov_rad2, d_rad[..., None])[..., 0])

@@ -1,0 +1,92 @@
+"""Which truth sample has an estimate, and what the estimate was there: interpolation that never crosses a gap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.frames import slerp
+from stillpoint.datasets.recording import Times, Truth
+from stillpoint.datasets.trajectory import Estimate, Reference
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+GAP_STEPS = 5.0  # a step longer than this many median steps is a gap
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """An attitude on its own clock, as scores read it: of an estimate, a reference or a truth."""
+
+    label: str  # "vqf of run7", for messages
+    t_ns: Times  # (N,)
+    q_nb: Floats  # (N, 4)
+    cov_b_rad2: Floats | None  # (N, 3, 3)
+    unready: Mask  # (N,)
+
+    @property
+    def gap_ns(self) -> float:
+        """The longest step that is bridged."""
+        return GAP_STEPS * float(np.median(np.diff(self.t_ns))) if len(self.t_ns) > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """For M times: is there an estimate, and if not, why not. At most one of the masks is set."""
+
+    outside: Mask  # (M,) before the first or after the last sample
+    in_gap: Mask  # (M,) between two samples that are too far apart
+    unready: Mask  # (M,) a neighbouring sample says that the estimator is still starting
+
+    @property
+    def found(self) -> Mask:
+        """(M,) True where the estimate can be read."""
+        return ~(self.outside | self.in_gap | self.unready)
+
+
+def track(thing: Estimate | Reference | Truth) -> Track:
+    """The attitude of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
+    unready = np.zeros(len(thing.t_ns), dtype=np.bool_)
+    if isinstance(thing, Truth):
+        return Track("truth", thing.t_ns, thing.q_nb, None, unready)
+    if isinstance(thing, Reference):
+        return Track(f"reference of {thing.name}", thing.t_ns, thing.q_nb, thing.cov_b_rad2, unready)
+    label = f"{thing.name} of {thing.recording}"
+    if thing.q_nb is None:
+        raise BadRecording(f"{label}: is an angle about one axis; give an estimate with an attitude")
+    if thing.ready is not None:
+        unready = ~thing.ready
+    return Track(label, thing.t_ns, thing.q_nb, thing.cov_b_rad2, unready)
+
+
+def match(source: Track, at_ns: Times) -> Match:
+    """Which of the times ``at_ns`` (M,) lie between two near samples of the track that are both ready."""
+    t = source.t_ns
+    outside = (at_ns < t[0]) | (at_ns > t[-1])
+    left, right = _neighbours(t, at_ns)
+    in_gap = ~outside & (t[right] - t[left] > source.gap_ns)
+    unready = ~outside & ~in_gap & (source.unready[left] | source.unready[right])
+    return Match(outside, in_gap, unready)
+
+
+def attitude_at(source: Track, at_ns: Times) -> Floats:
+    """Attitude (M, 4) at times within the track's span, along the great circle between neighbours."""
+    return slerp(source.t_ns, source.q_nb, at_ns)
+
+
+def covariance_at(source: Track, at_ns: Times) -> Floats | None:
+    """Covariance (M, 3, 3), linear between neighbours (so it stays positive definite); None where there is none."""
+    if source.cov_b_rad2 is None:
+        return None
+    left, right = _neighbours(source.t_ns, at_ns)
+    step = np.maximum(source.t_ns[right] - source.t_ns[left], 1)
+    share = ((at_ns - source.t_ns[left]) / step)[:, None, None]
+    return source.cov_b_rad2[left] * (1 - share) + source.cov_b_rad2[right] * share
+
+
+def _neighbours(t_ns: Times, at_ns: Times) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the samples at or before, and at or after, each time; the same one where a sample is hit exactly."""
+    left = np.clip(np.searchsorted(t_ns, at_ns, side="right") - 1, 0, len(t_ns) - 1)
+    right = np.clip(np.searchsorted(t_ns, at_ns, side="left"), 0, len(t_ns) - 1)
+    return left, right
