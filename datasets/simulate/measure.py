@@ -1,0 +1,171 @@
+"""What a sensor records of a path: ideal samples, then the sensor's errors, each from its own random numbers."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from stillpoint.datasets.frames import quaternion
+from stillpoint.datasets.recording import Imu, Mag, Times, Truth
+from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.path import Path
+from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2, AccelModel, ClockModel, GyroModel, MagModel
+
+Floats = NDArray[np.float64]
+
+ALLAN_TOP = 0.6178  # largest Allan deviation of a first-order Gauss-Markov process of unit sd (at 1.89 times its time)
+
+
+@dataclass(frozen=True)
+class World:
+    """What is the same everywhere along a path."""
+
+    start_ns: int  # of the path's time 0
+    gravity_mps2: float
+    field_n_ut: Floats  # (3,)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """When one sensor sampled: its true instants and the stamps it gave them."""
+
+    t_s: Floats  # (N,) from the start of the path, on whole nanoseconds
+    stamp_ns: Times  # (N,)
+    step_s: float
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The errors that gyro, accelerometer and magnetometer have alike, in SI units (uT for the magnetometer)."""
+
+    noise_density: float  # per sqrt(Hz)
+    bias: float  # sd
+    scale_error: float
+    misalignment_rad: float
+    limit: float | None
+    bits: int | None
+    instability: float = 0.0
+    instability_time_s: float = 1.0
+
+
+def sample(path: Path, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
+    """Sampling instants from one step after the start of the path to its end."""
+    step_s = 1 / (rate_hz * (1 + clock.rate_error * draws(seed, f"{name}/rate").standard_normal()))
+    first_s = step_s * (1 + draws(seed, f"{name}/phase").random())
+    count = int((path.duration_s - first_s) / step_s) + 1
+    true_ns = np.round((first_s + step_s * np.arange(count)) * 1e9).astype(np.int64)
+    # Stamps keep their order however bad the jitter.
+    jitter_s = draws(seed, f"{name}/jitter").standard_normal(count) * clock.jitter_s
+    jitter_s = np.clip(jitter_s, -0.45 * step_s, 0.45 * step_s)
+    late_ns = np.round(jitter_s * 1e9 + true_ns * clock.skew_ppm * 1e-6).astype(np.int64)
+    return Samples(true_ns / 1e9, world.start_ns + true_ns + late_ns, step_s)
+
+
+def measure_imu(
+    path: Path, gyro: GyroModel, accel: AccelModel, at: Samples, world: World, seed: int
+) -> tuple[Imu, dict[str, Any]]:
+    """Gyro and accelerometer samples, and what was drawn for this unit. The IMU sits at the origin of the body."""
+    ends = at.t_s - gyro.lag_s
+    starts = np.concatenate([[ends[0] - at.step_s], ends[:-1]])
+    rate = path.mean_rate_b_radps(starts, ends)
+    felt_at = at.t_s - accel.lag_s
+    force_n = path.acceleration_n_mps2(felt_at) + np.array([0.0, 0.0, world.gravity_mps2])
+    force = path.attitude(felt_at).inv().apply(force_n)
+
+    response = draws(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(gyro.g_sensitivity_degps_g)
+    felt = force if gyro.lag_s == accel.lag_s else path.attitude(ends).inv().apply(force_n)
+    rate = rate + felt / STANDARD_GRAVITY_MPS2 @ response.T
+    gyro_axes = Axes(
+        noise_density=np.deg2rad(gyro.noise_density_degps_rthz),
+        bias=np.deg2rad(gyro.turn_on_bias_degps),
+        scale_error=gyro.scale_error,
+        misalignment_rad=np.deg2rad(gyro.misalignment_deg),
+        limit=None if gyro.range_degps is None else np.deg2rad(gyro.range_degps),
+        bits=gyro.bits,
+        instability=np.deg2rad(gyro.bias_instability_degph) / 3600,
+        instability_time_s=gyro.bias_time_s,
+    )
+    accel_axes = Axes(
+        noise_density=accel.noise_density_ug_rthz * 1e-6 * STANDARD_GRAVITY_MPS2,
+        bias=accel.turn_on_bias_mg * 1e-3 * STANDARD_GRAVITY_MPS2,
+        scale_error=accel.scale_error,
+        misalignment_rad=np.deg2rad(accel.misalignment_deg),
+        limit=None if accel.range_g is None else accel.range_g * STANDARD_GRAVITY_MPS2,
+        bits=accel.bits,
+        instability=accel.bias_instability_ug * 1e-6 * STANDARD_GRAVITY_MPS2,
+        instability_time_s=accel.bias_time_s,
+    )
+    gyro_b, gyro_drawn = with_errors(rate, gyro_axes, at.step_s, seed, "gyro")
+    accel_b, accel_drawn = with_errors(force, accel_axes, at.step_s, seed, "accel")
+    return Imu(at.stamp_ns, gyro_b, accel_b), {"gyro": gyro_drawn, "accel": accel_drawn}
+
+
+def measure_mag(path: Path, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
+    """Magnetometer samples, and what was drawn for this unit."""
+    t = at.t_s - mag.lag_s
+    field_b = path.attitude(t).inv().apply(world.field_n_ut + passings_n_ut(path, mag, t, seed))
+    elements = draws(seed, "mag/soft-iron").standard_normal((3, 3)) * mag.soft_iron
+    soft = np.triu(elements) + np.triu(elements, 1).T
+    axes = Axes(
+        noise_density=mag.noise_density_ut_rthz,
+        bias=mag.hard_iron_ut,
+        scale_error=0.0,
+        misalignment_rad=np.deg2rad(mag.misalignment_deg),
+        limit=mag.range_ut,
+        bits=mag.bits,
+    )
+    mag_b, drawn = with_errors(field_b + field_b @ soft.T, axes, at.step_s, seed, "mag")
+    return Mag(at.stamp_ns, mag_b), {"mag": drawn | {"soft_iron": soft.tolist()}}
+
+
+def passings_n_ut(path: Path, mag: MagModel, t_s: Floats, seed: int) -> Floats:
+    """Disturbances of the field in n (N, 3): bell curves in time, while the phone moves and passes what makes them."""
+    disturbance = np.zeros((len(t_s), 3))
+    for swing, (start, end) in enumerate(zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True)):
+        rng = draws(seed, f"mag/passings/{swing}")
+        for _ in range(rng.poisson(mag.passings_per_min * (end - start) / 60)):
+            peak_n, when = rng.standard_normal(3) * mag.passing_ut, rng.uniform(start, end)
+            near = slice(*np.searchsorted(t_s, [when - 6 * mag.passing_s, when + 6 * mag.passing_s]))
+            bell = np.exp(-0.5 * ((t_s[near] - when) / mag.passing_s) ** 2)
+            disturbance[near] += bell[:, None] * peak_n
+    return disturbance
+
+
+def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
+    """Scale, misalignment, bias, noise, range and steps of the converter on ideal samples (N, 3), in this order.
+
+    Returns the samples and the drawn constants, with the number of samples at the limit of the range.
+    """
+    scale = draws(seed, f"{name}/scale").standard_normal(3) * axes.scale_error
+    misalignment = draws(seed, f"{name}/misalignment").standard_normal((3, 3)) * axes.misalignment_rad
+    response = np.eye(3) + np.diag(scale) + misalignment - np.diag(np.diag(misalignment))
+    bias = draws(seed, f"{name}/bias").standard_normal(3) * axes.bias
+    out = ideal @ response.T + bias
+    out += draws(seed, f"{name}/noise").standard_normal(out.shape) * (axes.noise_density / np.sqrt(step_s))
+    if axes.instability > 0:
+        out += wandering(axes.instability / ALLAN_TOP, axes.instability_time_s, step_s, len(out), seed, name)
+    clipped = 0
+    if axes.limit is not None:
+        clipped = int((np.abs(out) > axes.limit).any(axis=1).sum())
+        out = np.clip(out, -axes.limit, axes.limit)
+        if axes.bits is not None:
+            unit = 2 * axes.limit / 2**axes.bits
+            out = np.round(out / unit) * unit
+    return out, {"bias": bias.tolist(), "response": response.tolist(), "samples_at_range": clipped}
+
+
+def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, name: str) -> Floats:
+    """A first-order Gauss-Markov process (count, 3), stationary from its first sample."""
+    rng = draws(seed, f"{name}/wandering")
+    keep = np.exp(-step_s / time_s)
+    first = rng.standard_normal(3) * sd
+    kicks = rng.standard_normal((count, 3)) * (sd * np.sqrt(1 - keep**2))
+    kicks[0] = first
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
+
+
+def truth(path: Path, at: Samples, world: World) -> Truth:
+    """The truth at the true instants of a sensor's samples."""
+    true_ns = world.start_ns + np.round(at.t_s * 1e9).astype(np.int64)
+    return Truth(true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s))

@@ -1,0 +1,92 @@
+"""The true motion: attitude and position as polynomials of time, whose derivatives are exact.
+
+Both are chains of strokes. A stroke takes a coordinate from one value to the next along the polynomial of degree five
+that starts and ends with zero velocity and acceleration, the minimum-jerk movement of the human arm (Flash and Hogan,
+J. Neuroscience 5, 1985). A stroke between equal values is a rest, and is exactly still.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BPoly
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets.frames import rotation
+
+Floats = NDArray[np.float64]
+
+
+def strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:
+    """The chain of strokes through ``values`` (K, d) at rising ``times_s`` (K,)."""
+    points = np.asarray(values, dtype=np.float64)
+    start, end = points[:-1], points[1:]
+    # In Bernstein form three equal coefficients at an end mean zero first and second derivative there.
+    return BPoly(np.stack([start, start, start, end, end, end]), np.asarray(times_s, dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Attitude q_nb = base * exp(turn) and position, with exact derivatives.
+
+    Times are seconds from the start of the path. The path is at rest at both ends, and stays there before and after.
+    """
+
+    base_q_nb: Floats  # (4,) wxyz
+    turn_b_rad: BPoly  # (3,) rotation vector from the base attitude, in the body axes of the base
+    position_n_m: BPoly  # (3,)
+    rests_s: Floats  # (R, 2) from, to; the first begins at 0, the last ends with the path
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the path."""
+        return float(self.rests_s[-1, 1])
+
+    def attitude(self, t_s: ArrayLike) -> Rotation:
+        """Body to n at times (N,)."""
+        return rotation(self.base_q_nb) * Rotation.from_rotvec(self.turn_b_rad(self._within(t_s)))
+
+    def rate_b_radps(self, t_s: ArrayLike) -> Floats:
+        """Angular rate of the body in n, in body axes, (N, 3): the right Jacobian of exp times the turn's rate."""
+        t = self._within(t_s)
+        turn, turn_rate = self.turn_b_rad(t), self._turn_rate(t)
+        angle = np.linalg.norm(turn, axis=1, keepdims=True)
+        small = angle < 1e-4
+        safe = np.where(small, 1.0, angle)
+        first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+        second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+        crossed = np.cross(turn, turn_rate)
+        return np.asarray(turn_rate - first * crossed + second * np.cross(turn, crossed))
+
+    def mean_rate_b_radps(self, from_s: Floats, to_s: Floats) -> Floats:
+        """The constant rate (N, 3) that turns the body from its attitude at ``from_s`` to that at ``to_s``, (N,) each.
+
+        This is what a perfect integrating gyro reports: products of its rotations give the attitude back exactly.
+        """
+        step = self.attitude(from_s).inv() * self.attitude(to_s)
+        return np.asarray(step.as_rotvec() / (to_s - from_s)[:, None])
+
+    def position(self, t_s: ArrayLike) -> Floats:
+        """Position in n, (N, 3) in m."""
+        return np.asarray(self.position_n_m(self._within(t_s)))
+
+    def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
+        """Second derivative of the position in n, (N, 3)."""
+        return np.asarray(self._acceleration(self._within(t_s)))
+
+    def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
+        """Whether a time (N,) lies outside all rests."""
+        t = self._within(t_s)
+        rest = np.maximum(np.searchsorted(self.rests_s[:, 0], t, side="right") - 1, 0)
+        return np.asarray(t > self.rests_s[rest, 1])
+
+    @cached_property
+    def _turn_rate(self) -> BPoly:
+        return self.turn_b_rad.derivative()
+
+    @cached_property
+    def _acceleration(self) -> BPoly:
+        return self.position_n_m.derivative(2)
+
+    def _within(self, t_s: ArrayLike) -> Floats:
+        return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)

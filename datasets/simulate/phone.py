@@ -1,0 +1,178 @@
+"""The three experiments of paper 002: a phone that rests in a base pose, moves, and comes back every 20-30 s."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import from_euler
+from stillpoint.datasets.recording import Info, Recording
+from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
+from stillpoint.datasets.simulate.path import Path, strokes
+from stillpoint.datasets.simulate.sensor import Sensor
+
+Floats = NDArray[np.float64]
+
+PLACE = (35.80, 51.49, 1600.0)  # the north of Tehran, where the paper was written
+DATE = "2021-06-12T08:00:00+00:00"  # the day on which the journal received it
+START_NS = 1_623_484_800_000_000_000
+BASE_EULER_NWU_DEG = (0.4, -0.3, 40.0)  # a table that is nearly level; the phone's x axis points 40 deg east of north
+
+SWING_S = (20.0, 30.0)
+RETURN_S = (3.0, 6.0)
+SHORTEST_STROKE_S = 0.15
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How the phone is moved: strokes to turns and places drawn from a box around the base pose.
+
+    Triples are for the axes of the phone (turn) and for East, North, Up (reach). Peak rate and peak acceleration of a
+    stroke are drawn between the two given values, their logarithm uniform; they set how long the stroke takes.
+    """
+
+    initial_rest_s: float
+    turn_deg: tuple[float, float, float]  # half the sides of the box
+    peak_rate_degps: tuple[float, float]
+    reach_m: tuple[float, float, float]  # half the sides of the box
+    peak_accel_mps2: tuple[float, float]
+    return_turn_deg: tuple[float, float, float] = (0.2, 0.2, 0.2)  # sd: how well the base pose is found again
+    return_reach_m: float = 0.002  # sd
+
+
+SLIDING = Hand(
+    initial_rest_s=10.0,
+    turn_deg=(0.0, 0.0, 120.0),
+    peak_rate_degps=(20.0, 400.0),
+    reach_m=(0.35, 0.35, 0.0),
+    peak_accel_mps2=(0.2, 6.0),
+    return_turn_deg=(0.0, 0.0, 0.2),
+)
+TRIPOD = Hand(
+    initial_rest_s=60.0,
+    turn_deg=(40.0, 40.0, 90.0),
+    peak_rate_degps=(10.0, 90.0),
+    reach_m=(0.15, 0.15, 0.05),
+    peak_accel_mps2=(0.1, 4.0),
+)
+IN_HAND = Hand(
+    initial_rest_s=60.0,
+    turn_deg=(60.0, 45.0, 90.0),
+    peak_rate_degps=(100.0, 800.0),
+    reach_m=(0.3, 0.3, 0.2),
+    peak_accel_mps2=(2.0, 15.0),
+)
+
+
+def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+    """Simulate one experiment. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
+    path = move(hand, minutes * 60, seed, kind)
+    world = World(START_NS, normal_gravity_mps2(PLACE[0], PLACE[2]), magnetic_field_n_ut(PLACE, DATE))
+    imu_at = sample(path, sensor.imu_clock, rate_hz, world, seed, "imu")
+    mag_at = sample(path, sensor.mag_clock, min(rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
+    imu, imu_drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
+    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
+    drawn = imu_drawn | mag_drawn
+    info = Info(
+        source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
+        licence="CC0-1.0",
+        sensor=f"simulated: {sensor.name}",
+        epoch="unix",
+        date=DATE,
+        place_lat_lon_alt=PLACE,
+        notes=tuple(
+            f"{name}: {facts['samples_at_range']} of the samples at the range of the sensor"
+            for name, facts in drawn.items()
+            if facts["samples_at_range"]
+        ),
+        extra={
+            "sensor_model": json.dumps(asdict(sensor)),
+            "sensor_drawn": json.dumps(drawn),
+            "motion": json.dumps(asdict(hand)),
+            "rests_s": json.dumps(path.rests_s.tolist()),
+        },
+    )
+    return Recording(
+        f"{kind}-{seed}",
+        imu=imu,
+        mag=mag,
+        truth=truth(path, imu_at, world),
+        base_pose=path.base_q_nb,
+        info=info,
+    )
+
+
+def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
+    """The path of one experiment: rest, then swings that end in the base pose."""
+    rests = protocol(hand.initial_rest_s, total_s, seed, kind)
+    box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
+    turns, places = [(0.0, np.zeros(3))], [(0.0, np.zeros(3))]
+    for swing, ((_, start_s), (end_s, _)) in enumerate(pairwise(rests)):
+        rng = draws(seed, f"{kind}/swing/{swing}")
+        home_turn = np.deg2rad(rng.standard_normal(3) * hand.return_turn_deg)
+        home_place = rng.standard_normal(3) * hand.return_reach_m * (box[1] > 0)
+        turns += _swing(start_s, end_s, turns[-1][1], home_turn, box[0], partial(_turn_s, hand), rng)
+        places += _swing(start_s, end_s, places[-1][1], home_place, box[1], partial(_reach_s, hand), rng)
+    turns.append((total_s, turns[-1][1]))
+    places.append((total_s, places[-1][1]))
+    base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
+    return Path(base_q_nb, strokes(*zip(*turns, strict=True)), strokes(*zip(*places, strict=True)), rests)
+
+
+def protocol(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
+    """Rests (R, 2) in s: the first, and one after each swing of 20-30 s; what fills no swing lengthens the last."""
+    rng = draws(seed, f"{kind}/protocol")
+    rests = [[0.0, initial_rest_s]]
+    while total_s - rests[-1][1] >= SWING_S[0] + RETURN_S[0]:
+        left = total_s - rests[-1][1]
+        swing = min(rng.uniform(*SWING_S), left - RETURN_S[0])
+        rest = min(rng.uniform(*RETURN_S), left - swing)
+        start = rests[-1][1] + swing
+        rests.append([start, start + rest])
+    if len(rests) == 1:
+        shortest = (initial_rest_s + SWING_S[0] + RETURN_S[0]) / 60
+        raise BadParameter(f"minutes {total_s / 60:g}: {kind} needs at least {shortest:.2f}, a rest and one swing")
+    rests[-1][1] = total_s
+    return np.array(rests)
+
+
+def _swing(
+    start_s: float,
+    end_s: float,
+    value: Floats,
+    home: Floats,
+    box: Floats,
+    stroke_s: Callable[[Floats, float], float],
+    rng: np.random.Generator,
+) -> list[tuple[float, Floats]]:
+    """Ends of the strokes of one swing, which leaves from ``value`` at the start and is ``home`` at the end.
+
+    ``stroke_s(way, speed)`` is how long a stroke takes; ``speed`` in [0, 1] is from the slowest to the fastest. The way
+    home is slow, as a hand is that puts something down.
+    """
+    ends = [(start_s, value)]
+    while True:
+        target = rng.uniform(-1, 1, 3) * box
+        at_s = ends[-1][0] + stroke_s(target - ends[-1][1], rng.uniform())
+        if at_s + stroke_s(home - target, 0.3) > end_s:
+            return [*ends, (end_s, home)]
+        ends.append((at_s, target))
+
+
+def _turn_s(hand: Hand, way_rad: Floats, speed: float) -> float:
+    """A stroke of a minimum-jerk turn peaks at 15/8 of its mean rate."""
+    slowest, fastest = np.deg2rad(hand.peak_rate_degps)
+    return max(SHORTEST_STROKE_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
+
+
+def _reach_s(hand: Hand, way_m: Floats, speed: float) -> float:
+    """The acceleration of a minimum-jerk stroke peaks at 10/sqrt(3) of its way over its time squared."""
+    slowest, fastest = hand.peak_accel_mps2
+    peak = slowest ** (1 - speed) * fastest**speed
+    return max(SHORTEST_STROKE_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))
