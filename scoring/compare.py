@@ -8,7 +8,7 @@ from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.recording import Times, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
-from stillpoint.scoring.match import Match, attitude_at, covariance_at, match, track
+from stillpoint.scoring.match import attitude_at, covariance_at, match, track
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,8 +52,6 @@ def compare(
     at_ns = truth.t_ns + alignment.time_offset_ns
     matched = match(source, at_ns)
     kept = matched.found
-    if not (kept & counted).any():
-        raise Unobservable(f"{source.label}: {_why_not(matched, counted)}; are it and {name_of(truth)} on one clock?")
     cov = covariance_at(source, at_ns[kept])
     return Comparison(
         estimated=name_of(estimated),
@@ -81,7 +79,7 @@ def name_of(thing: Estimate | Reference | Truth) -> str:
 
 
 def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask:
-    """The samples (N,) that count: the given ones, else the truth's own mask, else those outside a reference's rests."""
+    """The samples (N,) that count: the given ones, else the truth's own mask, or those outside a reference's rests."""
     if moving is not None:
         if moving.shape != truth.t_ns.shape or moving.dtype != np.bool_:
             raise BadParameter(f"moving: is {moving.dtype} of shape {moving.shape}; give bool of {truth.t_ns.shape}")
@@ -92,9 +90,3 @@ def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask
     for first_ns, last_ns in truth.rests_ns:
         at_rest |= (truth.t_ns >= first_ns) & (truth.t_ns <= last_ns)
     return ~at_rest
-
-
-def _why_not(matched: Match, counted: Mask) -> str:
-    reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
-    counts = [f"{(mask & counted).sum()} {reason}" for reason, mask in reasons.items() if (mask & counted).any()]
-    return f"covers none of the {counted.sum()} moving samples ({', '.join(counts)})"

@@ -61,7 +61,7 @@ def near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
 
 
 def rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
-    """Rotation vector d (N, 3) in body axes of ``q_true = q_est * exp(d)``: what a covariance ``cov_b_rad2`` is about."""
+    """Rotation vector d (N, 3) in body axes of ``q_true = q_est * exp(d)``: the error that ``cov_b_rad2`` is about."""
     return np.asarray((rotation(q_est).inv() * rotation(q_true)).as_rotvec(), dtype=np.float64)
 
 

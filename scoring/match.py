@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.errors import BadRecording, Unobservable
 from stillpoint.datasets.frames import slerp
 from stillpoint.datasets.recording import Times, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
@@ -68,6 +68,18 @@ def match(source: Track, at_ns: Times) -> Match:
     in_gap = ~outside & (t[right] - t[left] > source.gap_ns)
     unready = ~outside & ~in_gap & (source.unready[left] | source.unready[right])
     return Match(outside, in_gap, unready)
+
+
+def require_some(source: Track, matched: Match) -> Mask:
+    """``matched.found``; raises :class:`Unobservable` with the reasons when it is False everywhere."""
+    if not matched.found.any():
+        reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
+        counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any())
+        raise Unobservable(
+            f"{source.label}: covers none of the {len(matched.found)} moving samples of the truth ({counts}); "
+            "are both of one recording and on one clock?"
+        )
+    return matched.found
 
 
 def attitude_at(source: Track, at_ns: Times) -> Floats:
