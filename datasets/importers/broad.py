@@ -1,0 +1,109 @@
+"""BROAD, the Berlin benchmark for robust inertial orientation estimation: .mat and .hdf5 trials.
+
+D. Laidig, M. Caruso, A. Cereatti, T. Seel, Data 6(7):72, 2021. The IMU and the optical truth share one clock and one
+frame (East-North-Up, magnetic north), so a trial needs no change of unit or frame.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.io
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.clock import Log
+from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.plausible import FIELD_RANGE_UT
+from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording, Truth
+
+FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4, "opt_pos": 3, "movement": 1, "sampling_rate": 1}
+CITATION = (
+    "D. Laidig, M. Caruso, A. Cereatti, T. Seel: BROAD - A Benchmark for Robust Inertial Orientation Estimation. "
+    "Data 6(7):72, 2021. doi:10.3390/data6070072"
+)
+
+
+def read_broad(source: Path, options: Options) -> Iterator[Recording]:
+    """The trial of a file, or all trials of a folder in the order of their names. Raises :class:`BadSource`."""
+    existing(source)
+    files = sorted([*source.glob("*.mat"), *source.glob("*.hdf5")]) if source.is_dir() else [source]
+    if not files:
+        raise BadSource(f"{source}: holds no .mat or .hdf5 trial; name BROAD's folder data_mat or data_hdf5")
+    for file in files:
+        yield _trial(file, options)
+
+
+def _trial(file: Path, options: Options) -> Recording:
+    fields = _fields(file)
+    log = Log()
+    # 285.714 Hz is 3.5 ms; the file's rounded rate would drift by ns, so that the period is what is rounded.
+    period_ns = round(1e9 / float(fields["sampling_rate"].squeeze()))
+    t_ns = np.arange(len(fields["imu_gyr"]), dtype=np.int64) * period_ns
+    q_nb = fields["opt_quat"]
+    known = np.isfinite(q_nb).all(axis=1)
+    if not known.all():
+        log.noted(f"truth: {int((~known).sum())} of {len(known)} samples are NaN in the source (gaps)")
+    q_nb = q_nb[known] / np.linalg.norm(q_nb[known], axis=1, keepdims=True)
+    moving = fields["movement"].squeeze().astype(bool)[known]
+    truth = Truth(t_ns[known], q_nb, moving, fields["opt_pos"][known])
+    field_ut = float(np.median(np.linalg.norm(fields["imu_mag"], axis=1)))
+    disturbed = not FIELD_RANGE_UT[0] <= field_ut <= FIELD_RANGE_UT[1]
+    if disturbed:
+        log.noted(f"mag: median size {field_ut:.0f} uT is not the Earth's; marked as uncalibrated")
+    log.converted("stamps from the sampling rate: sample k at k x %.6f ms" % (period_ns / 1e6))
+    extra, described = _described(file)
+    info = Info(
+        source="BROAD",
+        licence="CC BY 4.0",
+        citation=CITATION,
+        sensor="myon aktos-t (truth: OptiTrack, eight Flex 13 cameras)",
+        mag_uncalibrated=disturbed,
+        units_unchecked=options.units_unchecked,
+        sha256=digests([file, *described], file.parent),
+        conversions=tuple(log.conversions),
+        notes=tuple(log.notes),
+        extra={"north": "magnetic", **extra},
+    )
+    imu = Imu(t_ns, fields["imu_gyr"], fields["imu_acc"])
+    return Recording(file.stem, imu=imu, mag=Mag(t_ns, fields["imu_mag"]), truth=truth, info=info)
+
+
+def _fields(file: Path) -> dict[str, Floats]:
+    """The arrays of one trial; a value may stand as a dataset or as an attribute."""
+    raw: dict[str, Any]
+    try:
+        if file.suffix == ".hdf5":
+            with h5py.File(file) as trial:
+                raw = {key: trial[key][()] for key in FIELDS if key in trial}
+                raw |= {key: trial.attrs[key] for key in FIELDS if key in trial.attrs}
+        else:
+            raw = {key: value for key, value in scipy.io.loadmat(file).items() if key in FIELDS}
+    except (OSError, ValueError, TypeError, NotImplementedError) as error:
+        reason = str(error).splitlines()[0]
+        raise BadSource(f"{file}: cannot be read as a BROAD trial ({reason}); download it again") from None
+    missing = [key for key in FIELDS if key not in raw]
+    if missing:
+        raise BadSource(f"{file}: has no {', '.join(missing)}; it is not a BROAD trial: name one of data_mat or data_hdf5")
+    fields = {key: np.ascontiguousarray(np.asarray(value, dtype=np.float64)) for key, value in raw.items()}
+    n = len(fields["imu_gyr"])
+    for key, width in FIELDS.items():
+        wanted = 1 if key == "sampling_rate" else n * width
+        if fields[key].size != wanted:
+            raise BadSource(f"{file}: {key} has {fields[key].size} values, not {wanted}; download it again")
+    return fields
+
+
+def _described(file: Path) -> tuple[dict[str, str], list[Path]]:
+    """What ``trials.json`` beside the file says about this trial, if it is there."""
+    path = file.with_name("trials.json")
+    if not path.is_file():
+        return {}, []
+    try:
+        trial = json.loads(path.read_text(encoding="utf-8"))["trials"].get(file.stem, {})
+    except (ValueError, KeyError, AttributeError):
+        raise BadSource(f"{path}: is not BROAD's list of trials; remove it or download it again") from None
+    extra = {"description": str(trial.get("description", "")), "groups": " ".join(trial.get("groups", []))}
+    return {key: value for key, value in extra.items() if value}, [path]

@@ -1,0 +1,39 @@
+"""The one table of importers: the command line, the documents and the tests loop over it."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.errors import BadRecording, BadSource
+from stillpoint.datasets.importers.bench import read_bench
+from stillpoint.datasets.importers.broad import read_broad
+from stillpoint.datasets.importers.options import Options, TyrexOptions
+from stillpoint.datasets.importers.tyrex import read_tyrex
+from stillpoint.datasets.recording import Recording
+
+
+@dataclass(frozen=True)
+class Importer:
+    """A kind of source: how to read it, what the user may set, and what it is."""
+
+    read: Callable[[Path, Any], Iterator[Recording]]
+    options: type[Options]
+    summary: str
+
+    def __call__(self, source: Path | str, options: Options | None = None) -> Iterator[Recording]:
+        """The recordings of a source, one by one; ``options`` is an instance of ``self.options`` (default: its defaults).
+
+        Raises :class:`BadSource` with the source's name, also for arrays that break a rule of the vocabulary.
+        """
+        try:
+            yield from self.read(Path(source), options or self.options())
+        except BadRecording as error:
+            raise BadSource(f"{source}: {error}") from None
+
+
+IMPORTERS: dict[str, Importer] = {
+    "broad": Importer(read_broad, Options, "BROAD: .mat or .hdf5 trials with optical truth (a file or a folder)"),
+    "tyrex": Importer(read_tyrex, TyrexOptions, "Tyrex: Android and iOS phones with Qualisys truth (a trial or a folder)"),
+    "bench": Importer(read_bench, Options, "bench logs of an MPU6050 and an HMC5883L (folders of MATLAB 7.3 files)"),
+}

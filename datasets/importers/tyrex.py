@@ -1,0 +1,164 @@
+"""Smartphone trials of the Tyrex team: phones on their own clocks, Qualisys truth at 60 Hz.
+
+T. Michel, P. Geneves, H. Fourati, N. Layaida, "On Attitude Estimation with Smartphones", PerCom 2017. Body: x right,
+y to the top, z out of the screen. World: East-North-Up against true north (the authors turn the phones' magnetic
+attitudes by the declination to compare them).
+"""
+
+import configparser
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.frames import quaternion
+from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.clock import Log, Series, finite, from_zero, merge, rising, seconds_to_ns
+from stillpoint.datasets.importers.options import TyrexOptions
+from stillpoint.datasets.importers.tyrex_truth import WRONG_TRUTH_S
+from stillpoint.datasets.importers.units import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.recording import Info, Mag, Recording, Truth
+
+CITATION = (
+    "T. Michel, P. Geneves, H. Fourati, N. Layaida: On Attitude Estimation with Smartphones. "
+    "IEEE PerCom, 2017. doi:10.1109/PERCOM.2017.7917869"
+)
+GRENOBLE = (45.187778, 5.726945, 200.0)  # deg, deg, m: the place in the authors' benchmark code
+NEEDED = ("gyroscope.txt", "accelerometer.txt")
+MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.txt"}
+
+
+def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Recording]:
+    """The trial of a folder (``android/NAME`` or ``ios/NAME``), or all trials below. Raises :class:`BadSource`."""
+    existing(source)
+    folders = sorted(file.parent for file in source.rglob(NEEDED[0])) if source.is_dir() else []
+    if not folders:
+        raise BadSource(f"{source}: no folder here or below holds {NEEDED[0]}; name android/, ios/ or a trial in them")
+    for folder in folders:
+        yield _trial(folder, options)
+
+
+def _trial(folder: Path, options: TyrexOptions) -> Recording:
+    log = Log()
+    ios = (folder / "description.txt").is_file()
+    boot_s = _boot(folder / "description.txt") if ios else 0.0
+    if boot_s:
+        log.converted(f"all phone times minus BootTime {boot_s:.4f} s")
+    gyro = _series(folder, "gyroscope.txt", boot_s, "gyro", log)
+    accel = _series(folder, "accelerometer.txt", boot_s, "accelerometer", log)
+    if ios:
+        accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
+        log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS reads -1 g on the axis that points up)")
+    imu = merge(gyro, accel, str(folder), log)
+    mag_file = MAG_FILES[options.mag]
+    mag = _series(folder, mag_file, boot_s, "mag", log)
+    raw = options.mag == "raw"
+    log.converted(f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})")
+    log.noted("the attitude of the phone's own filter is not imported")
+    truth, truth_file, recorded = _truth(folder, log)
+    used = [folder / name for name in (*NEEDED, mag_file)] + ([truth_file] if truth_file else [])
+    used += [path for path in (folder / "timeAlignment.txt", folder / "description.txt") if path.is_file()]
+    info = Info(
+        source="Tyrex benchmark of attitude estimation with smartphones",
+        licence="CeCILL 2.1",
+        citation=CITATION,
+        sensor=folder.name.split("_")[1] if folder.name.count("_") else "",
+        date=_date(folder) or recorded,
+        place_lat_lon_alt=GRENOBLE,
+        mag_uncalibrated=raw,
+        units_unchecked=options.units_unchecked,
+        sha256=digests(used, folder.parent.parent),
+        conversions=tuple(log.conversions),
+        notes=tuple(log.notes),
+        extra={"north": "true", "platform": "iOS" if ios else "Android"},
+    )
+    return Recording(folder.name, imu=imu, mag=Mag(mag.t_ns, mag.values), truth=truth, info=info)
+
+
+def _series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:
+    """The first four columns, ``t x y z``, of a text file."""
+    path = folder / name
+    if not path.is_file():
+        raise BadSource(f"{folder}: has no {name}; the trial is not whole: download it again")
+    try:
+        table = np.loadtxt(path, usecols=(0, 1, 2, 3), ndmin=2)
+    except ValueError as error:
+        raise BadSource(f"{path}: {str(error).splitlines()[0]}; each line is 't x y z'") from None
+    if len(table) == 0:
+        raise BadSource(f"{path}: is empty; download it again")
+    series = finite(Series(seconds_to_ns(table[:, 0] - boot_s), table[:, 1:]), what, log)
+    return from_zero(rising(series, what, log), what, log)
+
+
+def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
+    """The Qualisys attitude on the phone's clock, its file, and its date."""
+    path = folder.parent.parent / "qualisys" / f"{folder.name}.mat"
+    if not path.is_file():
+        log.noted(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
+        return None, None, ""
+    try:
+        structs = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+        motion = next(value for key, value in structs.items() if not key.startswith("__"))
+        body = motion.RigidBodies
+        columns = np.asarray(body.Rotations, dtype=np.float64)
+        position_n_m = np.asarray(body.Positions, dtype=np.float64).T / 1e3
+        residual = np.atleast_1d(np.asarray(body.Residual, dtype=np.float64))
+        rate_hz = float(motion.FrameRate)
+        recorded = str(motion.Timestamp)[:10]
+    except (OSError, ValueError, TypeError, AttributeError, StopIteration, NotImplementedError) as error:
+        raise BadSource(f"{path}: cannot be read as a Qualisys export ({error}); download it again") from None
+    late_s = _alignment(folder / "timeAlignment.txt")
+    frame_s = np.arange(columns.shape[1]) / rate_hz
+    seen = np.isfinite(columns).all(axis=0) & np.isfinite(residual)
+    log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
+    wrong = np.zeros(len(seen), dtype=bool)
+    for start, end in WRONG_TRUTH_S.get(folder.name, ()):
+        wrong |= (frame_s >= start) & (frame_s <= end)
+    if wrong.any():
+        log.noted(f"truth: {int((wrong & seen).sum())} frames dropped that the dataset's authors mark as wrong")
+    t_ns = seconds_to_ns(frame_s - late_s)
+    early = t_ns < 0
+    if early.any():
+        log.noted(f"truth: {int(early.sum())} frames before the zero of the phone's clock dropped")
+    keep = seen & ~wrong & ~early
+    rotations = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)[keep]  # stored column by column
+    log.converted(f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); its 10 ms grid is kept as it is")
+    log.converted("truth rotation matrix (body -> East-North-Up) -> quaternion; positions mm -> m")
+    q_nb = quaternion(Rotation.from_matrix(rotations))
+    truth = Truth(t_ns[keep], q_nb, np.ones(len(q_nb), dtype=np.bool_), position_n_m[keep])
+    return truth, path, recorded
+
+
+def _boot(path: Path) -> float:
+    try:
+        return float(_properties(path)["Time"]["BootTime"])
+    except (KeyError, ValueError):
+        raise BadSource(f"{path}: has no number BootTime in [Time]; download it again") from None
+
+
+def _alignment(path: Path) -> float:
+    try:
+        return float(path.read_text())
+    except OSError:
+        raise BadSource(f"{path}: is not there; without it the truth has no place on the phone's clock") from None
+    except ValueError:
+        raise BadSource(f"{path}: holds no number of seconds; download it again") from None
+
+
+def _properties(path: Path) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser()
+    try:
+        parser.read_string(path.read_text())
+    except (configparser.Error, UnicodeDecodeError):
+        raise BadSource(f"{path}: is not a file of [Section] and Key = Value; download it again") from None
+    return parser
+
+
+def _date(folder: Path) -> str:
+    """The UTC day of an Android record, "" where none is written."""
+    path = folder / "record.properties"
+    start = _properties(path).get("Time", "StartTime", fallback="") if path.is_file() else ""
+    return datetime.fromtimestamp(int(start), UTC).date().isoformat() if start.isdigit() else ""
