@@ -1,0 +1,72 @@
+"""How the filters are compiled: numba, kept on disk between processes, the same bits in batch and in streaming.
+
+No fast maths: reassociated sums would make a batch run differ from the same samples one by one.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from numba import njit, types
+from numba.extending import overload
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+STAMP = "stillpoint-filters.sha256"
+
+
+def compiled(function: Function) -> Function:
+    """Compile at the first call for the argument types at hand, and keep the machine code on disk.
+
+    The code lies beside the package, or in numba's user cache where the package cannot be written.
+    """
+    dispatcher = njit(cache=True, error_model="numpy", nogil=True)(function)
+    drop_stale(Path(dispatcher.stats.cache_path))
+    return cast(Function, dispatcher)
+
+
+def drop_stale(cache: Path) -> None:
+    """Forget machine code of other sources than these.
+
+    numba notices when the file of a function changes, but not when a function that it *calls* does: after an upgrade
+    the cached ``complementary.run`` would go on with the old ``rotation.exp`` in it.
+    """
+    if cache in _CHECKED:
+        return
+    _CHECKED.add(cache)
+    stamp = cache / STAMP
+    try:
+        if stamp.exists() and stamp.read_text() == _SOURCES:
+            return
+        for index in cache.glob("*.nbi"):
+            index.unlink(missing_ok=True)
+        stamp.write_text(_SOURCES)
+    except OSError:
+        return  # a cache that cannot be written is not one that numba uses
+
+
+def _fingerprint(folder: Path) -> str:
+    sources = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        sources.update(path.name.encode() + b"\0" + path.read_bytes())
+    return sources.hexdigest()
+
+
+_CHECKED: set[Path] = set()
+_SOURCES = _fingerprint(Path(__file__).parent)
+
+
+def like(x: float, value: float) -> float:
+    """``value`` in the precision of ``x``: a bare 0.5 would turn a single-precision filter into a double one."""
+    return type(x)(value)
+
+
+@overload(like)
+def _like(x: Any, value: Any) -> Callable[[Any, Any], Any]:
+    kind = x if isinstance(x, types.Float) else types.float64
+
+    def cast_to_kind(x: Any, value: Any) -> Any:
+        return kind(value)
+
+    return cast_to_kind

@@ -1,0 +1,66 @@
+"""Peers: estimators of other projects through their own packages, so that a table shows where one stands.
+
+``vqf`` (Laidig and Seel 2023) wants a constant rate and one clock: it gets the mean interval of the recording, and at
+each IMU sample the newest field so far. What that hides is in the diagnostics. Attitudes come as wxyz, body to ENU.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.filters.parameters import Parameters, parameter
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VqfParams(Parameters):
+    """Parameters of ``vqf`` and ``offline-vqf``, as their package names them; all others keep its defaults."""
+
+    tau_acc_s: float = parameter(3.0, "tauAcc: time constant of the accelerometer's low pass, s", 1e-3, 1e4)
+    tau_mag_s: float = parameter(9.0, "tauMag: time constant of the magnetometer's correction, s", 1e-3, 1e4)
+    magnetometer: bool = parameter(True, "use the magnetometer where there is one (9D)")
+
+
+class PeerInput(NamedTuple):
+    """One recording at a constant rate."""
+
+    interval_s: float
+    gyro_b_radps: Floats  # (N, 3)
+    accel_b_mps2: Floats  # (N, 3)
+    mag_b_ut: Floats | None  # (N, 3)
+
+
+class PeerTrack(NamedTuple):
+    """What a peer says at every sample."""
+
+    q_nb: Floats  # (N, 4) wxyz, body to magnetic East-North-Up
+    gyro_bias_b_radps: Floats | None  # (N, 3)
+
+
+def vqf(data: PeerInput, params: VqfParams) -> PeerTrack:
+    """The causal filter (``VQF.updateBatch``)."""
+    peer = _package().VQF(data.interval_s, tauAcc=params.tau_acc_s, tauMag=params.tau_mag_s)
+    mag = data.mag_b_ut if params.magnetometer else None
+    return _track(peer.updateBatch(data.gyro_b_radps, data.accel_b_mps2, mag))
+
+
+def offline_vqf(data: PeerInput, params: VqfParams) -> PeerTrack:
+    """The smoother (``offlineVQF``): it sees the future."""
+    mag = data.mag_b_ut if params.magnetometer else None
+    settings = {"tauAcc": params.tau_acc_s, "tauMag": params.tau_mag_s}
+    return _track(_package().offlineVQF(data.gyro_b_radps, data.accel_b_mps2, mag, data.interval_s, settings))
+
+
+def _track(out: dict[str, Any]) -> PeerTrack:
+    return PeerTrack(out["quat9D"] if "quat9D" in out else out["quat6D"], out["bias"])
+
+
+def _package() -> Any:
+    try:
+        import vqf as package
+    except ImportError as error:
+        raise BadParameter("the estimator needs the package vqf; pip install 'stillpoint[peers]'") from error
+    return package

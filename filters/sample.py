@@ -1,0 +1,110 @@
+"""What goes into one step of an estimator and what comes out, one by one and as columns.
+
+An estimator is a ``Params``, a ``Coefficients`` made from it once, a ``State``, and two compiled functions::
+
+    start(coefficients) -> State
+    step(state, sample, coefficients) -> (State, Output)
+
+The first sample of a run has ``dt_s`` = 0. Arrays inside a state (a moving window) are handed over: ``step`` may write
+into those it was given, so whoever wants to go back keeps a copy.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+from stillpoint.filters.compiled import compiled
+from stillpoint.filters.rotation import Quaternion, Vector
+
+Floats = NDArray[np.float64]
+
+# A longer interval between two samples is a gap: one rate does not describe it.
+GAP_S = 1.0
+
+
+class Sample(NamedTuple):
+    """One stamp of the IMU, with the newest field that has not been used before. SI units, field in uT, body axes."""
+
+    dt_s: float  # since the sample before; the gyro describes this interval
+    gyro_b_radps: Vector
+    accel_b_mps2: Vector
+    mag_b_ut: Vector
+    has_accel: bool  # False: this sample's accelerometer is to be left out
+    has_mag: bool
+
+
+class Output(NamedTuple):
+    """What an estimator says after a sample; None for what it does not estimate."""
+
+    q_nb: Quaternion
+    gyro_bias_b_radps: Vector | None
+    cov_b_rad2: tuple[float, ...] | None  # nine values, rows of the 3 x 3
+    innovation: tuple[float, ...] | None  # normalised, NaN where there was no update
+    ready: bool  # False while it is starting
+
+
+class Log(NamedTuple):
+    """N samples as columns."""
+
+    dt_s: Floats  # (N,)
+    gyro_b_radps: Floats  # (N, 3)
+    accel_b_mps2: Floats  # (N, 3)
+    mag_b_ut: Floats  # (M, 3)
+    mag_row: NDArray[np.int64]  # (N,) the row of the field that this sample brings, -1 for none
+
+
+class Track(NamedTuple):
+    """Where a batch run puts its outputs; None for what is not estimated."""
+
+    q_nb: Floats  # (N, 4)
+    gyro_bias_b_radps: Floats | None  # (N, 3)
+    cov_b_rad2: Floats | None  # (N, 9)
+    innovation: Floats | None  # (N, m)
+    ready: NDArray[np.bool_]  # (N,)
+
+
+@compiled
+def sample_at(log: Log, k: int) -> Sample:
+    """Sample ``k`` of the columns."""
+    gyro, accel = log.gyro_b_radps, log.accel_b_mps2
+    row = log.mag_row[k]
+    field = log.mag_b_ut[max(row, 0)]
+    return Sample(
+        log.dt_s[k],
+        (gyro[k, 0], gyro[k, 1], gyro[k, 2]),
+        (accel[k, 0], accel[k, 1], accel[k, 2]),
+        (field[0], field[1], field[2]),
+        True,
+        row >= 0,
+    )
+
+
+@compiled
+def keep(track: Track, k: int, output: Output) -> None:
+    """Put output ``k`` into the columns."""
+    put(track.q_nb, k, output.q_nb)
+    put(track.gyro_bias_b_radps, k, output.gyro_bias_b_radps)
+    put(track.cov_b_rad2, k, output.cov_b_rad2)
+    put(track.innovation, k, output.innovation)
+    track.ready[k] = output.ready
+
+
+def put(column: Any, k: int, values: Any) -> None:
+    """Write a tuple into row ``k``; nothing where there is no column."""
+    if column is not None:
+        column[k] = values
+
+
+@overload(put)
+def _put(column: Any, k: Any, values: Any) -> Any:
+    def skip(column: Any, k: Any, values: Any) -> None:
+        return None
+
+    def write(column: Any, k: Any, values: Any) -> None:
+        for i in range(len(values)):
+            column[k, i] = values[i]
+
+    absent = isinstance(column, types.NoneType) or isinstance(values, types.NoneType)
+    return skip if absent else write

@@ -1,0 +1,59 @@
+"""The one table of estimators: the command line, tests, sweeps, reports and documents all read it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.filters import complementary, gyro, peers, tilt
+from stillpoint.filters.parameters import Parameters, nearest
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """One estimator of ours: see :mod:`stillpoint.filters.sample` for what its functions take and give."""
+
+    summary: str
+    params: type[Parameters]
+    coefficients: Callable[[Any, float], Any]  # (params, declination_rad)
+    start: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any], Any]
+    run: Callable[[Any, Any, Any, Any], Any]  # step over columns
+    gives_bias: bool = False
+    gives_cov: bool = False
+    innovations: int = 0  # how many normalised innovations an output has
+    is_peer: bool = False
+    offline: bool = False  # True: it sees the future
+
+
+@dataclass(frozen=True)
+class Peer:
+    """An estimator of another project, over a whole recording at a time."""
+
+    summary: str
+    params: type[Parameters]
+    batch: Callable[[peers.PeerInput, Any], peers.PeerTrack]
+    is_peer: bool = True
+    offline: bool = False
+
+
+def _ours(module: Any, summary: str, **gives: Any) -> Estimator:
+    return Estimator(summary, module.Params, module.coefficients, module.start, module.step, module.run, **gives)
+
+
+ESTIMATORS: dict[str, Estimator | Peer] = {
+    "acc": _ours(tilt, "tilt and compensated heading from accelerometer and magnetometer (paper 002)"),
+    "gyro": _ours(gyro, "integrated rate, never corrected (paper 002)"),
+    "cf": _ours(complementary, "second-order complementary filter (paper 002, eq 11)", gives_bias=True),
+    "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),
+    "offline-vqf": Peer(
+        "offline VQF of the package vqf: sees the future", peers.VqfParams, peers.offline_vqf, offline=True
+    ),
+}
+
+
+def find(name: str) -> Estimator | Peer:
+    """The entry of this name; raises :class:`BadParameter` with the nearest one."""
+    if name not in ESTIMATORS:
+        raise BadParameter(f"no estimator {name!r}; " + nearest(name, list(ESTIMATORS)))
+    return ESTIMATORS[name]

@@ -1,0 +1,73 @@
+"""``acc``: tilt from the accelerometer, heading from the magnetometer, no gyro (paper 002, eqs (4)-(9)).
+
+Between samples of a slower magnetometer its last field is held in body axes; without any the heading is 0 (body x over
+north). True only where the sensor is not accelerated.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.fields import Fields, compass, level, low_pass, no_fields
+from stillpoint.filters.parameters import Parameters, parameter
+from stillpoint.filters.rotation import Quaternion
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+
+
+@dataclass(frozen=True)
+class Params(Parameters):
+    """Parameters of ``acc``."""
+
+    kappa: float = parameter(0.7, "share of the newest raw sample in the low pass (9); 1 = no low pass", 0.0, 1.0)
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    kappa: float
+    declination_rad: float  # east of true north
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    fields: Fields
+    q_nb: Quaternion
+    n_no_north: int  # samples that keep the attitude before: no horizontal field
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of these parameters at a place with this declination (east of true north)."""
+    return Coefficients(params.kappa, declination_rad)
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    one, zero = like(c.kappa, 1.0), like(c.kappa, 0.0)
+    return State(no_fields(zero), (one, zero, zero, zero), 0)
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """The attitude by this sample alone (and the raw one before it, eq (9))."""
+    fields, _, _ = low_pass(state.fields, sample, c.kappa)
+    q_nb, n_no_north = state.q_nb, state.n_no_north
+    if fields.has_mag and fields.has_accel:
+        q_new, found = compass(fields.accel, fields.mag, c.declination_rad)
+        if found:
+            q_nb = q_new
+        else:
+            n_no_north += 1
+    elif fields.has_accel:
+        q_nb = level(fields.accel)
+    return State(fields, q_nb, n_no_north), Output(q_nb, None, None, None, fields.has_accel)
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, sample_at(log, k), c)
+        keep(track, k, output)
+    return state
