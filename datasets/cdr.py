@@ -1,0 +1,179 @@
+"""Where each number of a ROS 2 message lies in its CDR bytes, so that whole columns are read and written at once.
+
+CDR (XCDR1, OMG DDSI-RTPS) aligns each primitive to its own size, counted from the byte after the 4-byte encapsulation;
+strings and sequences carry a length word. Messages of one topic nearly always agree in these lengths: then every leaf
+has one offset, and a numpy structured dtype views all messages. :class:`Layout` holds that dtype and the length words
+that a message must have for the dtype to fit it. Leaves are named by their path: ``orientation.x``, ``name[0]``.
+"""
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+PRIMITIVES = {
+    "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+ENCAPSULATION = 4  # bytes before the body: 0, kind, and two of options
+MOST_LEAVES = 4096  # a message with more parts (a list of detections, say) is no table of numbers
+_BUILTIN = {
+    "builtin_interfaces/msg/Time": (("sec", "int32"), ("nanosec", "uint32")),
+    "builtin_interfaces/msg/Duration": (("sec", "int32"), ("nanosec", "uint32")),
+}
+
+
+class Undecodable(Exception):
+    """These bytes, or this type, have no layout; ``str`` says why."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The dtype of messages that agree with one message in all lengths."""
+
+    dtype: np.dtype[Any]  # of the whole message, encapsulation included; one field per leaf
+    words: tuple[tuple[int, bytes], ...]  # (offset, bytes): what a message must hold for the dtype to fit
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A parsed message definition: its name and the fields of it and of every type it is made of."""
+
+    name: str
+    definitions: Mapping[str, Sequence[tuple[str, Any]]]
+
+
+@lru_cache(maxsize=1)
+def _typestore() -> Any:
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+@lru_cache(maxsize=64)
+def definition(type_name: str) -> str:
+    """The full concatenated ros2msg text of a common type, such as ``sensor_msgs/msg/Imu``."""
+    return str(_typestore().generate_msgdef(type_name, ros_version=2)[0])
+
+
+@lru_cache(maxsize=256)
+def parse(type_name: str, encoding: str, text: str) -> MessageType:
+    """The type that a schema's text describes (``ros2msg`` or ``ros2idl``); raises :class:`Undecodable`."""
+    parts = type_name.split("/")
+    name = "/".join((parts[0], "msg", parts[-1]))
+    if encoding not in ("ros2msg", "ros2idl"):
+        raise Undecodable(f"its schema is {encoding or 'none'}, not ros2msg")
+    try:
+        types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
+    except (TypesysError, ValueError, KeyError, IndexError, RecursionError) as error:
+        raise Undecodable(f"its definition cannot be parsed ({' '.join(str(error).split())[:80]})") from error
+    if name not in types:
+        raise Undecodable(f"its schema does not define {name}")
+    return MessageType(name, {key: tuple(fields) for key, (_, fields) in types.items()})
+
+
+def layout_of(message_type: MessageType, body: bytes) -> Layout:
+    """The layout that fits this message; raises :class:`Undecodable` for cut bytes and for other encodings."""
+    if len(body) < ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1):
+        raise Undecodable(f"its messages are not plain CDR (they start with {body[:2].hex() or 'nothing'})")
+    order = "<" if body[1] else ">"
+
+    def length_at(leaf: str, offset: int, _: int) -> int:
+        try:
+            return int(struct.unpack_from(order + "I", body, offset)[0])
+        except struct.error:
+            raise Undecodable(f"a message ends within {leaf}") from None
+
+    layout = _Walk(order, length_at, size=len(body)).layout(message_type)
+    return Layout(layout.dtype, ((0, body[:2]), *layout.words))
+
+
+def layout_for(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
+    """The little-endian layout of a message to be written, strings (with their NUL) and sequences of these lengths."""
+    layout = _Walk("<", lambda leaf, _, empty: lengths.get(leaf, empty)).layout(message_type)
+    return Layout(layout.dtype, ((0, b"\0\1"), *layout.words))
+
+
+class _Walk:
+    """Steps through a type, leaf by leaf, and notes where each lies."""
+
+    def __init__(self, order: str, length_at: Callable[[str, int, int], int], size: int | None = None) -> None:
+        self.order, self.length_at, self.size = order, length_at, size  # size: of a message that is there to be read
+        self.end = ENCAPSULATION
+        self.names: list[str] = []
+        self.formats: list[Any] = []
+        self.offsets: list[int] = []
+        self.words: list[tuple[int, bytes]] = []
+
+    def layout(self, message_type: MessageType) -> Layout:
+        self._message(message_type.definitions, message_type.name, "", depth=0)
+        size = self.end if self.size is None else self.size
+        spec: Any = {"names": self.names, "formats": self.formats, "offsets": self.offsets, "itemsize": size}
+        return Layout(np.dtype(spec), tuple(self.words))
+
+    def _message(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], name: str, path: str, depth: int) -> None:
+        if depth > 32:
+            raise Undecodable(f"the type {name} holds itself")
+        if name in _BUILTIN and name not in definitions:
+            for field, primitive in _BUILTIN[name]:
+                self._leaf(f"{path}.{field}" if path else field, primitive, None)
+            return
+        if name not in definitions:
+            raise Undecodable(f"its schema does not define {name}")
+        if not definitions[name]:  # a type without fields is sent as one byte
+            self._leaf(f"{path}.structure_needs_at_least_one_member", "uint8", None)
+        for field, node in definitions[name]:
+            self._node(definitions, node, f"{path}.{field}" if path else field, depth)
+
+    def _node(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], node: Any, path: str, depth: int) -> None:
+        kind, detail = node
+        if kind == Nodetype.NAME:
+            self._message(definitions, detail, path, depth + 1)
+        elif kind == Nodetype.BASE:
+            self._leaf(path, detail[0], None)
+        else:
+            inner, count = detail
+            if kind == Nodetype.SEQUENCE:
+                count = self._length(path, empty=0)
+            if inner[0] == Nodetype.BASE and inner[1][0] in PRIMITIVES:
+                self._leaf(path, inner[1][0], count)
+                return
+            if count > MOST_LEAVES:
+                raise Undecodable(f"a message has {count} elements in {path}")
+            for k in range(count):
+                self._node(definitions, inner, f"{path}[{k}]", depth)
+
+    def _length(self, path: str, empty: int) -> int:
+        """The length word of a string or sequence; an empty string has 1 for its NUL."""
+        self.end += -(self.end - ENCAPSULATION) % 4
+        length = self.length_at(path, self.end, empty)
+        self.words.append((self.end, struct.pack(self.order + "I", length)))
+        self.end += 4
+        return length
+
+    def _leaf(self, path: str, primitive: str, count: int | None) -> None:
+        """One primitive, ``count`` of them in a row, or a string."""
+        if primitive == "string":
+            length = self._length(path, empty=1)
+            self._place(path, np.dtype((np.bytes_, max(length - 1, 0))), length)
+            return
+        if primitive not in PRIMITIVES:
+            raise Undecodable(f"its field {path} is of type {primitive}")
+        dtype = np.dtype(self.order + PRIMITIVES[primitive])
+        if count != 0:  # an empty sequence is not followed by padding
+            self.end += -(self.end - ENCAPSULATION) % dtype.itemsize
+        size = dtype.itemsize * (1 if count is None else count)
+        self._place(path, dtype if count is None else (dtype, (count,)), size)
+
+    def _place(self, path: str, form: Any, size: int) -> None:
+        if self.size is not None and self.end + size > self.size:
+            raise Undecodable(f"a message ends within {path}")
+        if len(self.names) >= MOST_LEAVES:
+            raise Undecodable(f"a message has more than {MOST_LEAVES} parts")
+        self.names.append(path)
+        self.formats.append(form)
+        self.offsets.append(self.end)
+        self.end += size

@@ -1,0 +1,251 @@
+"""Any MCAP file of ROS 2 messages as columns: ours, and those of ``ros2 bag``, rosbags, foxglove-sdk, mcap-ros2-support.
+
+For importers::
+
+    log = read_log(path)                       # every topic; or topics=("/imu", "/gps")
+    log.topics["/imu"].type_name               # "sensor_msgs/msg/Imu"
+    log.topics["/imu"].t_ns                    # (N,) int64, log times, not falling
+    log.topics["/imu"].stamps_ns()             # (N,) int64, header.stamp, or the log times where there is no header
+    log.topics["/imu"].vector("angular_velocity", "xyz")      # (N, 3) float64, in the order of the letters
+    log.topics["/imu"].vector("orientation", "wxyz")          # (N, 4): the order is yours, not the file's
+    log.topics["/imu"].column("orientation_covariance")       # (N, 9)
+    log.topics["/imu"].text("header.frame_id")                # (N,) str
+    log.unread                                 # topic -> why its messages have no columns (JSON, protobuf, XCDR2 ...)
+    log.lost                                   # "" or what is missing of a file that was cut
+
+Messages whose strings and sequences differ in length from their neighbours' (two frame ids on one topic, a TFMessage
+with one or three transforms) lie in several ``parts`` of the topic, each with its rows and its own leaves; ``column``
+joins those that all parts have with one shape. ``survey(path)`` lists topics, types and counts without decoding.
+Raises :class:`~stillpoint.datasets.errors.BadFile` for files that are damaged or are not MCAP.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+from stillpoint.datasets import cdr
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.mcap_file import MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.mcap_scan import Block, Scan
+
+Columns = Mapping[str, tuple[str, ...]]  # name of a column -> the leaves side by side in it
+
+
+@dataclass(frozen=True)
+class Part:
+    """Messages of a topic that agree in what leaves they have and in their shapes."""
+
+    rows: NDArray[np.int64]  # (M,) their places among the messages of the topic
+    columns: dict[str, NDArray[Any]]  # leaf -> (M,) or (M, k); strings as bytes
+
+
+@dataclass(frozen=True)
+class Topic:
+    """The messages of one topic as columns, in the order of their log times."""
+
+    path: Path
+    name: str
+    type_name: str
+    t_ns: NDArray[np.int64]  # (N,) log times
+    parts: tuple[Part, ...]
+
+    def column(self, leaf: str) -> NDArray[Any]:
+        """One leaf, (N,) or (N, k); raises :class:`BadFile` when not all messages have it with one shape."""
+        if not self.parts or any(leaf not in part.columns for part in self.parts):
+            some = ", ".join(list(self.parts[0].columns)[:8]) if self.parts else "no message"
+            raise BadFile(f"{self.path}: {self.name} ({self.type_name}) has no {leaf} in all messages; it has {some} …")
+        if len({part.columns[leaf].shape[1:] for part in self.parts}) > 1:
+            raise BadFile(f"{self.path}: {self.name}: {leaf} changes its length from message to message")
+        if len(self.parts) == 1:
+            return self.parts[0].columns[leaf]
+        joined = np.concatenate([part.columns[leaf] for part in self.parts])
+        out = np.empty_like(joined)
+        out[np.concatenate([part.rows for part in self.parts])] = joined
+        return out
+
+    def vector(self, path: str, axes: str) -> NDArray[np.float64]:
+        """Leaves ``path.x``, ``path.y`` … side by side, (N, len(axes)) float64."""
+        return np.stack([self.column(f"{path}.{axis}") for axis in axes], axis=1).astype(np.float64, copy=False)
+
+    def text(self, leaf: str) -> NDArray[np.str_]:
+        """A string leaf, (N,)."""
+        return np.char.decode(self.column(leaf), "utf-8", "replace")
+
+    def has(self, leaf: str) -> bool:
+        """Whether every message has this leaf."""
+        return bool(self.parts) and all(leaf in part.columns for part in self.parts)
+
+    def stamps_ns(self, path: str = "header.stamp") -> NDArray[np.int64]:
+        """Stamps in the messages, (N,) ns; the log times where the type has none."""
+        if not self.has(f"{path}.sec"):
+            return self.t_ns
+        seconds = self.column(f"{path}.sec").astype(np.int64)
+        return seconds * 1_000_000_000 + self.column(f"{path}.nanosec").astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a file holds."""
+
+    path: Path
+    topics: dict[str, Topic]
+    unread: dict[str, str]  # topic -> why there are no columns
+    types: dict[str, str]  # every topic of the file -> its type
+    counts: dict[str, int]  # every topic of the file -> number of messages
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    lost: str
+
+
+def survey(path: Path | str) -> Log:
+    """Topics, types, counts, metadata and attachments; checks all checksums and decodes no message."""
+    return read_log(path, topics=())
+
+
+def read_log(
+    path: Path | str, topics: Collection[str] | None = None, columns: Mapping[str, Columns] | None = None
+) -> Log:
+    """The topics (all, or those named) of an MCAP file.
+
+    ``columns`` says per topic which leaves to take, and which to put side by side in one column; a topic that it does
+    not name gives each of its leaves as a column. Several channels of one topic and type are joined.
+    """
+    scan = Scan(Path(path))
+    gathers: dict[tuple[str, str], _Gather] = {}
+    for block in scan.blocks():
+        for channel_id in block.offsets:
+            channel = scan.channels[channel_id]
+            if topics is not None and channel.topic not in topics:
+                continue
+            schema = scan.schemas.get(channel.schema_id)
+            key = (channel.topic, schema.name if schema else "")
+            if key not in gathers:
+                gathers[key] = _Gather(channel, schema, (columns or {}).get(channel.topic))
+            gathers[key].take(block, channel_id)
+    unread = {topic: gather.refusal for (topic, _), gather in gathers.items() if gather.refusal}
+    for topic in [topic for topic, _ in gathers]:
+        if sum(name == topic for name, _ in gathers) > 1:
+            unread[topic] = "its channels are of several types"
+    found = {}
+    for (topic, type_name), gather in gathers.items():
+        if topic not in unread:
+            found[topic] = gather.topic(scan.path, topic, type_name)
+    counts: dict[str, int] = {}
+    types: dict[str, str] = {}
+    for channel in scan.channels.values():
+        counts[channel.topic] = counts.get(channel.topic, 0) + scan.counts.get(channel.id, 0)
+        schema = scan.schemas.get(channel.schema_id)
+        types[channel.topic] = schema.name if schema else ""
+    return Log(scan.path, found, unread, types, counts, scan.metadata, scan.attachments, scan.lost)
+
+
+class _Gather:
+    """Collects the messages of one topic, block by block, already cut down to the wanted columns."""
+
+    def __init__(self, channel: Channel, schema: Schema | None, columns: Columns | None) -> None:
+        self.columns = columns
+        self.refusal = ""
+        self.count = 0
+        self.t_ns: list[NDArray[np.int64]] = []
+        self.pieces: dict[Any, list[tuple[NDArray[np.int64], dict[str, NDArray[Any]]]]] = {}
+        self.layouts: dict[int, cdr.Layout] = {}  # by length: the one that fitted last
+        if channel.message_encoding != "cdr":
+            self.refusal = f"its messages are {channel.message_encoding or 'of unnamed encoding'}, not cdr"
+            return
+        try:
+            if schema is None:
+                raise cdr.Undecodable("it has no schema")
+            self.type = cdr.parse(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+        except cdr.Undecodable as error:
+            self.refusal = str(error)
+
+    def take(self, block: Block, channel: int) -> None:
+        """The messages of one channel in one block."""
+        offsets = block.offsets[channel]
+        rows = np.arange(self.count, self.count + len(offsets))
+        self.count += len(offsets)
+        if self.refusal:
+            return
+        heads = windows(block.data, MESSAGE_HEAD.itemsize)[offsets].view(MESSAGE_HEAD)
+        if (heads["log_time"] > np.iinfo(np.int64).max).any():
+            self.refusal = "a log time lies beyond 2^63 ns"
+            return
+        self.t_ns.append(heads["log_time"].astype(np.int64))
+        try:
+            for length in np.unique(heads["length"]).tolist():
+                same = heads["length"] == length
+                self._take_equal(block.data, offsets[same], rows[same], length + RECORD_HEAD.itemsize)
+        except cdr.Undecodable as error:
+            self.refusal = str(error)
+            self.pieces.clear()
+
+    def _take_equal(self, data: bytes, offsets: NDArray[np.int64], rows: NDArray[np.int64], size: int) -> None:
+        """Messages of equal length: those that one layout fits go together, then the next layout takes the rest."""
+        records = windows(data, size)[offsets]
+        layout = self.layouts.get(size)
+        while len(rows):
+            if layout is None:
+                layout = cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :])
+            raw = records.view(np.uint8).reshape(len(rows), size)[:, MESSAGE_HEAD.itemsize :]
+            fits = np.ones(len(rows), np.bool_)
+            for at, word in layout.words:
+                fits &= (raw[:, at : at + len(word)] == np.frombuffer(word, np.uint8)).all(axis=1)
+            if fits.any():
+                self.layouts[size] = layout
+                some = fits if not fits.all() else slice(None)
+                self._keep(rows[some], records[some].view(_record(layout))["body"])
+                records, rows = records[~fits], rows[~fits]
+            layout = None
+
+    def _keep(self, rows: NDArray[np.int64], body: NDArray[np.void]) -> None:
+        leaves = body.dtype.names or ()
+        wanted = {leaf: (leaf,) for leaf in leaves} if self.columns is None else self.columns
+        taken: dict[str, NDArray[Any]] = {}
+        for name, parts in wanted.items():
+            if not all(part in leaves for part in parts):
+                raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
+            if len(parts) == 1:
+                taken[name] = _native(body[parts[0]])
+            else:
+                taken[name] = np.empty((len(rows), len(parts)), np.float64)
+                for k, part in enumerate(parts):
+                    taken[name][:, k] = body[part]
+        shape = tuple((name, column.dtype.kind, column.shape[1:]) for name, column in taken.items())
+        self.pieces.setdefault(shape, []).append((rows, taken))
+
+    def topic(self, path: Path, name: str, type_name: str) -> Topic:
+        """All that was collected, by time."""
+        t_ns = np.concatenate(self.t_ns) if self.t_ns else np.empty(0, np.int64)
+        order = None
+        if (np.diff(t_ns) < 0).any():
+            order = np.argsort(t_ns, kind="stable")
+            place = np.empty_like(order)
+            place[order] = np.arange(len(order))
+            t_ns = t_ns[order]
+        parts = []
+        for pieces in self.pieces.values():
+            rows = np.concatenate([rows for rows, _ in pieces])
+            columns = {}
+            for column in list(pieces[0][1]):  # one column at a time, so that little is held twice
+                columns[column] = np.concatenate([taken.pop(column) for _, taken in pieces])
+            if order is not None:
+                rows = place[rows]
+            if (np.diff(rows) < 0).any():
+                by_row = np.argsort(rows)
+                rows = rows[by_row]
+                columns = {column: values[by_row] for column, values in columns.items()}
+            parts.append(Part(rows, columns))
+        return Topic(path, name, type_name, t_ns, tuple(parts))
+
+
+def _record(layout: cdr.Layout) -> np.dtype[Any]:
+    return np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
+
+
+def _native(column: NDArray[Any]) -> NDArray[Any]:
+    """A contiguous copy in the byte order of this machine."""
+    return column.astype(column.dtype.newbyteorder("="), copy=True)

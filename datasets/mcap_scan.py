@@ -1,0 +1,318 @@
+"""One pass through an MCAP file, front to back: every checksum tested, every length bounded, whole chunks handed out.
+
+Works for any writer: with or without chunks, message indexes, summary; zstd, lz4 or no compression. A file that was cut
+(its end magic is missing) gives its whole chunks, and ``Scan.lost`` says what is not there. A file that is damaged
+raises :class:`~stillpoint.datasets.errors.BadFile`.
+"""
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema, Statistics
+from numpy.typing import NDArray
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.mcap_file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
+
+LARGEST_CHUNK = 1 << 30  # bytes, unpacked: writers make 1-4 MiB; a larger claim is damage or malice
+LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
+_HEAD = struct.Struct("<BQ")
+Record = TypeVar("Record", Header, Schema, Channel, Chunk, Metadata, Attachment, DataEnd, Footer, Statistics)
+
+
+class _Damaged(Exception):
+    """What is wrong with the bytes; becomes a BadFile, or the end of what a cut file still gives."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """The bytes of some message records, and where they start, by channel id, in the order of the file."""
+
+    data: bytes
+    offsets: dict[int, NDArray[np.int64]]
+
+
+class Scan:
+    """Iterate over :meth:`blocks` to the end; then the other attributes are complete."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.profile = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: dict[str, bytes] = {}
+        self.counts: dict[int, int] = {}  # messages by channel id
+        self.lost = ""  # what is missing of a file that was cut, "" for a whole one
+
+    def blocks(self) -> Iterator[Block]:
+        """The messages of the file; raises :class:`BadFile`."""
+        try:
+            with open(self.path, "rb") as file:
+                yield from self._read(file)
+        except OSError as error:
+            hint = "check the name" if isinstance(error, FileNotFoundError) else "check that it is a readable file"
+            raise BadFile(f"{self.path}: cannot be opened ({error.strerror}); {hint}") from error
+
+    def _read(self, file: IO[bytes]) -> Iterator[Block]:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(max(size - len(MAGIC), 0))
+        whole = file.read() == MAGIC and size > len(MAGIC)
+        file.seek(0)
+        if file.read(len(MAGIC)) != MAGIC:
+            what = "is empty" if size == 0 else "is not an MCAP file (its first bytes differ)"
+            raise BadFile(f"{self.path}: {what}; name a file that stillpoint or a recorder wrote")
+        records = _Records(file, size)
+        try:
+            yield from self._data_section(records)
+            self._summary(file.read())
+        except _Damaged as error:
+            if whole or records.ended:
+                where = f"{self.path}: is damaged near byte {records.start}"
+                raise BadFile(f"{where}: {error}; restore it from a copy") from None
+            self.lost = f"the file is cut short, nothing could be read from byte {records.start} of {size} on ({error})"
+
+    def _data_section(self, records: "_Records") -> Iterator[Block]:
+        """All records up to the one that ends the data; what came whole before a damage is handed out first."""
+        chunk: bytes | None = None
+        listed: list[NDArray[np.int64]] = []
+        loose = bytearray()
+        damage: _Damaged | None = None
+        try:
+            for opcode, body in records:
+                if chunk is not None and opcode != Opcode.MESSAGE_INDEX:
+                    yield self._block(chunk, listed)
+                    chunk, listed = None, []
+                if opcode == Opcode.MESSAGE:
+                    loose += _HEAD.pack(opcode, len(body)) + body
+                    if len(loose) > LOOSE_BYTES:
+                        yield self._block(bytes(loose), [])
+                        loose.clear()
+                elif opcode == Opcode.CHUNK:
+                    chunk = _unpack(_parse(Chunk, body))
+                elif opcode == Opcode.MESSAGE_INDEX:
+                    listed.append(_listed_offsets(body))
+                else:
+                    self._fact(opcode, body)
+        except _Damaged as error:
+            damage = error
+        if chunk is not None:
+            yield self._block(chunk, listed)
+        if loose:
+            yield self._block(bytes(loose), [])
+        if damage is not None:
+            raise damage
+
+    def _fact(self, opcode: int, body: bytes) -> None:
+        """Take in a record that is no message."""
+        if opcode == Opcode.HEADER:
+            self.profile = _parse(Header, body).profile
+        elif opcode == Opcode.SCHEMA:
+            schema = _parse(Schema, body)
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = _parse(Channel, body)
+            self.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            metadata = _parse(Metadata, body)
+            self.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = _parse(Attachment, body)
+            crc = int.from_bytes(body[-4:], "little")
+            if crc not in (0, zlib.crc32(body[:-4])):
+                raise _Damaged(f"the checksum of the attachment {attachment.name} differs")
+            self.attachments[attachment.name] = attachment.data
+
+    def _block(self, data: bytes, listed: list[NDArray[np.int64]]) -> Block:
+        offsets, others = _records_of(data, np.concatenate(listed) if listed else np.empty(0, np.int64))
+        for opcode, begin, end in others:
+            self._fact(opcode, data[begin:end])
+        at = offsets + MESSAGE_HEAD.fields["channel"][1]  # type: ignore[index]
+        ids = windows(data, 2)[at].view("<u2")
+        by_channel = {}
+        for channel in np.unique(ids).tolist():
+            if channel not in self.channels:
+                raise _Damaged(f"a message belongs to channel {channel}, which is not declared")
+            by_channel[channel] = offsets[ids == channel]
+            self.counts[channel] = self.counts.get(channel, 0) + len(by_channel[channel])
+        return Block(data, by_channel)
+
+    def _summary(self, rest: bytes) -> None:
+        """Test what follows the data: the summary, its checksum and its count of messages, the end magic."""
+        body = rest[: -len(MAGIC)]
+        sound = False
+        if len(rest) >= FOOTER_SIZE and body[-FOOTER_SIZE + len(MAGIC) :][:9] == _HEAD.pack(Opcode.FOOTER, 20):
+            footer = _parse(Footer, body[-20:])
+            sound = footer.summary_crc in (0, zlib.crc32(body[:-4]))
+        if not rest.endswith(MAGIC) and not sound:
+            self.lost = "the end of the file is cut off; all of its messages are there"
+            return
+        if not rest.endswith(MAGIC) or not sound:
+            raise _Damaged("its summary or its last bytes are not as they were written")
+        for opcode, record in _Records(io.BytesIO(body), len(body)).until_footer():
+            if opcode == Opcode.STATISTICS:
+                count, found = _parse(Statistics, record).message_count, sum(self.counts.values())
+                if count != found:
+                    raise _Damaged(f"it should hold {count} messages and holds {found}")
+
+
+class _Records:
+    """The records of the data section one by one; ``start`` is the offset of the latest."""
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self.file, self.size = file, size
+        self.start = file.tell()
+        self.ended = False  # the record that ends the data was read
+
+    def _next(self) -> tuple[bytes, bytes]:
+        self.start = self.file.tell()
+        head = self.file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise _Damaged("it ends within a record")
+        opcode, length = _HEAD.unpack(head)
+        left = self.size - self.start - _HEAD.size
+        if opcode == 0 or length > left:
+            raise _Damaged(f"a record of kind {opcode} claims {length} bytes, {left} are left")
+        return head, self.file.read(length)
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        crc = zlib.crc32(MAGIC)
+        while True:
+            head, body = self._next()
+            if head[0] == Opcode.DATA_END:
+                self.ended = True
+                if _parse(DataEnd, body).data_section_crc not in (0, crc):
+                    raise _Damaged("the checksum of its data differs")
+                return
+            if head[0] == Opcode.FOOTER:
+                raise _Damaged("the record that ends its data is missing")
+            yield head[0], body
+            crc = zlib.crc32(body, zlib.crc32(head, crc))
+
+    def until_footer(self) -> Iterator[tuple[int, bytes]]:
+        """The records of the summary."""
+        while True:
+            head, body = self._next()
+            if head[0] == Opcode.FOOTER:
+                return
+            yield head[0], body
+
+
+class _Bytes(ReadDataStream):
+    """The bytes of one record; reading past its end is an error, where the base class gives fewer bytes."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(io.BytesIO(data))
+        self.left = len(data)
+
+    def read(self, length: int) -> bytes:
+        self.left -= length
+        if self.left < 0:
+            raise ValueError("a length points past its end")
+        return super().read(length)
+
+
+def _parse(kind: type[Record], body: bytes) -> Record:
+    try:
+        return kind.read(_Bytes(body))
+    except (McapError, struct.error, ValueError, OverflowError) as error:
+        raise _Damaged(f"a {kind.__name__} record makes no sense ({error})") from error
+
+
+def _unpack(chunk: Chunk) -> bytes:
+    """The bytes of a chunk, tested against its length and its checksum."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise _Damaged(f"a chunk claims {size} bytes")
+    try:
+        if chunk.compression == "zstd":
+            claimed = zstandard.frame_content_size(chunk.data) if chunk.data else 0
+            if claimed not in (-1, size):
+                raise _Damaged(f"a chunk claims {size} and {claimed} bytes")
+            reader = zstandard.ZstdDecompressor()
+            data = reader.decompress(chunk.data, max_output_size=size) if chunk.data else b""
+        elif chunk.compression == "lz4":
+            claimed = lz4.frame.get_frame_info(chunk.data)["content_size"]
+            if claimed not in (0, size):
+                raise _Damaged(f"a chunk claims {size} and {claimed} bytes")
+            data = lz4.frame.decompress(chunk.data)
+        elif chunk.compression == "":
+            data = chunk.data
+        else:
+            raise _Damaged(f"a chunk is compressed by {chunk.compression!r}, which is not known here")
+    except (zstandard.ZstdError, RuntimeError, ValueError, EOFError) as error:
+        raise _Damaged(f"a chunk cannot be unpacked ({error})") from error
+    if len(data) != size:
+        raise _Damaged(f"a chunk has {len(data)} bytes where it claims {size}")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise _Damaged("the checksum of a chunk differs")
+    return data
+
+
+def _listed_offsets(body: bytes) -> NDArray[np.int64]:
+    """The offsets of a message index."""
+    usable = (len(body) - 6) // INDEX_ENTRY.itemsize * INDEX_ENTRY.itemsize
+    if usable <= 0:
+        return np.empty(0, np.int64)
+    return np.frombuffer(body, INDEX_ENTRY, offset=6, count=usable // INDEX_ENTRY.itemsize)["offset"].astype(np.int64)
+
+
+def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
+    """Offsets of all messages in ``data``, and (opcode, begin, end) of the bodies of its other records.
+
+    ``listed`` comes from message indexes and is only a hint: what it leaves out is found by walking the gaps, and
+    where it points at something else, everything is walked.
+    """
+    size = len(data)
+    listed = np.unique(listed)
+    heads: Any = None
+    ends = listed
+    sound = bool(len(listed)) and listed[0] >= 0 and listed[-1] <= size - MESSAGE_HEAD.itemsize
+    if sound:
+        heads = windows(data, RECORD_HEAD.itemsize)[listed].view(RECORD_HEAD)
+        lengths = np.minimum(heads["length"], np.uint64(size + 1)).astype(np.int64)
+        ends = listed + RECORD_HEAD.itemsize + lengths
+        sound = bool(
+            (heads["opcode"] == Opcode.MESSAGE).all()
+            and (ends - listed >= MESSAGE_HEAD.itemsize).all()
+            and (ends <= np.append(listed[1:], size)).all()
+        )
+    if not sound:
+        messages, others = _walk(data, 0, size)
+        return np.array(messages, np.int64), others
+    begins = np.append(0, ends)
+    stops = np.append(listed, size)
+    found, rest = [], []
+    for gap in np.flatnonzero(begins != stops):
+        messages, others = _walk(data, int(begins[gap]), int(stops[gap]))
+        found += messages
+        rest += others
+    return np.sort(np.append(listed, np.array(found, np.int64))) if found else listed, rest
+
+
+def _walk(data: bytes, begin: int, end: int) -> tuple[list[int], list[tuple[int, int, int]]]:
+    """The records between two offsets, by reading each head."""
+    messages, others = [], []
+    while begin < end:
+        if end - begin < _HEAD.size:
+            raise _Damaged("a chunk ends within a record")
+        opcode, length = _HEAD.unpack_from(data, begin)
+        stop = begin + _HEAD.size + length
+        if stop > end or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.itemsize - RECORD_HEAD.itemsize):
+            raise _Damaged("a record in a chunk claims more bytes than there are, or too few")
+        if opcode == Opcode.MESSAGE:
+            messages.append(begin)
+        else:
+            others.append((opcode, begin + _HEAD.size, stop))
+        begin = stop
+    return messages, others
