@@ -8,9 +8,9 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import phone
-from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, Sensor
+from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
 
-__all__ = ["PERFECT", "PHONE", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
+__all__ = ["PERFECT", "PHONE", "SENSORS", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,21 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """When one sensor sampled: its true instants and the stamps it gave them."""
+    """When one sensor sampled: its true instants, from the start of the path, and the stamps it gave them."""
 
-    t_s: Floats  # (N,) from the start of the path, on whole nanoseconds
+    true_ns: Times  # (N,)
     stamp_ns: Times  # (N,)
-    step_s: float
+    step_ns: int
+
+    @property
+    def t_s(self) -> Floats:
+        """The true instants (N,) in s."""
+        return self.true_ns / 1e9
+
+    @property
+    def step_s(self) -> float:
+        """The step between samples."""
+        return self.step_ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -51,31 +61,28 @@ class Axes:
 
 def sample(path: Path, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
     """Sampling instants from one step after the start of the path to its end."""
-    step_s = 1 / (rate_hz * (1 + clock.rate_error * draws(seed, f"{name}/rate").standard_normal()))
-    first_s = step_s * (1 + draws(seed, f"{name}/phase").random())
-    count = int((path.duration_s - first_s) / step_s) + 1
-    true_ns = np.round((first_s + step_s * np.arange(count)) * 1e9).astype(np.int64)
+    true_rate_hz = rate_hz * (1 + clock.rate_error * draws(seed, f"{name}/rate").standard_normal())
+    step_ns = round(1e9 / true_rate_hz)
+    first_ns = step_ns + int(step_ns * draws(seed, f"{name}/phase").random())
+    count = int((path.duration_s * 1e9 - first_ns) / step_ns) + 1
+    true_ns = first_ns + step_ns * np.arange(count, dtype=np.int64)
+    step_s = step_ns / 1e9
     # Stamps keep their order however bad the jitter.
     jitter_s = draws(seed, f"{name}/jitter").standard_normal(count) * clock.jitter_s
     jitter_s = np.clip(jitter_s, -0.45 * step_s, 0.45 * step_s)
     late_ns = np.round(jitter_s * 1e9 + true_ns * clock.skew_ppm * 1e-6).astype(np.int64)
-    return Samples(true_ns / 1e9, world.start_ns + true_ns + late_ns, step_s)
+    return Samples(true_ns, world.start_ns + true_ns + late_ns, step_ns)
 
 
 def measure_imu(
     path: Path, gyro: GyroModel, accel: AccelModel, at: Samples, world: World, seed: int
 ) -> tuple[Imu, dict[str, Any]]:
     """Gyro and accelerometer samples, and what was drawn for this unit. The IMU sits at the origin of the body."""
-    ends = at.t_s - gyro.lag_s
-    starts = np.concatenate([[ends[0] - at.step_s], ends[:-1]])
-    rate = path.mean_rate_b_radps(starts, ends)
-    felt_at = at.t_s - accel.lag_s
-    force_n = path.acceleration_n_mps2(felt_at) + np.array([0.0, 0.0, world.gravity_mps2])
-    force = path.attitude(felt_at).inv().apply(force_n)
-
+    instants = np.concatenate([[at.true_ns[0] - at.step_ns], at.true_ns]) / 1e9 - gyro.lag_s
+    rate = path.steps_b_rad(instants) / at.step_s
     response = draws(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(gyro.g_sensitivity_degps_g)
-    felt = force if gyro.lag_s == accel.lag_s else path.attitude(ends).inv().apply(force_n)
-    rate = rate + felt / STANDARD_GRAVITY_MPS2 @ response.T
+    rate += specific_force_b(path, instants[1:], world) / STANDARD_GRAVITY_MPS2 @ response.T
+    force = specific_force_b(path, at.t_s - accel.lag_s, world)
     gyro_axes = Axes(
         noise_density=np.deg2rad(gyro.noise_density_degps_rthz),
         bias=np.deg2rad(gyro.turn_on_bias_degps),
@@ -98,7 +105,14 @@ def measure_imu(
     )
     gyro_b, gyro_drawn = with_errors(rate, gyro_axes, at.step_s, seed, "gyro")
     accel_b, accel_drawn = with_errors(force, accel_axes, at.step_s, seed, "accel")
+    gyro_drawn |= {"g_sensitivity": (response / STANDARD_GRAVITY_MPS2).tolist()}
     return Imu(at.stamp_ns, gyro_b, accel_b), {"gyro": gyro_drawn, "accel": accel_drawn}
+
+
+def specific_force_b(path: Path, t_s: Floats, world: World) -> Floats:
+    """What a perfect accelerometer at the origin of the body feels, (N, 3) in m/s^2."""
+    force_n = path.acceleration_n_mps2(t_s) + np.array([0.0, 0.0, world.gravity_mps2])
+    return np.asarray(path.attitude(t_s).inv().apply(force_n))
 
 
 def measure_mag(path: Path, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
@@ -135,7 +149,7 @@ def passings_n_ut(path: Path, mag: MagModel, t_s: Floats, seed: int) -> Floats:
 def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
     """Scale, misalignment, bias, noise, range and steps of the converter on ideal samples (N, 3), in this order.
 
-    Returns the samples and the drawn constants, with the number of samples at the limit of the range.
+    Returns the samples and the drawn constants in SI units, with the number of samples at the limit of the range.
     """
     scale = draws(seed, f"{name}/scale").standard_normal(3) * axes.scale_error
     misalignment = draws(seed, f"{name}/misalignment").standard_normal((3, 3)) * axes.misalignment_rad
@@ -167,5 +181,6 @@ def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, na
 
 def truth(path: Path, at: Samples, world: World) -> Truth:
     """The truth at the true instants of a sensor's samples."""
-    true_ns = world.start_ns + np.round(at.t_s * 1e9).astype(np.int64)
-    return Truth(true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s))
+    return Truth(
+        world.start_ns + at.true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s)
+    )

@@ -58,13 +58,13 @@ class Path:
         crossed = np.cross(turn, turn_rate)
         return np.asarray(turn_rate - first * crossed + second * np.cross(turn, crossed))
 
-    def mean_rate_b_radps(self, from_s: Floats, to_s: Floats) -> Floats:
-        """The constant rate (N, 3) that turns the body from its attitude at ``from_s`` to that at ``to_s``, (N,) each.
+    def steps_b_rad(self, t_s: Floats) -> Floats:
+        """Rotation vectors (N - 1, 3) that take the attitude at each of the times (N,) to that at the next, exactly.
 
-        This is what a perfect integrating gyro reports: products of its rotations give the attitude back exactly.
+        Over their time these are the samples of a perfect integrating gyro, coning included.
         """
-        step = self.attitude(from_s).inv() * self.attitude(to_s)
-        return np.asarray(step.as_rotvec() / (to_s - from_s)[:, None])
+        attitude = self.attitude(t_s)
+        return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec())
 
     def position(self, t_s: ArrayLike) -> Floats:
         """Position in n, (N, 3) in m."""

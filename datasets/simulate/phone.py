@@ -66,7 +66,7 @@ IN_HAND = Hand(
     turn_deg=(60.0, 45.0, 90.0),
     peak_rate_degps=(100.0, 800.0),
     reach_m=(0.3, 0.3, 0.2),
-    peak_accel_mps2=(2.0, 15.0),
+    peak_accel_mps2=(2.0, 18.0),
 )
 
 
@@ -99,7 +99,7 @@ def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float,
         },
     )
     return Recording(
-        f"{kind}-{seed}",
+        f"{kind}-seed{seed}",
         imu=imu,
         mag=mag,
         truth=truth(path, imu_at, world),

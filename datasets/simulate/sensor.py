@@ -5,7 +5,10 @@ deviation per axis and drawn once per recording; the rest are plain values. Eart
 it is far below the bias of these sensors.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from stillpoint.datasets.errors import BadParameter
 
 STANDARD_GRAVITY_MPS2 = 9.80665  # the "g" of data sheets
 
@@ -22,7 +25,7 @@ class GyroModel:
     misalignment_deg: float = 0.0  # sd of each axis against each other axis
     g_sensitivity_degps_g: float = 0.0  # sd of each element of the response to specific force
     range_degps: float | None = None  # beyond it the output stays at the range
-    bits: int | None = None  # of the converter over the whole range
+    bits: int | None = None  # of the converter, over the range to both sides
     lag_s: float = 0.0  # a sample stamped t describes the motion of t - lag
 
 
@@ -78,6 +81,18 @@ class Sensor:
     imu_clock: ClockModel = field(default_factory=ClockModel)
     mag_clock: ClockModel = field(default_factory=ClockModel)
 
+    def __post_init__(self) -> None:
+        for part, values in asdict(self).items():
+            if part == "name":
+                continue
+            for name, value in values.items():
+                signed = name in ("lag_s", "skew_ppm")
+                if value is not None and not (np.isfinite(value) and (signed or value >= 0)):
+                    raise BadParameter(f"sensor {self.name}, {part}.{name}: is {value:g}; give a finite value >= 0")
+            limits = [value for name, value in values.items() if name.startswith("range_")]
+            if values.get("bits") is not None and limits == [None]:
+                raise BadParameter(f"sensor {self.name}, {part}.bits: a converter's step needs the range; give both")
+
 
 PERFECT = Sensor("perfect")
 
@@ -117,3 +132,5 @@ PHONE = Sensor(
     imu_clock=ClockModel(rate_error=0.003, jitter_s=1e-4),
     mag_clock=ClockModel(rate_error=0.003, jitter_s=1e-3),
 )
+
+SENSORS: dict[str, Sensor] = {sensor.name: sensor for sensor in (PHONE, PERFECT)}
