@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.frames import from_euler
+from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Info, Recording
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
@@ -33,8 +33,8 @@ SHORTEST_STROKE_S = 0.15
 class Hand:
     """How the phone is moved: strokes to turns and places drawn from a box around the base pose.
 
-    Triples are for the axes of the phone (turn) and for East, North, Up (reach). Peak rate and peak acceleration of a
-    stroke are drawn between the two given values, their logarithm uniform; they set how long the stroke takes.
+    Triples are for the axes of the base pose. Peak rate and peak acceleration of a stroke are drawn between the two
+    given values, their logarithm uniform; they set how long the stroke takes.
     """
 
     initial_rest_s: float
@@ -87,7 +87,7 @@ def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float,
         date=DATE,
         place_lat_lon_alt=PLACE,
         notes=tuple(
-            f"{name}: {facts['samples_at_range']} of the samples at the range of the sensor"
+            f"{name}: {facts['samples_at_range']} samples at the range of the sensor"
             for name, facts in drawn.items()
             if facts["samples_at_range"]
         ),
@@ -122,6 +122,7 @@ def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     turns.append((total_s, turns[-1][1]))
     places.append((total_s, places[-1][1]))
     base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
+    places = [(at_s, rotation(base_q_nb).apply(place)) for at_s, place in places]
     return Path(base_q_nb, strokes(*zip(*turns, strict=True)), strokes(*zip(*places, strict=True)), rests)
 
 
