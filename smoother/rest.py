@@ -33,7 +33,7 @@ class RestParams:
     edge_s: float = 0.1  # cut from both ends, where motion starts and fades out
 
 
-def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:  # noqa: B008 - frozen
+def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
     """First and last stamp of each rest, ``(R, 2)`` int64 ns, in the order of time; R may be 0.
 
     Works in seconds on the stream's own stamps, regular or not; a stretch where half of the samples are missing is

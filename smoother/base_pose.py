@@ -1,0 +1,171 @@
+"""The base pose, and the rests in which the sensor is back in it.
+
+The base pose is the attitude of the first rest: tilt from the mean specific force, heading from the mean field and the
+declination (paper 002, eqs (4)-(8), on vectors: the same numbers without the angles' singularity). A later rest is a
+return when gravity has the base's direction in the body *and* the gyro, integrated since the last return, agrees that
+the heading is the base's: a rest on the same table, but turned, has the same tilt.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets.earth import declination_rad
+from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.recording import Floats, Info, Recording, Times
+from stillpoint.datasets.trajectory import BasePoseReturn
+from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing
+
+LEVEL_FIELD_SHARE = 0.05  # a field nearer to the vertical than this has no heading
+
+
+@dataclass(frozen=True)
+class ReturnParams:
+    """When a rest counts as a return to the base pose."""
+
+    lead_s: float = 2.0  # the first rest must begin within this time of the first sample; 0 .. 10
+    repeat_sd_rad: float = np.deg2rad(0.4)  # how well the sensor is put back, per axis; 0.05 (a jig) .. 1 (by hand)
+    tilt_gate_rad: float = np.deg2rad(3.0)  # largest difference of gravity's direction; 1 .. 5
+    heading_gate_rad: float = np.deg2rad(10.0)  # a difference below this is always accepted; 2 .. 20
+    heading_gate_sd: float = 4.0  # ... and so is one below this multiple of the gyro's drift; 3 .. 6
+    heading_limit_rad: float = np.deg2rad(45.0)  # but none above this, however long the gyro drifted; 20 .. 90
+
+
+@dataclass(frozen=True, eq=False)
+class BasePose:
+    """The attitude in which the sensor rests first and to which it returns."""
+
+    q_nb: Floats  # (4,)
+    start: int  # first and last sample of the first rest
+    end: int
+    accel_b_mps2: Floats  # (3,) mean over it
+    gyro_bias_b_radps: Floats  # (3,) mean over it
+    heading: str  # what the heading refers to
+
+
+@dataclass(frozen=True, eq=False)
+class Returns:
+    """Every later rest with the verdict on it, and the stretches between the accepted ones."""
+
+    verdicts: tuple[BasePoseReturn, ...]
+    spans: tuple[tuple[int, int], ...]  # first and last sample of each accepted return
+    swings: tuple[Swing, ...]  # the integration that ends at each accepted return
+
+
+def find_base_pose(recording: Recording, rests_ns: Times, params: ReturnParams) -> BasePose:
+    """The base pose of a recording whose rests are known.
+
+    Raises :class:`Unobservable` when the recording does not begin at rest, :class:`BadRecording` when the pose it
+    carries contradicts gravity.
+    """
+    imu = recording.require_imu()
+    if len(rests_ns) == 0:
+        raise Unobservable(
+            f"{recording.name}: no rest of a second or more in {recording.duration_s:.0f} s; "
+            "record again with the sensor at rest in the base pose at the start and every 20-30 s"
+        )
+    lead_s = (rests_ns[0, 0] - imu.t_ns[0]) / 1e9
+    if lead_s > params.lead_s:
+        raise Unobservable(
+            f"{recording.name}: is not at rest at its start, the first rest begins after {lead_s:.1f} s; "
+            "cut the recording so that it starts in the base pose"
+        )
+    start, end = np.searchsorted(imu.t_ns, rests_ns[0])
+    accel = imu.accel_b_mps2[start : end + 1].mean(axis=0)
+    bias = imu.gyro_b_radps[start : end + 1].mean(axis=0)
+    q_nb, heading = _attitude(recording, rests_ns[0], accel, params)
+    return BasePose(q_nb, int(start), int(end), accel, bias, heading)
+
+
+def find_returns(
+    recording: Recording, rests_ns: Times, base: BasePose, errors: GyroErrors, params: ReturnParams
+) -> Returns:
+    """Judge every rest after the first by its tilt and by the heading that the gyro predicts for it."""
+    imu = recording.require_imu()
+    verdicts: list[BasePoseReturn] = []
+    spans: list[tuple[int, int]] = []
+    swings: list[Swing] = []
+    left = base.end
+    for start, end in np.searchsorted(imu.t_ns, rests_ns[1:]):
+        tilt_rad = _angle(base.accel_b_mps2, imu.accel_b_mps2[start : end + 1].mean(axis=0))
+        path = swing(imu, base.gyro_bias_b_radps, left, int(start), base.q_nb, errors)
+        accepted, reason = _judge(tilt_rad, path, base, errors, params)
+        verdicts.append(BasePoseReturn(int(imu.t_ns[start]), int(imu.t_ns[end]), tilt_rad, accepted, reason))
+        if accepted:
+            spans.append((int(start), int(end)))
+            swings.append(path)
+            left = int(end)
+    return Returns(tuple(verdicts), tuple(spans), tuple(swings))
+
+
+def closure(path: Swing, base: BasePose) -> Rotation:
+    """Earth-frame rotation that takes the end of a swing back to the base pose."""
+    return rotation(base.q_nb) * rotation(path.q_nb[-1]).inv()
+
+
+def level_attitude(up_b: Floats, field_b: Floats | None) -> Rotation:
+    """Body to East-North-Up from the directions of up and of the field (None: heading 0, see below).
+
+    With a field its horizontal part points to n's north (magnetic). Without one, the smallest rotation that levels
+    the body. Raises :class:`Unobservable` when the field is vertical.
+    """
+    up = up_b / np.linalg.norm(up_b)
+    if field_b is None:
+        return Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+    east = np.cross(field_b / np.linalg.norm(field_b), up)
+    if np.linalg.norm(east) < LEVEL_FIELD_SHARE:
+        raise Unobservable("the magnetic field at rest is vertical: it shows no heading")
+    east /= np.linalg.norm(east)
+    return Rotation.from_matrix(np.stack([east, np.cross(up, east), up]))
+
+
+def _attitude(recording: Recording, rest_ns: Times, accel_b: Floats, params: ReturnParams) -> tuple[Floats, str]:
+    """Attitude (4,) of the first rest and what its heading refers to."""
+    if recording.base_pose is not None:
+        tilt_rad = _angle(rotation(recording.base_pose).inv().apply([0.0, 0.0, 1.0]), accel_b)
+        if tilt_rad > params.tilt_gate_rad:
+            raise BadRecording(
+                f"{recording.name}: base_pose is tilted by {np.rad2deg(tilt_rad):.1f} deg against gravity in the first "
+                "rest; correct it, or leave it out so that it is found from the rest"
+            )
+        return recording.base_pose, "of the base pose that the recording carries"
+    mag = recording.mag
+    if mag is None:
+        return quaternion(level_attitude(accel_b, None)), "arbitrary: there is no magnetometer"
+    if recording.info.mag_uncalibrated:
+        return quaternion(level_attitude(accel_b, None)), "arbitrary: the magnetometer is not calibrated"
+    rows = (mag.t_ns >= rest_ns[0]) & (mag.t_ns <= rest_ns[1])
+    if not rows.any():
+        return quaternion(level_attitude(accel_b, None)), "arbitrary: the magnetometer is silent in the first rest"
+    magnetic = level_attitude(accel_b, mag.mag_b_ut[rows].mean(axis=0))
+    declination, heading = _declination(recording.info)
+    return quaternion(heading_rotation(-declination) * magnetic), heading
+
+
+def _declination(info: Info) -> tuple[float, str]:
+    """Declination in rad, east positive, and what the heading then refers to; 0 where it cannot be known."""
+    if not info.date or info.place_lat_lon_alt is None:
+        return 0.0, "magnetic north: the date or place is not known"
+    try:
+        return declination_rad(info.place_lat_lon_alt, info.date), "true north"
+    except BadParameter as error:
+        return 0.0, f"magnetic north: {error}"
+
+
+def _judge(tilt_rad: float, path: Swing, base: BasePose, errors: GyroErrors, params: ReturnParams) -> tuple[bool, str]:
+    tilt = f"gravity {np.rad2deg(tilt_rad):.1f} deg off the base's"
+    if tilt_rad > params.tilt_gate_rad:
+        return False, f"{tilt}, above {np.rad2deg(params.tilt_gate_rad):.1f}: another pose"
+    back = quaternion(closure(path, base))
+    heading_rad = 2 * abs(float(np.arctan2(back[3], back[0])))
+    sd_rad = float(np.sqrt(drift_covariance(path, errors)[2, 2]))
+    gate_rad = min(max(params.heading_gate_rad, params.heading_gate_sd * sd_rad), params.heading_limit_rad)
+    heading = f"the gyro's heading {np.rad2deg(heading_rad):.1f} deg off (drift {np.rad2deg(sd_rad):.1f} deg, 1 sd)"
+    if heading_rad > gate_rad:
+        return False, f"{tilt}, but {heading}, above {np.rad2deg(gate_rad):.1f}: turned against the base"
+    return True, f"{tilt}, {heading}"
+
+
+def _angle(a: Floats, b: Floats) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -1,0 +1,122 @@
+"""Attitude by integrating the gyro (paper 002, eq (10), on the rotation), and how far it drifts.
+
+A gyro sample at t_k describes the interval (t_{k-1}, t_k], so that q_k = q_{k-1} exp(w_k (t_k - t_{k-1})) is exact for
+a rate that is constant in it. The drift model: the earth-frame error e of q_true = exp(e) q grows by the gyro's bias
+error, by its scale and misalignment error times the rate, and by a random walk,
+
+    de/dt = R_nb (db + M w) + white,    so    e(t) = A(t) c + walk(t),    c = (the 9 elements of M, db).
+
+A is the integral of R_nb [w_x 1, w_y 1, w_z 1, 1]: a scale error does no harm where a rotation is taken back, and a
+drift model that only counts seconds does not know that.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Imu, Times
+
+CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
+GAP_STEPS = 5.0  # an interval longer than this many median steps is a gap: 5 lost samples
+
+
+@dataclass(frozen=True)
+class GyroErrors:
+    """What is not known of a gyro whose bias was measured at rest: one standard deviation each."""
+
+    scale_sd: float = 0.005  # scale and misalignment, relative; 0.002 (calibrated) .. 0.03 (cheap and raw)
+    bias_sd_radps: float = np.deg2rad(0.03)  # change of the bias since the rest; 0.003 .. 0.2 deg/s
+    walk_rad_rts: float = np.deg2rad(0.05)  # angle random walk, with what else is new in each second; 0.005 .. 0.3
+    gap_rate_sd_radps: float = np.deg2rad(60.0)  # rate that a gap in the stamps may hide
+
+
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """The gyro integrated from a known attitude over M samples, uncorrected."""
+
+    rows: Times  # (M,) the samples of the stream whose attitudes follow, in the order of integration
+    q_nb: Floats  # (M, 4)
+    rate_b_radps: Floats  # (M, 3) of the interval that was crossed to get there, bias taken off
+    dt_s: Floats  # (M,) that interval; negative when integrating back in time
+    walk_rad2: Floats  # (M,) variance of the random walk, per axis, since the start
+
+
+def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Floats, errors: GyroErrors) -> Swing:
+    """Integrate from the attitude ``q_start_nb`` (4,) at sample ``start`` to sample ``stop``, forwards or back.
+
+    An interval that is a gap (:func:`gaps`) is crossed with the rate at its end, and widens the random walk.
+    """
+    forwards = stop >= start
+    intervals = np.arange(start + 1, stop + 1) if forwards else np.arange(start, stop, -1)
+    step_s = (imu.t_ns[intervals] - imu.t_ns[intervals - 1]) / 1e9
+    rate = imu.gyro_b_radps[intervals] - bias_b_radps
+    dt_s = step_s if forwards else -step_s
+    hidden = np.where(gaps(imu)[intervals - 1], (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
+    return Swing(
+        rows=intervals if forwards else intervals - 1,
+        q_nb=integrate(np.asarray(q_start_nb, dtype=np.float64), rate, dt_s),
+        rate_b_radps=rate,
+        dt_s=dt_s,
+        walk_rad2=np.cumsum(errors.walk_rad_rts**2 * step_s + hidden),
+    )
+
+
+def gaps(imu: Imu) -> NDArray[np.bool_]:
+    """Which of the N - 1 intervals between samples are gaps: longer than 5 median steps."""
+    steps = np.diff(imu.t_ns)
+    return np.asarray(steps > GAP_STEPS * np.median(steps)) if len(steps) else np.zeros(0, dtype=np.bool_)
+
+
+@numba.njit(cache=True)
+def integrate(q_start_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
+    """Attitude (N, 4) after each of N rates (N, 3) held for ``dt_s`` (N,): q_k = q_{k-1} exp(w_k dt_k)."""
+    q_nb = np.empty((len(dt_s), 4))
+    w, x, y, z = q_start_nb
+    for k in range(len(dt_s)):
+        a, b, c = rate_b_radps[k] * dt_s[k]
+        angle = np.sqrt(a * a + b * b + c * c)
+        s = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
+        d, a, b, c = np.cos(angle / 2), a * s, b * s, c * s
+        w, x, y, z = (
+            w * d - x * a - y * b - z * c,
+            w * a + x * d + y * c - z * b,
+            w * b - x * c + y * d + z * a,
+            w * c + x * b - y * a + z * d,
+        )
+        norm = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / norm, x / norm, y / norm, z / norm
+        q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3] = w, x, y, z
+    return q_nb
+
+
+def drift_matrices(path: Swing) -> Iterator[tuple[slice, Floats]]:
+    """A(t) of the drift model after each sample, (n, 3, 12), in chunks with their rows."""
+    carry = np.zeros((3, 12))
+    for first in range(0, len(path.dt_s), CHUNK):
+        rows = slice(first, first + CHUNK)
+        turn = rotation(path.q_nb[rows]).as_matrix() * path.dt_s[rows, None, None]
+        by_rate = turn[:, :, None, :] * path.rate_b_radps[rows, None, :, None]
+        steps = np.concatenate([by_rate.reshape(-1, 3, 9), turn], axis=2)
+        chunk = carry + np.cumsum(steps, axis=0)
+        carry = chunk[-1]
+        yield rows, chunk
+
+
+def last_drift_matrix(path: Swing) -> Floats:
+    """A at the end, (3, 12)."""
+    *_, (_, chunk) = drift_matrices(path)
+    return chunk[-1]
+
+
+def unknowns_variance(errors: GyroErrors) -> Floats:
+    """Variance of c, (12,): 9 of the gyro matrix, 3 of the bias."""
+    return np.concatenate([np.full(9, errors.scale_sd**2), np.full(3, errors.bias_sd_radps**2)])
+
+
+def drift_covariance(path: Swing, errors: GyroErrors) -> Floats:
+    """Covariance (3, 3) of the earth-frame error at the end."""
+    a = last_drift_matrix(path)
+    return (a * unknowns_variance(errors)) @ a.T + path.walk_rad2[-1] * np.eye(3)
