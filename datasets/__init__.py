@@ -23,6 +23,7 @@ from stillpoint.datasets.recording import (
     SpinGeometry,
     Truth,
 )
+from stillpoint.datasets.store import read, write
 from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
 
 __all__ = [
@@ -46,4 +47,6 @@ __all__ = [
     "StillpointError",
     "Truth",
     "Unobservable",
+    "read",
+    "write",
 ]

@@ -1,4 +1,4 @@
-"""Any MCAP file of ROS 2 messages as columns: ours, and those of ``ros2 bag``, rosbags, foxglove-sdk, mcap-ros2-support.
+"""Any MCAP file of ROS 2 messages as columns: ours, and those of ros2 bag, rosbags, foxglove-sdk, mcap-ros2-support.
 
 For importers::
 

@@ -123,7 +123,7 @@ class _Messages:
         if self.stamped:
             body["header.stamp.sec"], body["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
         for leaf, column in self.stream.columns.items():
-            body[leaf] = column[rows]
+            body[leaf] = column[rows].reshape(body[leaf].shape)
         return out
 
 

@@ -1,0 +1,113 @@
+"""What a recording, reference or estimate says beside its columns, as JSON: exact, and plain enough for any reader."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.recording import Info, Recording, SpinGeometry
+from stillpoint.datasets.topics import TOPICS
+from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
+
+Kept = Recording | Reference | RollReference | Estimate
+KINDS: dict[str, type[Kept]] = {
+    "recording": Recording,
+    "reference": Reference,
+    "roll reference": RollReference,
+    "estimate": Estimate,
+}
+NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"}
+
+
+def kind_of(thing: Kept) -> str:
+    """The name of its kind in files."""
+    for kind, of_kind in KINDS.items():
+        if isinstance(thing, of_kind):
+            return kind
+    raise TypeError(f"{type(thing).__name__} is not one of {', '.join(of_kind.__name__ for of_kind in KINDS.values())}")
+
+
+def facts_of(thing: Kept) -> dict[str, Any]:
+    """Everything that is no column of a topic."""
+    if isinstance(thing, Recording):
+        geometry = None if thing.spin is None else _shallow(thing.spin.geometry)
+        return {"name": thing.name, "base_pose": thing.base_pose, "spin_geometry": geometry, "info": asdict(thing.info)}
+    in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
+    facts = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
+    if isinstance(thing, Reference):
+        facts["calibration"] = _shallow(thing.calibration)
+        facts["returns"] = [asdict(one) for one in thing.returns]
+    return facts
+
+
+def info_from(facts: Mapping[str, Any]) -> Info:
+    """The :class:`Info` of a recording's facts."""
+    return Info(**{name: tuple(value) if isinstance(value, list) else value for name, value in facts["info"].items()})
+
+
+def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
+    """The :class:`SpinGeometry` of a recording's facts."""
+    return SpinGeometry(
+        **{name: np.array(rows, np.float64).reshape(-1, 3) for name, rows in facts["spin_geometry"].items()}
+    )
+
+
+def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of a :class:`Reference` that its facts hold."""
+    calibration = {
+        name: np.array(value, np.float64) if isinstance(value, list) else value
+        for name, value in facts["calibration"].items()
+    }
+    return {
+        **facts,
+        "calibration": Calibration(**calibration),
+        "returns": tuple(BasePoseReturn(**one) for one in facts["returns"]),
+        "rests_ns": np.array(facts["rests_ns"], np.int64).reshape(-1, 2),
+    }
+
+
+def to_json(facts: Mapping[str, Any]) -> str:
+    """One line of JSON; raises :class:`BadRecording` for a value that JSON has no word for."""
+    plain = _plain(facts, "facts")
+    text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode()
+    except UnicodeEncodeError:  # a file name that is not UTF-8
+        text = json.dumps(plain, ensure_ascii=True, allow_nan=False)
+    return text
+
+
+def from_json(text: str) -> dict[str, Any]:
+    """The inverse of :func:`to_json`; sequences come back as lists. Raises ``ValueError``."""
+    facts = json.loads(text, object_hook=_special)
+    if not isinstance(facts, dict):
+        raise ValueError("facts are no mapping")
+    return facts
+
+
+def _shallow(thing: Any) -> dict[str, Any]:
+    return {field.name: getattr(thing, field.name) for field in fields(thing)}
+
+
+def _special(item: dict[str, Any]) -> Any:
+    return float(item[NOT_FINITE]) if item.keys() == {NOT_FINITE} else item
+
+
+def _plain(value: Any, where: str) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    elif isinstance(value, np.generic):
+        value = value.item()
+    elif is_dataclass(value) and not isinstance(value, type):
+        value = _shallow(value)
+    if isinstance(value, float) and not np.isfinite(value):
+        return {NOT_FINITE: str(value)}
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, bytes):
+        return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
+    raise BadRecording(f"{where}: is a {type(value).__name__}; give numbers, strings, lists or mappings")

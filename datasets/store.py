@@ -1,0 +1,305 @@
+"""Recordings, references and estimates as MCAP files, and back, bit for bit.
+
+Columns go to the topics of :mod:`stillpoint.datasets.topics`; everything else (names, provenance, parameters, rests,
+calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.errors import BadFile, BadRecording
+from stillpoint.datasets.facts import (
+    KINDS,
+    Kept,
+    facts_of,
+    from_json,
+    info_from,
+    kind_of,
+    reference_facts,
+    spin_geometry_from,
+    to_json,
+)
+from stillpoint.datasets.mcap_reader import Log, read_log, survey
+from stillpoint.datasets.mcap_writer import Stream, write_mcap
+from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Spin, Truth
+from stillpoint.datasets.topics import MAG_REMAINDER, TOPICS, Topic, microtesla, tesla
+from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
+
+OneKind = TypeVar("OneKind", Recording, Reference, RollReference, Estimate)
+RECORD = "stillpoint"  # name of the metadata record
+FORMAT = "1"
+
+
+def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None = None) -> None:
+    """Write a recording, reference or estimate to an MCAP file, whole or not at all; an old file is replaced.
+
+    ``attachments`` are kept beside it, byte for byte, under their names. Raises :class:`BadFile` when the file cannot
+    be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
+    """
+    kind = kind_of(thing)
+    streams, absent = _streams(kind, thing)
+    samples = {stream.topic: len(stream.t_ns) for stream in streams}
+    record = {
+        "kind": kind,
+        "format": FORMAT,
+        "version": version("stillpoint"),
+        "convention": CONVENTION,
+        "facts": to_json({**facts_of(thing), "samples": samples, "absent": absent}),
+    }
+    write_mcap(Path(path), streams, {RECORD: record}, attachments or {}, library=f"stillpoint {version('stillpoint')}")
+
+
+def read(path: Path | str, units_unchecked: bool = False) -> Kept:
+    """What a file of stillpoint holds.
+
+    ``units_unchecked`` opens a recording whose sizes do not fit their units. A recording that was cut short gives its
+    whole chunks, and its ``info.notes`` say what is lost; a reference or estimate that was cut is refused. Raises
+    :class:`BadFile`.
+    """
+    columns = {topic.name: {column.field: column.leaves for column in topic.columns} for topic in TOPICS}
+    log = read_log(path, [topic.name for topic in TOPICS if not topic.drawn], columns)
+    kind, facts = _open(log)
+    samples, absent = facts.pop("samples"), facts.pop("absent")
+    if log.lost and kind != "recording":
+        raise BadFile(f"{path}: {log.lost}; a cut {kind} is of no use, make it anew")
+    for name, reason in log.unread.items():
+        raise BadFile(f"{path}: {name} cannot be read: {reason}; write the file anew")
+    for name, count in samples.items():
+        if not log.lost and log.counts.get(name, 0) != count:
+            raise BadFile(f"{path}: {name} should have {count} messages and has {log.counts.get(name, 0)}")
+    try:
+        if kind == "recording":
+            return _recording(log, facts, samples, absent, units_unchecked)
+        return _trajectory(log, kind, facts, absent)
+    except BadRecording as error:
+        raise BadFile(f"{path}: {error}") from error
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise BadFile(
+            f"{path}: its facts do not fit stillpoint {version('stillpoint')} ({type(error).__name__}: {error}); "
+            f"stillpoint {log.metadata[RECORD].get('version', '?')} wrote it"
+        ) from error
+
+
+def read_recording(path: Path | str, units_unchecked: bool = False) -> Recording:
+    """The recording in a file; raises :class:`BadFile` when it holds something else."""
+    return _of_kind(path, Recording, read(path, units_unchecked))
+
+
+def read_reference(path: Path | str) -> Reference:
+    """The reference in a file; raises :class:`BadFile` when it holds something else."""
+    return _of_kind(path, Reference, read(path))
+
+
+def read_roll_reference(path: Path | str) -> RollReference:
+    """The roll reference in a file; raises :class:`BadFile` when it holds something else."""
+    return _of_kind(path, RollReference, read(path))
+
+
+def read_estimate(path: Path | str) -> Estimate:
+    """The estimate in a file; raises :class:`BadFile` when it holds something else."""
+    return _of_kind(path, Estimate, read(path))
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a file says about itself, without its columns."""
+
+    kind: str  # recording, reference, roll reference, estimate
+    version: str  # of the stillpoint that wrote it
+    convention: str
+    facts: Mapping[str, Any]
+    topics: Mapping[str, tuple[str, int]]  # name -> type, number of messages
+    attachments: Mapping[str, bytes]
+    lost: str  # "" or what is missing of a file that was cut
+
+
+def provenance(path: Path | str) -> Provenance:
+    """What a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
+    log = survey(path)
+    kind, facts = _open(log)
+    record = log.metadata[RECORD]
+    return Provenance(
+        kind=kind,
+        version=record.get("version", ""),
+        convention=record.get("convention", ""),
+        facts=facts,
+        topics={name: (log.types[name], log.counts[name]) for name in log.types},
+        attachments=log.attachments,
+        lost=log.lost,
+    )
+
+
+def sha256(path: Path | str) -> str:
+    """The SHA-256 of a file, in hex; raises :class:`BadFile` when it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
+
+
+def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
+    """The messages of each topic, and which fields of them are None ("/truth/pose position_n_m")."""
+    streams, absent = [], []
+    for topic in TOPICS:
+        if topic.kind != kind:
+            continue
+        if topic.name == MAG_REMAINDER:
+            streams += _mag_remainder(topic, thing.mag if isinstance(thing, Recording) else None)
+            continue
+        holder: Any = getattr(thing, topic.stream) if topic.stream else thing
+        given = {column.field: getattr(holder, column.field, None) for column in topic.columns}
+        if all(values is None for values in given.values()):
+            continue
+        if topic.stream == "mag":
+            given["mag_b_ut"] = tesla(given["mag_b_ut"])[0]
+        absent += [f"{topic.name} {name}" for name, values in given.items() if values is None]
+        streams.append(_stream(topic, holder.t_ns, given))
+    return streams, absent
+
+
+def _mag_remainder(topic: Topic, mag: Mag | None) -> list[Stream]:
+    """The rows whose microtesla are no double in tesla times a million; see :func:`topics.tesla`."""
+    if mag is None:
+        return []
+    remainder = tesla(mag.mag_b_ut)[1]
+    rows = (remainder != 0).any(axis=1)
+    return [_stream(topic, mag.t_ns[rows], {"remainder_b_ut": remainder[rows]})] if rows.any() else []
+
+
+def _stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[Any] | None]) -> Stream:
+    columns: dict[str, NDArray[Any]] = {}
+    constants = dict(topic.constants)
+    contents = []
+    for column in topic.columns:
+        values = given[column.field]
+        if values is None:
+            continue
+        if column.to_file is not None:
+            values = column.to_file(values)
+        flat = values.reshape(len(t_ns), -1)
+        if len(column.leaves) == 1:
+            columns[column.leaves[0]] = values if values.ndim == 1 else flat
+        else:
+            columns |= {leaf: flat[:, k] for k, leaf in enumerate(column.leaves)}
+        if "layout.dim" in constants:
+            constants |= {"layout.dim[0].size": flat.shape[1], "layout.dim[0].stride": flat.shape[1]}
+        contents.append(f"{column.field} = {', '.join(column.leaves)} {column.unit}".strip())
+    if topic.frame:
+        constants["header.frame_id"] = topic.frame
+    metadata = {"holds": topic.holds, "columns": "; ".join(contents)}
+    return Stream(topic.name, topic.type_name, t_ns, columns, constants, metadata)
+
+
+def _open(log: Log) -> tuple[str, dict[str, Any]]:
+    """Kind and facts of a file of stillpoint; raises :class:`BadFile` for any other."""
+    record = log.metadata.get(RECORD)
+    if record is None:
+        if log.lost:
+            raise BadFile(f"{log.path}: {log.lost}; no chunk of it is whole")
+        topics = [f"{name} ({log.types[name] or 'no type'}, {log.counts[name]} messages)" for name in log.types]
+        more = f" and {len(topics) - 6} topics more" if len(topics) > 6 else ""
+        raise BadFile(
+            f"{log.path}: is no file of stillpoint; it holds {', '.join(topics[:6]) or 'no topic'}{more}; "
+            f"`stillpoint import ros {log.path}` imports it"
+        )
+    kind = record.get("kind", "")
+    if record.get("format") != FORMAT or kind not in KINDS:
+        raise BadFile(
+            f"{log.path}: holds a {kind or 'thing'} in format {record.get('format', '?')}, written by stillpoint "
+            f"{record.get('version', '?')}; this is stillpoint {version('stillpoint')}: install the newer one"
+        )
+    try:
+        facts = from_json(record["facts"])
+        if not isinstance(facts["samples"], dict) or not isinstance(facts["absent"], list):
+            raise ValueError("samples and absent are of another shape")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadFile(f"{log.path}: its facts cannot be read ({error}); write it anew") from error
+    return kind, facts
+
+
+def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Stamps and columns of one topic, in the shapes that they have in memory."""
+    found = log.topics[topic.name]
+    columns: dict[str, Any] = {}
+    for column in topic.columns:
+        if f"{topic.name} {column.field}" in absent:
+            continue
+        values = found.column(column.field)
+        if column.from_file is not None:
+            values = column.from_file(values)
+        columns[column.field] = values.reshape(len(found.t_ns), *column.shape)
+    return found.t_ns, columns
+
+
+def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Per stream ("" for the thing itself): ``t_ns`` and columns, joined from the topics that hold them.
+
+    Where a cut file lacks the last messages of one topic of a stream, the others are cut to the same length.
+    """
+    holders: dict[str, dict[str, Any]] = {}
+    for topic in TOPICS:
+        if topic.kind != kind or topic.drawn or topic.name not in log.topics:
+            continue
+        t_ns, columns = _columns(log, topic, absent)
+        holder = holders.setdefault(topic.stream, {"t_ns": t_ns})
+        n = min(len(t_ns), len(holder["t_ns"]))
+        if not np.array_equal(t_ns[:n], holder["t_ns"][:n]) or (not log.lost and len(t_ns) != len(holder["t_ns"])):
+            raise BadFile(f"{log.path}: {topic.name} has other times than the rest of its stream; write the file anew")
+        holders[topic.stream] = {name: values[:n] for name, values in (holder | columns).items()}
+    return holders
+
+
+def _recording(
+    log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], absent: Sequence[str], units_unchecked: bool
+) -> Recording:
+    holders = _holders(log, "recording", absent)
+    remainder = holders.pop("mag_remainder", None)
+    if "mag" in holders:
+        holders["mag"] = _mag(log, holders["mag"], remainder)
+    if "spin" in holders:
+        holders["spin"]["geometry"] = spin_geometry_from(facts)
+    kinds: dict[str, type[Any]] = {"imu": Imu, "mag": Mag, "gps": Gps, "spin": Spin, "encoder": Encoder, "truth": Truth}
+    streams = {name: kinds[name](**holder) for name, holder in holders.items()}
+    info = info_from(facts)
+    if log.lost:
+        found = {name: len(log.topics[name].t_ns) if name in log.topics else 0 for name in samples}
+        less = [f"{name} {found[name]} of {count}" for name, count in samples.items() if found[name] < count]
+        notes = f"{log.lost}; messages read: {', '.join(less) or 'all'}"
+        info = replace(info, notes=(*info.notes, notes))
+    if units_unchecked:
+        info = replace(info, units_unchecked=True)
+    base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
+    return Recording(name=facts["name"], base_pose=base_pose, info=info, **streams)
+
+
+def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any] | None) -> dict[str, Any]:
+    t_ns, field_t = tesla_columns["t_ns"], tesla_columns["mag_b_ut"]
+    if remainder is None:
+        return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t)}
+    rest = np.full_like(field_t, -0.0)
+    known = remainder["t_ns"] <= t_ns[-1]  # a cut file may end between the two topics
+    rows = np.searchsorted(t_ns, remainder["t_ns"][known])
+    if not np.array_equal(t_ns[rows], remainder["t_ns"][known]) or (not known.all() and not log.lost):
+        raise BadFile(f"{log.path}: {MAG_REMAINDER} has times that the magnetometer has not; write the file anew")
+    rest[rows] = remainder["remainder_b_ut"][known]
+    return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t, rest)}
+
+
+def _trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Sequence[str]) -> Kept:
+    columns = _holders(log, kind, absent)[""]
+    keywords = reference_facts(facts) if kind == "reference" else dict(facts)
+    return KINDS[kind](**columns, **keywords)
+
+
+def _of_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKind:
+    if isinstance(thing, wanted):
+        return thing
+    needed = next(kind for kind, of_kind in KINDS.items() if of_kind is wanted)
+    raise BadFile(f"{path}: holds a {kind_of(thing)}; this needs a {needed}")

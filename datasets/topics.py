@@ -1,0 +1,207 @@
+"""The table of topics: which quantity lies where in a file, in what unit and order.
+
+The only place that knows that ROS writes quaternions xyzw and magnetic fields in tesla. ``docs/topics.md`` is made
+from it: ``python -m stillpoint.datasets.topics > docs/topics.md``.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+BODY_FRAME = "imu_link"
+LOCAL_FRAME = "map"  # East-North-Up by ROS's REP 103 and 105
+UT_PER_TESLA = 1e6
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A field of a stream and the leaves of the message that hold it, in the order of the field's columns."""
+
+    field: str
+    leaves: tuple[str, ...]
+    unit: str
+    shape: tuple[int, ...] = ()  # of one row in memory; -1 for as many as the file has
+    to_file: Callable[[Array], Array] | None = None
+    from_file: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table."""
+
+    kind: str  # of file: recording, reference, roll reference, estimate
+    stream: str  # attribute of the object that holds the columns, "" for the object itself
+    name: str
+    type_name: str
+    holds: str
+    columns: tuple[Column, ...]
+    frame: str = ""  # header.frame_id
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    drawn: bool = False  # True: a copy for 3D viewers, not read back
+
+
+def _xyz(path: str) -> tuple[str, ...]:
+    return tuple(f"{path}.{axis}" for axis in "xyz")
+
+
+def _wxyz(path: str) -> tuple[str, ...]:
+    return tuple(f"{path}.{axis}" for axis in "wxyz")
+
+
+def _flag(name: str, leaf: str = "data") -> Column:
+    return Column(name, (leaf,), "", to_file=lambda a: a.astype(np.uint8), from_file=lambda a: a.astype(np.bool_))
+
+
+NO_ESTIMATE = np.array([-1.0] + 8 * [0.0])  # covariance of a part of sensor_msgs/Imu that is not there
+IMU, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+POSE, VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
+JOINTS, ARRAY, BOOL = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Bool"
+_ATTITUDE_ONLY = {"angular_velocity_covariance": NO_ESTIMATE, "linear_acceleration_covariance": NO_ESTIMATE}
+MAG_REMAINDER = "/imu/mag_remainder"
+
+TOPICS: tuple[Topic, ...] = (
+    Topic(
+        "recording", "imu", "/imu/data_raw", IMU,
+        "angular rate over the interval that ends at the stamp, specific force (+g up at rest)",
+        (
+            Column("gyro_b_radps", _xyz("angular_velocity"), "rad/s", (3,)),
+            Column("accel_b_mps2", _xyz("linear_acceleration"), "m/s²", (3,)),
+        ),
+        BODY_FRAME, {"orientation.w": 1.0, "orientation_covariance": NO_ESTIMATE},
+    ),
+    Topic(
+        "recording", "mag_remainder", MAG_REMAINDER, VECTOR,
+        "what field × 10⁶ lacks to the microtesla in memory, where that product rounds; rows that need it only",
+        (Column("remainder_b_ut", _xyz("vector"), "µT", (3,)),),
+        BODY_FRAME,
+    ),
+    Topic(
+        "recording", "mag", "/imu/mag", MAG, "magnetic field", (Column("mag_b_ut", _xyz("magnetic_field"), "T", (3,)),),
+        BODY_FRAME,
+    ),
+    Topic(
+        "recording", "gps", "/gps/fix", "sensor_msgs/msg/NavSatFix", "satellite fix, WGS 84",
+        (
+            Column("lat_deg", ("latitude",), "deg"),
+            Column("lon_deg", ("longitude",), "deg"),
+            Column("alt_m", ("altitude",), "m"),
+            Column(
+                "valid", ("status.status",), "0 fix, -1 none",
+                to_file=lambda valid: np.where(valid, 0, -1), from_file=lambda status: status >= 0,
+            ),
+        ),
+        BODY_FRAME, {"status.service": 1},
+    ),
+    Topic(
+        "recording", "gps", "/gps/course", VECTOR, "x: course clockwise from true north, y: speed over ground",
+        (Column("course_rad", ("vector.x",), "rad"), Column("speed_mps", ("vector.y",), "m/s")),
+        BODY_FRAME,
+    ),
+    Topic(
+        "recording", "spin", "/spin/accel", ARRAY, "one number per accelerometer; their places are in the facts",
+        (Column("accel_mps2", ("data",), "m/s²", (-1,)),),
+        constants={"layout.dim": 1, "layout.dim[0].label": "accelerometer"},
+    ),
+    Topic(
+        "recording", "spin", "/spin/gyro", ARRAY, "one number per gyro; their axes are in the facts",
+        (Column("gyro_radps", ("data",), "rad/s", (-1,)),),
+        constants={"layout.dim": 1, "layout.dim[0].label": "gyro"},
+    ),
+    Topic(
+        "recording", "encoder", "/encoder", JOINTS, "shaft encoder, angle unwrapped",
+        (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
+        BODY_FRAME, {"name": 1, "name[0]": "shaft"},
+    ),
+    Topic(
+        "recording", "truth", "/truth/pose", POSE, "independent truth; a position may be NaN",
+        (
+            Column("q_nb", _wxyz("pose.orientation"), "", (4,)),
+            Column("position_n_m", _xyz("pose.position"), "m", (3,)),
+        ),
+        LOCAL_FRAME,
+    ),
+    Topic("recording", "truth", "/truth/moving", BOOL, "the samples of the truth that count", (_flag("moving"),)),
+    Topic(
+        "reference", "", "/reference/attitude", IMU,
+        "attitude; orientation_covariance is that of the small rotation d in q · exp(d), d in body axes, row-major",
+        (
+            Column("q_nb", _wxyz("orientation"), "", (4,)),
+            Column("cov_b_rad2", ("orientation_covariance",), "rad²", (3, 3)),
+        ),
+        LOCAL_FRAME, _ATTITUDE_ONLY,
+    ),
+    Topic(
+        "reference", "", "/reference/gyro_bias", VECTOR, "bias of the gyro",
+        (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
+        BODY_FRAME,
+    ),
+    Topic(
+        "reference", "", "/reference/pose", POSE, "the attitude once more, for 3D viewers; not read back",
+        (Column("q_nb", _wxyz("pose.orientation"), "", (4,)),),
+        LOCAL_FRAME, drawn=True,
+    ),
+    Topic(
+        "roll reference", "", "/reference/roll", JOINTS, "angle (unwrapped) and rate about the spin axis",
+        (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
+        BODY_FRAME, {"name": 1, "name[0]": "roll"},
+    ),
+    Topic(
+        "roll reference", "", "/reference/roll_sd", VECTOR, "standard deviations, x: of the angle, y: of the rate",
+        (Column("angle_sd_rad", ("vector.x",), "rad"), Column("rate_sd_radps", ("vector.y",), "rad/s")),
+        BODY_FRAME,
+    ),
+    Topic(
+        "estimate", "", "/estimate/attitude", IMU,
+        "attitude; covariance as in /reference/attitude, all zero where the estimator states none",
+        (
+            Column("q_nb", _wxyz("orientation"), "", (4,)),
+            Column("cov_b_rad2", ("orientation_covariance",), "rad²", (3, 3)),
+        ),
+        LOCAL_FRAME, _ATTITUDE_ONLY,
+    ),
+    Topic(
+        "estimate", "", "/estimate/roll", JOINTS, "angle and rate about one axis; empty where not estimated",
+        (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
+        BODY_FRAME, {"name": 1, "name[0]": "roll"},
+    ),
+    Topic(
+        "estimate", "", "/estimate/gyro_bias", VECTOR, "bias of the gyro",
+        (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
+        BODY_FRAME,
+    ),
+    Topic(
+        "estimate", "", "/estimate/innovation", ARRAY, "normalised innovation; NaN where there was no update",
+        (Column("innovation", ("data",), "1", (-1,)),),
+        constants={"layout.dim": 1, "layout.dim[0].label": "innovation"},
+    ),
+    Topic("estimate", "", "/estimate/ready", BOOL, "0 while the estimator says that it is starting", (_flag("ready"),)),
+    Topic(
+        "estimate", "", "/estimate/pose", POSE, "the attitude once more, for 3D viewers; not read back",
+        (Column("q_nb", _wxyz("pose.orientation"), "", (4,)),),
+        LOCAL_FRAME, drawn=True,
+    ),
+)  # fmt: skip
+
+
+def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Microtesla (N, 3) as tesla, and what tesla × 10⁶ lacks (N, 3) in microtesla.
+
+    Doubles are spaced more widely on one side of a power of two than on the other, so about one value in thirty has
+    no double in tesla that multiplies back to it. The remainder is exact, and -0.0 (which changes no bit) elsewhere.
+    """
+    best = mag_b_ut / UT_PER_TESLA
+    for toward in (-np.inf, np.inf):
+        other = np.nextafter(mag_b_ut / UT_PER_TESLA, toward)
+        best = np.where((best * UT_PER_TESLA != mag_b_ut) & (other * UT_PER_TESLA == mag_b_ut), other, best)
+    back = best * UT_PER_TESLA
+    return best, np.where(back == mag_b_ut, -0.0, mag_b_ut - back)
+
+
+def microtesla(field_t: NDArray[np.float64], remainder_ut: NDArray[np.float64] | float = -0.0) -> NDArray[np.float64]:
+    """The inverse of :func:`tesla`, bit for bit."""
+    return field_t * UT_PER_TESLA + remainder_ut
