@@ -14,7 +14,7 @@ import numpy as np
 import scipy.io
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
-from stillpoint.datasets.importers.clock import Log
+from stillpoint.datasets.importers.clock import Log, finite_rows
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording, Truth
@@ -43,7 +43,7 @@ def _trial(file: Path, options: Options) -> Recording:
     period_ns = round(1e9 / float(fields["sampling_rate"].squeeze()))
     t_ns = np.arange(len(fields["imu_gyr"]), dtype=np.int64) * period_ns
     q_nb = fields["opt_quat"]
-    known = np.isfinite(q_nb).all(axis=1)
+    known = finite_rows(q_nb)
     if not known.all():
         log.noted(f"truth: {int((~known).sum())} of {len(known)} samples are NaN in the source (gaps)")
     q_nb = q_nb[known] / np.linalg.norm(q_nb[known], axis=1, keepdims=True)
@@ -86,7 +86,9 @@ def _fields(file: Path) -> dict[str, Floats]:
         raise BadSource(f"{file}: cannot be read as a BROAD trial ({reason}); download it again") from None
     missing = [key for key in FIELDS if key not in raw]
     if missing:
-        raise BadSource(f"{file}: has no {', '.join(missing)}; it is not a BROAD trial: name one of data_mat or data_hdf5")
+        raise BadSource(
+            f"{file}: has no {', '.join(missing)}; it is not a BROAD trial: name one of data_mat or data_hdf5"
+        )
     fields = {key: np.ascontiguousarray(np.asarray(value, dtype=np.float64)) for key, value in raw.items()}
     n = len(fields["imu_gyr"])
     for key, width in FIELDS.items():

@@ -1,21 +1,17 @@
 """The files of a source: one folder or one zip, read the same way."""
 
-import hashlib
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.store import sha256
 
 
 def digests(files: Iterable[Path], below: Path) -> dict[str, str]:
     """sha256 of files by their names relative to ``below``."""
-    found = {}
-    for file in files:
-        with file.open("rb") as stream:
-            found[file.relative_to(below).as_posix()] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return found
+    return {file.relative_to(below).as_posix(): sha256(file) for file in files}
 
 
 def existing(source: Path) -> Path:

@@ -40,6 +40,11 @@ class Series:
         return Series(self.t_ns[keep], self.values[keep])
 
 
+def finite_rows(values: Floats) -> NDArray[np.bool_]:
+    """(N,) True where a row of (N, k) holds numbers only."""
+    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+
+
 def seconds_to_ns(t_s: Floats) -> Times:
     """Whole nanoseconds."""
     return np.asarray(np.round(np.asarray(t_s, dtype=np.float64) * 1e9), dtype=np.int64)
@@ -81,7 +86,7 @@ def from_zero(series: Series, what: str, log: Log) -> Series:
 
 def finite(series: Series, what: str, log: Log) -> Series:
     """Without the rows that are not numbers, counted."""
-    keep = np.isfinite(series.values).all(axis=1)
+    keep = finite_rows(series.values)
     if not keep.all():
         log.noted(f"{what}: {int((~keep).sum())} of {len(keep)} rows without a number dropped")
         series = series.where(keep)
@@ -92,7 +97,7 @@ def merge(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
     """One IMU clock: the gyro's, with the accelerometer brought onto its stamps by linear interpolation.
 
     Gyro samples with no accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. The gyro is
-    the one to keep: it is integrated, and the accelerometer is averaged. Raises :class:`BadSource` when nothing is left.
+    the one to keep: it is integrated, and the accelerometer is averaged. Raises :class:`BadSource` when none is left.
     """
     if len(gyro.t_ns) == len(accel.t_ns) and (gyro.t_ns == accel.t_ns).all():
         return Imu(gyro.t_ns, gyro.values, accel.values)

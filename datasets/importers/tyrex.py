@@ -18,7 +18,7 @@ from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.importers.bundle import digests, existing
 from stillpoint.datasets.importers.clock import Log, Series, finite, from_zero, merge, rising, seconds_to_ns
 from stillpoint.datasets.importers.options import TyrexOptions
-from stillpoint.datasets.importers.tyrex_truth import WRONG_TRUTH_S
+from stillpoint.datasets.importers.tyrex_excluded import EXCLUDED_S
 from stillpoint.datasets.importers.units import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Info, Mag, Recording, Truth
 
@@ -51,12 +51,14 @@ def _trial(folder: Path, options: TyrexOptions) -> Recording:
     accel = _series(folder, "accelerometer.txt", boot_s, "accelerometer", log)
     if ios:
         accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
-        log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS reads -1 g on the axis that points up)")
+        log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS: -1 g on the axis that points up)")
     imu = merge(gyro, accel, str(folder), log)
     mag_file = MAG_FILES[options.mag]
     mag = _series(folder, mag_file, boot_s, "mag", log)
     raw = options.mag == "raw"
-    log.converted(f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})")
+    log.converted(
+        f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})"
+    )
     log.noted("the attitude of the phone's own filter is not imported")
     truth, truth_file, recorded = _truth(folder, log)
     used = [folder / name for name in (*NEEDED, mag_file)] + ([truth_file] if truth_file else [])
@@ -94,7 +96,10 @@ def _series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Seri
 
 
 def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
-    """The Qualisys attitude on the phone's clock, its file, and its date."""
+    """The Qualisys attitude on the phone's clock, its file, and its date.
+
+    The phones hardly rest, so every frame with a body counts as moving, but those that the authors leave out.
+    """
     path = folder.parent.parent / "qualisys" / f"{folder.name}.mat"
     if not path.is_file():
         log.noted(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
@@ -114,21 +119,23 @@ def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
     frame_s = np.arange(columns.shape[1]) / rate_hz
     seen = np.isfinite(columns).all(axis=0) & np.isfinite(residual)
     log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
-    wrong = np.zeros(len(seen), dtype=bool)
-    for start, end in WRONG_TRUTH_S.get(folder.name, ()):
-        wrong |= (frame_s >= start) & (frame_s <= end)
-    if wrong.any():
-        log.noted(f"truth: {int((wrong & seen).sum())} frames dropped that the dataset's authors mark as wrong")
+    scored = np.ones(len(seen), dtype=np.bool_)
+    for start, end in EXCLUDED_S.get(folder.name, ()):
+        scored &= (frame_s < start) | (frame_s > end)
+    if not scored.all():
+        log.noted(f"truth: {int((~scored & seen).sum())} frames are not scored: the dataset's authors leave them out")
     t_ns = seconds_to_ns(frame_s - late_s)
     early = t_ns < 0
     if early.any():
         log.noted(f"truth: {int(early.sum())} frames before the zero of the phone's clock dropped")
-    keep = seen & ~wrong & ~early
+    keep = seen & ~early
     rotations = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)[keep]  # stored column by column
-    log.converted(f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); its 10 ms grid is kept as it is")
+    log.converted(
+        f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); its 10 ms grid is kept as it is"
+    )
     log.converted("truth rotation matrix (body -> East-North-Up) -> quaternion; positions mm -> m")
     q_nb = quaternion(Rotation.from_matrix(rotations))
-    truth = Truth(t_ns[keep], q_nb, np.ones(len(q_nb), dtype=np.bool_), position_n_m[keep])
+    truth = Truth(t_ns[keep], q_nb, scored[keep], position_n_m[keep])
     return truth, path, recorded
 
 

@@ -1,10 +1,10 @@
-"""Where the optical truth of the Tyrex trials is wrong, as their authors marked it by hand.
+"""Stretches of the Tyrex trials that their authors left out of the comparison, marked by hand.
 
-Intervals in seconds of the Qualisys clock, from ``AttitudeBenchmarks.m`` of the authors' benchmark (markers swapped
-or hidden). The one of Guillaume_Nexus5_NoDist_AR covers a gap of 23.7 s in the phone's gyro instead.
+Seconds of the Qualisys clock, from ``AttitudeBenchmarks.m`` of the authors' benchmark. In most the markers were
+swapped or hidden; in Guillaume_Nexus5_NoDist_AR the truth is right and the phone's gyro stopped twice.
 """
 
-WRONG_TRUTH_S: dict[str, tuple[tuple[float, float], ...]] = {
+EXCLUDED_S: dict[str, tuple[tuple[float, float], ...]] = {
     "Guillaume_iPhone4S_NoDist_BackPocket": ((21.1, 21.5), (23.6, 24.0)),
     "Guillaume_iPhone5_Dist_FrontPocket": ((65.6, 67.2), (100.4, 102.0)),
     "Guillaume_iPhone5_Dist_Swinging": ((103.5, 104.5),),

@@ -1,0 +1,228 @@
+"""Any delimited log: its columns, units, signs and clock are said by flags or by a small TOML file.
+
+``gyro = "gx,gy,gz:deg/s"`` names three columns and their unit; a leading ``-`` turns a sign; ``0.061*mg`` is a unit
+per count. Columns go by their names in the header, or by numbers from 1 where there is none.
+"""
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
+from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.clock import UNIX_FROM_NS, Log, Series, finite, merge, rising
+from stillpoint.datasets.importers.delimited import Table, parse
+from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT, plain, scale
+from stillpoint.datasets.recording import Floats, Info, Mag, Recording, Times, Truth
+
+TIME_WORDS = ("time", "stamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms")
+
+
+@dataclass(frozen=True)
+class CsvOptions(OwnOptions):
+    """Where the log keeps what. Each may also stand in the TOML file ``config``; a flag wins over the file."""
+
+    config: Path | None = None
+    time: str | None = None  # "COLUMN:UNIT"
+    rate: float | None = None  # Hz, where the log has no time
+    gyro: str | None = None  # "X,Y,Z:UNIT"
+    accel: str | None = None
+    mag: str | None = None
+    truth: str | None = None  # "W,X,Y,Z"
+    truth_frame: Literal["enu", "nwu", "ned"] = "enu"  # the local frame that the truth's quaternion leads to
+    position: str | None = None  # "X,Y,Z:UNIT" in the truth's local frame
+    moving: str | None = None  # a column that is 0 where the truth is not to be scored
+    delimiter: str | None = None
+    drop_disordered: bool = False  # sort by time and drop equal stamps, counted, instead of refusing
+
+
+def read_csv(source: Path, options: CsvOptions) -> Iterator[Recording]:
+    """The recording of one file, or of each .csv, .tsv and .txt file of a folder.
+
+    Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
+    """
+    existing(source)
+    options = _with_config(options)
+    suffixes = (".csv", ".tsv", ".txt")
+    files = sorted(f for f in source.iterdir() if f.suffix.lower() in suffixes) if source.is_dir() else [source]
+    if not files:
+        raise BadSource(f"{source}: holds no .csv, .tsv or .txt file; name the log")
+    for file in files:
+        yield _recording(file, options)
+
+
+def _with_config(options: CsvOptions) -> CsvOptions:
+    """The options with what the TOML file says where no flag was given."""
+    if options.config is None:
+        return options
+    try:
+        said: dict[str, Any] = tomllib.loads(options.config.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadParameter(f"{options.config}: cannot be read ({error.strerror}); name a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadParameter(f"{options.config}: is not TOML ({error})") from None
+    said = {key.replace("-", "_"): value for key, value in said.items()}
+    default = CsvOptions()
+    known = {field.name: type(getattr(default, field.name)) for field in fields(CsvOptions) if field.name != "config"}
+    for key, value in said.items():
+        if key not in known:
+            raise BadParameter(f"{options.config}: no setting {key!r}; there are {', '.join(known)}")
+        wanted = (int, float) if key == "rate" else bool if known[key] is bool else str
+        if not isinstance(value, wanted) or (wanted is not bool and isinstance(value, bool)):
+            raise BadParameter(f"{options.config}: {key} = {value!r} is of the wrong kind; see docs/importing.md")
+    unset = {key: value for key, value in said.items() if getattr(options, key) == getattr(default, key)}
+    return replace(options, **unset)
+
+
+def _recording(file: Path, options: CsvOptions) -> Recording:
+    log = Log()
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        text = file.read_text(encoding="latin-1")
+    table = parse(text, str(file), options.delimiter)
+    t_ns, epoch = _clock(table, options, log)
+    gyro = _vector(table, options.gyro, "gyro", RATE, "rad/s", t_ns, options, log)
+    accel = _vector(table, options.accel, "accel", FORCE, "m/s^2", t_ns, options, log)
+    if gyro is None or accel is None:
+        raise BadParameter(
+            f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
+            f"the file has {', '.join(table.columns)}"
+        )
+    mag = _vector(table, options.mag, "mag", FIELD, "uT", t_ns, options, log)
+    info = Info(
+        source=f"delimited log {file.name}",
+        licence=options.licence,
+        citation=options.citation,
+        sensor=options.sensor,
+        epoch=epoch,
+        date=datetime.fromtimestamp(t_ns[0] / 1e9, UTC).date().isoformat() if epoch == "unix" else "",
+        mag_uncalibrated=options.mag_uncalibrated,
+        units_unchecked=options.units_unchecked,
+        sha256=digests([file], file.parent),
+    )
+    imu = merge(gyro, accel, str(file), log)
+    truth = _truth(table, t_ns, options, log)
+    info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
+    mag_stream = None if mag is None else Mag(mag.t_ns, mag.values)
+    return Recording(file.stem, imu=imu, mag=mag_stream, truth=truth, info=info)
+
+
+def _clock(table: Table, options: CsvOptions, log: Log) -> tuple[Times, Literal["unix", "source"]]:
+    if options.time is not None and options.rate is not None:
+        raise BadParameter(f"{table.where}: has two clocks, --time and --rate; give one of them")
+    if options.rate is not None:
+        if not options.rate > 0:
+            raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
+        log.converted(f"stamps from the row number at {options.rate:g} Hz")
+        rows = np.arange(len(table.rows))
+        return np.asarray(np.round(rows * (1e9 / options.rate)), dtype=np.int64), "source"
+    if options.time is None:
+        likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
+        hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {', '.join(table.columns)}"
+        raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
+    column, unit = _split(options.time, "s")
+    if unit not in TIME_EXPONENT:
+        raise BadParameter(f"--time: no unit {unit!r}; there are {', '.join(TIME_EXPONENT)}")
+    t_ns = table.times(column, TIME_EXPONENT[unit])
+    falls = np.flatnonzero(np.diff(t_ns) <= 0)
+    if len(falls) and not options.drop_disordered:
+        line = table.first_line + int(falls[0]) + 1
+        raise BadSource(
+            f"{table.where}, line {line}, column {column!r}: time does not rise ({len(falls)} such lines); "
+            "correct the log, or import it with --drop-disordered"
+        )
+    if t_ns.min() < 0:
+        log.converted(f"all times moved by {-t_ns.min() / 1e9:.9f} s so that none is negative")
+        t_ns = t_ns - t_ns.min()
+    log.converted(f"time {column!r} in {unit}")
+    return t_ns, "unix" if t_ns[0] >= UNIX_FROM_NS else "source"
+
+
+def _vector(
+    table: Table,
+    flag: str | None,
+    what: str,
+    units: dict[str, float],
+    target: str,
+    t_ns: Times,
+    options: CsvOptions,
+    log: Log,
+) -> Series | None:
+    """Three columns in SI; rows without any number in them are another sensor's and are left out, counted."""
+    if flag is None:
+        return None
+    values = _scaled(table, flag, f"--{what}", units, target, log)
+    series = finite(Series(t_ns, values), what, log)
+    if len(series.t_ns) == 0:
+        raise BadSource(f"{table.where}: no row has numbers in all columns of --{what}; check the columns")
+    return rising(series, what, log) if options.drop_disordered else series
+
+
+def _scaled(table: Table, flag: str, name: str, units: dict[str, float], target: str, log: Log) -> Floats:
+    columns, unit = _split(flag, "")
+    if not unit:
+        raise BadParameter(f"{name} {flag!r}: has no unit; write X,Y,Z:UNIT with one of {', '.join(units)}")
+    names, signs = _signed(columns, 3, name)
+    by = scale(unit, units, name)
+    log.converted(f"{name[2:]} {columns} {by.written} -> {target}{_flipped(signs)}")
+    return table.floats(names) * signs * by.factor
+
+
+def _truth(table: Table, t_ns: Times, options: CsvOptions, log: Log) -> Truth | None:
+    """Quaternions w, x, y, z that take the body to the local frame; empty rows are gaps."""
+    if options.truth is None:
+        return None
+    names, signs = _signed(options.truth, 4, "--truth")
+    values = table.floats(names) * signs
+    norm = np.linalg.norm(values, axis=1)
+    known = np.isfinite(norm) & (norm > 0.5)
+    if options.drop_disordered:
+        known &= np.diff(np.maximum.accumulate(t_ns), prepend=-1) > 0
+    if not known.all():
+        log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
+    if not known.any():
+        raise BadSource(f"{table.where}: no row has a quaternion in {options.truth}; check the columns of --truth")
+    if np.abs(norm[known] - 1).max() > 0.01:
+        row = table.first_line + int(np.flatnonzero(known)[np.abs(norm[known] - 1).argmax()])
+        raise BadSource(f"{table.where}, line {row}: the columns of --truth are no unit quaternion; check their order")
+    to_enu = local_from_enu(options.truth_frame).inv()
+    q_nb = quaternion(to_enu * rotation(values[known]))
+    log.converted(f"truth {options.truth} as w,x,y,z, body -> {options.truth_frame.upper()} -> East-North-Up")
+    moving = np.ones(int(known.sum()), dtype=np.bool_)
+    if options.moving is not None:
+        moving = table.floats((options.moving,))[known, 0] > 0
+    position = None
+    if options.position is not None:
+        local = _scaled(table, options.position, "--position", LENGTH, "m", log)[known]
+        position = local @ to_enu.as_matrix().T
+    return Truth(t_ns[known], q_nb, moving, position)
+
+
+def _split(text: str, default: str) -> tuple[str, str]:
+    """Columns and unit of ``COLUMNS:UNIT``."""
+    columns, colon, unit = text.rpartition(":")
+    return (columns.strip(), plain(unit)) if colon else (text.strip(), default)
+
+
+def _signed(columns: str, count: int, flag: str) -> tuple[tuple[str, ...], Floats]:
+    parts = [part.strip() for part in columns.split(",")]
+    if len(parts) != count or not all(part.lstrip("-") for part in parts):
+        raise BadParameter(f"{flag} {columns!r}: names {len(parts)} columns, not {count}; write them as A,B,C")
+    signs = np.array([-1.0 if part.startswith("-") else 1.0 for part in parts])
+    names = tuple(part[1:] if part.startswith("-") else part for part in parts)
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise BadParameter(f"{flag} {columns!r}: names the column {doubled!r} twice")
+    return names, signs
+
+
+def _flipped(signs: Floats) -> str:
+    axes = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]
+    return f", sign of {', '.join(axes)} flipped" if axes else ""

@@ -1,0 +1,175 @@
+"""Exports of the phone app phyphox: its zip of CSV files, the folder inside, or one CSV file.
+
+Columns say what they are by their unit: ``Gyroscope x (rad/s)``, ``Acceleration x (m/s^2)``,
+``Magnetic field x (uT)``, after a time in s since the start. phyphox gives Android's signs on iOS too, and leaves
+pauses out of its time; ``meta/time.csv`` says when each start was. Separator and decimal sign follow the user's
+settings, and the words follow the user's language.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.importers.bundle import Bundle, digests, open_bundle
+from stillpoint.datasets.importers.clock import (
+    Log,
+    Series,
+    finite,
+    finite_rows,
+    from_zero,
+    merge,
+    rising,
+    seconds_to_ns,
+)
+from stillpoint.datasets.importers.delimited import Table, parse
+from stillpoint.datasets.importers.gps import fixes
+from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.units import FIELD, FORCE, RATE, plain
+from stillpoint.datasets.recording import Floats, Gps, Info, Mag, Recording, Times
+
+SENSORS = {"gyro": RATE, "accel": FORCE, "mag": FIELD}
+TARGET = {"gyro": "rad/s", "accel": "m/s^2", "mag": "uT"}
+AXIS = re.compile(r"^(?P<what>.*?)\b(?P<axis>[xyz])\s*\((?P<unit>[^)]*)\)\s*$", re.IGNORECASE)
+WITHOUT_GRAVITY = re.compile(r"lin[eéi]a", re.IGNORECASE)
+PLACE = (("latitude", "°"), ("longitude", "°"), ("height", "m"), ("direction", "°"), ("velocity", "m/s"))
+
+
+@dataclass(frozen=True)
+class Found:
+    """One sensor's columns in one file."""
+
+    sensor: str
+    table: Table
+    columns: tuple[str, str, str]
+    unit: str
+
+
+def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Recording]:
+    """The one recording of an export. Raises :class:`BadSource`."""
+    bundle = _bundle(source)
+    log = Log()
+    tables = [
+        parse(text, bundle.where(name)) for name, text in bundle.texts.items() if not name.lower().startswith("meta/")
+    ]
+    found = [sensor for table in tables for sensor in _sensors(table, log)]
+    starts = _starts(bundle, log)
+    streams = {sensor: _series(source, sensor, found, starts, log) for sensor in SENSORS}
+    gyro, accel, mag = streams["gyro"], streams["accel"], streams["mag"]
+    if gyro is None or accel is None:
+        missing = "gyroscope (rad/s)" if gyro is None else "acceleration with gravity (m/s^2)"
+        raise BadSource(f"{source}: has no columns x, y, z of the {missing}; record it with phyphox and export again")
+    imu = merge(gyro, accel, str(source), log)
+    device = _properties(bundle)
+    unix = len(starts) > 0
+    info = Info(
+        source="phyphox",
+        licence=options.licence,
+        citation=options.citation,
+        sensor=options.sensor or device.get("deviceModel", ""),
+        epoch="unix" if unix else "source",
+        date=datetime.fromtimestamp(imu.t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
+        mag_uncalibrated=options.mag_uncalibrated,
+        units_unchecked=options.units_unchecked,
+        sha256=bundle.sha256,
+        extra={key: device[key] for key in ("version", "deviceBrand", "deviceRelease") if key in device},
+    )
+    gps = _gps(tables, starts, log)
+    info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
+    yield Recording(bundle.name, imu=imu, mag=None if mag is None else Mag(mag.t_ns, mag.values), gps=gps, info=info)
+
+
+def _bundle(source: Path) -> Bundle:
+    if source.suffix.lower() == ".csv" and source.is_file():
+        text = source.read_text(encoding="utf-8-sig")
+        return Bundle(source, {source.name: text}, digests([source], source.parent))
+    return open_bundle(source)
+
+
+def _sensors(table: Table, log: Log) -> Iterator[Found]:
+    """The sensors of a file, by the units of columns that end in x, y, z."""
+    groups: dict[tuple[str, str], dict[str, str]] = {}
+    for column in table.columns:
+        match = AXIS.match(column)
+        if match:
+            groups.setdefault((match["what"].strip(), plain(match["unit"])), {})[match["axis"].lower()] = column
+    for (what, unit), axes in groups.items():
+        sensor = next((name for name, units in SENSORS.items() if unit in units), None)
+        if sensor is None or set(axes) != set("xyz"):
+            continue
+        if sensor == "accel" and WITHOUT_GRAVITY.search(f"{what} {Path(table.where).name}"):
+            log.noted(f"{Path(table.where).name}: acceleration without gravity is not imported")
+            continue
+        yield Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
+
+
+def _series(source: Path, sensor: str, found: list[Found], starts: Floats, log: Log) -> Series | None:
+    here = [one for one in found if one.sensor == sensor]
+    if len(here) > 1:
+        places = " and ".join(f"{Path(one.table.where).name} ({one.columns[0]})" for one in here)
+        raise BadSource(f"{source}: {sensor} stands twice, in {places}; leave one of them in the folder")
+    if not here:
+        return None
+    one = here[0]
+    values = one.table.floats(one.columns) * SENSORS[sensor][one.unit]
+    log.converted(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {TARGET[sensor]}")
+    series = finite(Series(_clock(one.table, starts), values), sensor, log)
+    return rising(from_zero(series, sensor, log), sensor, log)
+
+
+def _time_column(table: Table) -> str:
+    times = [column for column in table.columns if column.strip().lower().endswith("(s)")]
+    if len(times) != 1:
+        said = f"has {len(times)} time columns ({', '.join(times)})" if times else "has no time column 'Time (s)'"
+        raise BadSource(f"{table.where}: {said}; export the raw data of one experiment")
+    return times[0]
+
+
+def _clock(table: Table, starts: Floats) -> Times:
+    """Nanoseconds: since 1970 where the starts are known, else since the start of the experiment."""
+    t_ns = table.times(_time_column(table), 0)
+    if len(starts) == 0:
+        return t_ns
+    experiment_ns = seconds_to_ns(starts[:, 0])
+    at = np.clip(np.searchsorted(experiment_ns, t_ns, side="right") - 1, 0, len(starts) - 1)
+    system_ns = np.asarray(np.round(starts[:, 1] * 1e3), dtype=np.int64) * 1_000_000
+    return np.asarray(t_ns - experiment_ns[at] + system_ns[at], dtype=np.int64)
+
+
+def _starts(bundle: Bundle, log: Log) -> Floats:
+    """(K, 2) experiment time and system time, in s, of every start; K = 0 where they are not said."""
+    name = bundle.find("meta/time.csv")
+    if name is None:
+        log.noted("no meta/time.csv: times count from the start of the experiment, without its pauses")
+        return np.empty((0, 2))
+    table = parse(bundle.texts[name], bundle.where(name))
+    event = table.place("event")
+    times = table.floats(("experiment time", "system time"))
+    starts = times[[row[event].upper() == "START" for row in table.rows]]
+    if len(starts):
+        log.converted(f"experiment time -> system time (UTC) by meta/time.csv, {len(starts)} starts")
+    return starts
+
+
+def _properties(bundle: Bundle) -> dict[str, str]:
+    name = bundle.find("meta/device.csv")
+    if name is None:
+        return {}
+    return {row[0]: row[1] for row in parse(bundle.texts[name], bundle.where(name)).rows if len(row) > 1}
+
+
+def _gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
+    for table in tables:
+        columns = [
+            next((c for c in table.columns if c.lower().startswith(word) and c.endswith(f"({unit})")), None)
+            for word, unit in PLACE
+        ]
+        if all(columns):
+            values = table.floats(tuple(str(column) for column in columns))
+            series = Series(_clock(table, starts), values)
+            keep = finite_rows(series.values[:, :2])
+            return fixes(series.where(keep), log) if keep.any() else None
+    return None
