@@ -49,6 +49,16 @@ class Alignment:
         """The offset on the clocks' grid."""
         return round(self.time_offset_s * 1e9)
 
+    def found(self) -> dict[str, float | list[float]]:
+        """For tables and machines: heading and size of the mounting in deg, its rotation vector, the clock in s."""
+        rotvec_deg = np.rad2deg(self.mounting_rotvec_rad)
+        return {
+            "heading_deg": float(np.rad2deg(self.heading_rad)),
+            "mounting_deg": float(np.linalg.norm(rotvec_deg)),
+            "mounting_rotvec_deg": rotvec_deg.tolist(),
+            "time_s": self.time_offset_s,
+        }
+
     @property
     def mounting(self) -> Rotation:
         """M: vectors of the estimate's body to the truth's."""

@@ -166,8 +166,8 @@ def test_level_turns_leave_heading_and_mounting_as_one_angle():
     q_est = quaternion(heading_rotation(0.7) * rotation(q_true))
     found = score(Estimate(t_ns, "level", q_nb=q_est), as_truth(t_ns, q_true), "heading+mounting")
     assert found.total_max_deg < 1e-5
-    assert np.abs(found.alignment.mounting_rotvec_rad).max() < 1e-6
-    assert found.alignment.heading_rad == pytest.approx(0.7, abs=1e-6)
+    assert np.abs(found.alignment.mounting_rotvec_rad).max() < 1e-4
+    assert found.alignment.heading_rad == pytest.approx(0.7, abs=1e-4)
 
 
 # --- what is counted

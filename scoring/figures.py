@@ -1,0 +1,183 @@
+"""Pictures of comparisons: ``(axes, view) -> None``, nothing computed that a score does not say.
+
+Colours are Okabe and Ito's, which colour-blind readers can tell apart; the truth is drawn in the colour of the text.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+from stillpoint.datasets.frames import EulerFrame, euler, rotation
+from stillpoint.datasets.recording import Times, Truth
+from stillpoint.datasets.trajectory import Reference
+from stillpoint.scoring.compare import Comparison, moving_samples, name_of
+from stillpoint.scoring.envelope import break_line, envelope
+from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.match import GAP_STEPS
+from stillpoint.scoring.score import Score
+
+Floats = NDArray[np.float64]
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
+SMALLEST_ERROR_DEG = 0.01  # lower end of a logarithmic axis
+WRAP_DEG = 180.0
+REST_GREY = "0.5"
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Estimates on one truth, and the stretch of time to show."""
+
+    comparisons: tuple[Comparison, ...]
+    truth: Reference | Truth
+    rests_ns: Times  # (R, 2)
+    frame: EulerFrame
+    zero_ns: int  # where the time axis starts
+    span_ns: tuple[int, int]
+
+    def seconds(self, t_ns: Times) -> Floats:
+        """Times on the picture's axis."""
+        return (t_ns - self.zero_ns) / 1e9
+
+    def within(self, t_ns: Times) -> slice:
+        """The samples inside the span."""
+        return slice(*np.searchsorted(t_ns, [self.span_ns[0], self.span_ns[1] + 1]))
+
+    def busiest(self, seconds: float) -> "View":
+        """The same view of the stretch of this length in which the truth turns most."""
+        t, rot = self.truth.t_ns, rotation(self.truth.q_nb)
+        turned = np.append(0.0, np.cumsum((rot[:-1].inv() * rot[1:]).magnitude()))
+        end = np.searchsorted(t, t + round(seconds * 1e9), side="right") - 1
+        start = int(np.argmax(turned[end] - turned))
+        return replace(self, span_ns=(int(t[start]), int(t[end[start]])))
+
+
+def view_of(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame) -> View:
+    """The whole run. A truth's rests are the stretches that it does not count as moving."""
+    rests_ns = truth.rests_ns if isinstance(truth, Reference) else _still_stretches(truth)
+    first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
+    return View(tuple(comparisons), truth, rests_ns, frame, first, (first, last))
+
+
+def draw_angles(axes: Sequence[Axes], view: View) -> None:
+    """Roll, pitch and yaw over time, one of the three axes each: the truth on top of the estimates."""
+    for k, c in enumerate(view.comparisons):
+        error_rad = float(attitude_error(c.q_est, c.q_true).total_rad.mean())
+        on_top_of_worse = 3 - error_rad / np.pi
+        _angles(axes, view, c.t_ns, c.q_est, label=c.estimated, color=colour_of(k), lw=1.0, zorder=on_top_of_worse)
+    truth = view.truth
+    _angles(axes, view, truth.t_ns, truth.q_nb, label=name_of(truth), color=rcParams["text.color"], lw=1.4, zorder=4.0)
+    for ax, name in zip(axes, ("roll", "pitch", "yaw"), strict=True):
+        ax.set_ylabel(f"{name} (deg)")
+        ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
+        _time_axis(ax, view)
+
+
+def draw_errors(axes: Sequence[Axes], view: View) -> None:
+    """Total error over time, one axes per estimate; the grey floor is the reference's own standard deviation."""
+    worst = max(float(attitude_error(c.q_est, c.q_true).total_rad.max()) for c in view.comparisons)
+    for k, (ax, comparison) in enumerate(zip(axes, view.comparisons, strict=True)):
+        shown = view.within(comparison.t_ns)
+        t_ns = comparison.t_ns[shown]
+        total = attitude_error(comparison.q_est[shown], comparison.q_true[shown]).total_rad
+        _line(ax, view, t_ns, np.maximum(np.rad2deg(total), SMALLEST_ERROR_DEG), np.inf, color=colour_of(k), lw=1.0)
+        ax.set_yscale("log")
+        ax.set_ylim(SMALLEST_ERROR_DEG, max(2 * np.rad2deg(worst), 10.0))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.minorticks_off()
+        ax.set_ylabel("deg")
+        ax.set_title(comparison.estimated, loc="left", color=colour_of(k), fontweight="bold")
+        if comparison.true_cov_b_rad2 is not None:
+            sd = np.rad2deg(np.sqrt(np.trace(comparison.true_cov_b_rad2[shown], axis1=1, axis2=2)))
+            t, floor = envelope(view.seconds(t_ns), sd, _columns(ax))
+            ax.fill_between(t, SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
+        _time_axis(ax, view)
+
+
+def draw_band(axes: Sequence[Axes], view: View) -> None:
+    """Error of the first comparison about east, north and up, with the 3-sigma band of its own covariance."""
+    comparison = view.comparisons[0]
+    shown = view.within(comparison.t_ns)
+    t_ns, q_est = comparison.t_ns[shown], comparison.q_est[shown]
+    error_deg = np.rad2deg(rotation_error_n(q_est, comparison.q_true[shown]))
+    turn = rotation(q_est).as_matrix()
+    for k, (ax, name) in enumerate(zip(axes, ("east", "north", "up"), strict=True)):
+        if comparison.cov_b_rad2 is not None:
+            row = turn[:, k]
+            sd = np.rad2deg(np.sqrt(np.einsum("ni,nij,nj->n", row, comparison.cov_b_rad2[shown], row)))
+            t, band = envelope(view.seconds(t_ns), 3 * sd, _columns(ax))
+            ax.fill_between(t, -band, band, color=colour_of(5), alpha=0.35, lw=0, label="3 standard deviations")
+        _line(ax, view, t_ns, error_deg[:, k], WRAP_DEG, color=colour_of(0), lw=1.0, label="error")
+        ax.set_ylabel(f"about {name} (deg)")
+        _time_axis(ax, view)
+
+
+def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
+    """RMSE of each estimate, best on top: total, heading and inclination on one logarithmic axis."""
+    ordered = sorted(scores, key=lambda s: -s.total_rmse_deg)
+    marks = {"total": ("o", 70), "heading": ("^", 45), "inclination": ("s", 38)}
+    rows = np.arange(len(ordered))
+    floor_deg = SMALLEST_ERROR_DEG
+    for k, (name, (marker, size)) in enumerate(marks.items()):
+        values = np.maximum([getattr(s, f"{name}_rmse_deg") for s in ordered], floor_deg)
+        if name == "total":
+            ax.hlines(rows, floor_deg / 2, values, color=colour_of(k), lw=2, alpha=0.5, zorder=1)
+            for row, value in zip(rows, values, strict=True):
+                ax.annotate(f"{value:.2f}°", (value, row), (9, 0), textcoords="offset points", va="center")
+        ax.scatter(values, rows, marker=marker, s=size, color=colour_of(k), label=name, zorder=3)
+    ax.set_xscale("log")
+    least = min(min(s.heading_rmse_deg, s.inclination_rmse_deg, s.total_rmse_deg) for s in ordered)
+    most = max(s.total_rmse_deg for s in ordered)
+    ax.set_xlim(max(least, floor_deg) / 1.6, max(most, floor_deg) * 2.5)
+    sd_deg = ordered[0].reference_sd_deg
+    if sd_deg is not None:
+        ax.axvspan(ax.get_xlim()[0], max(sd_deg, ax.get_xlim()[0]), color=REST_GREY, alpha=0.25, lw=0, zorder=0)
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.set_yticks(rows, [s.estimated for s in ordered])
+    ax.set_ylim(-0.6, len(ordered) - 0.4)
+    ax.set_xlabel("RMSE over the moving samples (deg)")
+    ax.grid(axis="y", visible=False)
+
+
+def colour_of(k: int) -> str:
+    """The colour of the k-th estimate, the same in every picture of a report."""
+    return COLOURS[k % len(COLOURS)]
+
+
+def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:
+    shown = view.within(t_ns)
+    for ax, column_rad in zip(axes, euler(q_nb[shown], view.frame).T, strict=True):
+        _line(ax, view, t_ns[shown], np.rad2deg(column_rad), WRAP_DEG, **style)
+
+
+def _line(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
+    """One series, broken at gaps and wraps, with as many points as a picture can show."""
+    t = view.seconds(t_ns)
+    step = GAP_STEPS * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+    ax.plot(*envelope(*break_line(t, value, step, jump), _columns(ax)), **style)
+
+
+def _columns(ax: Axes) -> int:
+    """Stretches of time that the axes can tell apart: one per 2/72 inch."""
+    return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+
+
+def _time_axis(ax: Axes, view: View) -> None:
+    start_s, end_s = view.seconds(np.array(view.span_ns))
+    for first_s, last_s in view.seconds(view.rests_ns):
+        if last_s > start_s and first_s < end_s:
+            ax.axvspan(max(first_s, start_s), min(last_s, end_s), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
+    ax.set_xlim(start_s, end_s)
+    ax.xaxis.set_major_locator(MaxNLocator(max(_columns(ax) // 35, 3)))
+
+
+def _still_stretches(truth: Truth) -> Times:
+    still = ~moving_samples(truth)
+    edges = np.diff(still.astype(np.int8), prepend=0, append=0)
+    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return np.stack([truth.t_ns[first], truth.t_ns[last]], axis=1)

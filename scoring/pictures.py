@@ -1,0 +1,83 @@
+"""Figures as SVG text for a page: in the page's own font and ink, once for a desktop and once for a phone."""
+
+import html
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+INK, GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them
+WIDTHS_PX = {"wide": 1040, "narrow": 358}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GRID,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.size": 0,
+    "ytick.major.size": 0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.spines.left": False,
+    "font.size": 12,
+    "axes.titlesize": 12,
+    "legend.frameon": False,
+    "lines.solid_joinstyle": "round",
+    "path.simplify_threshold": 0.3,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure in both widths, inline SVG."""
+
+    title: str
+    note: str
+    wide: str
+    narrow: str
+
+
+def picture(
+    title: str, note: str, rows: int, row_px: int, draw: Callable[[Sequence[Axes]], None], time_axis: bool = True
+) -> Picture:
+    """Draw the same axes, ``rows`` under each other, in both widths. ``draw`` gets the axes from top to bottom."""
+    drawn = {}
+    for name, width_px in WIDTHS_PX.items():
+        with mpl.rc_context(STYLE):
+            mpl.rcParams["svg.hashsalt"] = f"{title} {name}"
+            figure = Figure(figsize=(width_px / 72, (rows * row_px + 70) / 72), layout="constrained")
+            axes = list(figure.subplots(rows, 1, sharex=time_axis, squeeze=False)[:, 0])
+            draw(axes)
+            if time_axis:
+                axes[-1].set_xlabel("time (s)")
+            handles, labels = axes[0].get_legend_handles_labels()
+            if len(labels) > 1:
+                columns = min(len(labels), 7 if name == "wide" else 3)
+                figure.legend(
+                    handles, labels, loc="outside upper left", ncols=columns, handlelength=1.3, columnspacing=1
+                )
+            drawn[name] = _svg(figure, title, name)
+    return Picture(title, note, **drawn)
+
+
+def _svg(figure: Figure, title: str, name: str) -> str:
+    """The figure without what a page does not need, its paths to 1/10 px, its colours the page's."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), svg)
+    svg = re.sub(r'\bid="(?!m|p|C)[^"]*"', "", svg)
+    svg = svg.replace(INK, "currentColor").replace(GRID, "var(--grid)")
+    return svg.replace("<svg", f'<svg class="{name}" role="img" aria-label="{html.escape(title)}"', 1)
