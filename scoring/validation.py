@@ -1,0 +1,115 @@
+"""How true are references? The study that scores reference methods and offline peers against independent truth.
+
+The one module of scoring that runs the smoother and the filters.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from difflib import get_close_matches
+from statistics import mean, median
+from time import perf_counter
+
+import numpy as np
+from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.filters import ESTIMATORS, estimate
+from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.score import score
+from stillpoint.smoother import METHODS, reference
+
+FIGURES = ("total_rmse_deg", "heading_rmse_deg", "inclination_rmse_deg", "max_deg", "coverage95", "seconds")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the alignment took away; 0 where it was not asked for, None where there is no score."""
+
+    heading_deg: float | None = None
+    mounting_deg: float | None = None  # the angle of the mounting rotation
+    time_s: float | None = None  # positive: the estimate is late against the truth
+
+
+@dataclass(frozen=True)
+class ValidationRow:
+    """One recording with one method; figures as in :class:`~stillpoint.scoring.score.Score`, None when refused."""
+
+    recording: str
+    method: str
+    align: str
+    total_rmse_deg: float | None = None
+    heading_rmse_deg: float | None = None
+    inclination_rmse_deg: float | None = None
+    max_deg: float | None = None
+    coverage95: float | None = None  # None also for a method that states no covariance
+    seconds: float | None = None  # of making the reference or estimate
+    found: Found = field(default_factory=Found)
+    error: str | None = None  # why there are no figures
+
+
+def default_methods() -> list[str]:
+    """Every reference method and every offline peer."""
+    return [*METHODS, *(name for name, entry in ESTIMATORS.items() if entry.offline)]
+
+
+def check_methods(names: Sequence[str]) -> list[str]:
+    """The names, each once; raises :class:`BadParameter` for one that is neither a method nor an estimator."""
+    known = [*METHODS, *ESTIMATORS]
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise BadParameter(f"no reference method or estimator {name!r}; {hint}")
+    return list(dict.fromkeys(names))
+
+
+def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], align: AlignKind) -> list[ValidationRow]:
+    """One row per method for the recording that ``load`` gives; what is refused keeps its message in the row."""
+    rows = [ValidationRow(name, method, align) for method in methods]
+    try:
+        recording = load()
+        if recording.truth is None:
+            raise Unobservable(f"{recording.name}: has no independent truth; validate needs one")
+    except StillpointError as error:
+        return [replace(row, error=str(error)) for row in rows]
+    return [_validated(recording, row, align) for row in rows]
+
+
+def _validated(recording: Recording, row: ValidationRow, align: AlignKind) -> ValidationRow:
+    try:
+        begun = perf_counter()
+        made: Reference | Estimate = (
+            reference(recording, row.method) if row.method in METHODS else estimate(recording, row.method)
+        )
+        seconds = perf_counter() - begun
+        assert recording.truth is not None
+        scored = score(made, recording.truth, align)
+    except StillpointError as error:
+        return replace(row, error=str(error))
+    return replace(
+        row,
+        total_rmse_deg=scored.total_rmse_deg,
+        heading_rmse_deg=scored.heading_rmse_deg,
+        inclination_rmse_deg=scored.inclination_rmse_deg,
+        max_deg=scored.total_max_deg,
+        coverage95=scored.coverage95,
+        seconds=seconds,
+        found=Found(
+            heading_deg=float(np.rad2deg(scored.alignment.heading_rad)),
+            mounting_deg=float(np.rad2deg(np.linalg.norm(scored.alignment.mounting_rotvec_rad))),
+            time_s=scored.alignment.time_offset_s,
+        ),
+    )
+
+
+def summary(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
+    """Mean and median of each figure per method, over the recordings that it did not refuse."""
+    table: list[dict[str, object]] = []
+    for method in dict.fromkeys(row.method for row in rows):
+        mine = [asdict(row) for row in rows if row.method == method]
+        scored = [row for row in mine if row["error"] is None]
+        for name, of in (("mean", mean), ("median", median)):
+            columns = {figure: [row[figure] for row in scored if row[figure] is not None] for figure in FIGURES}
+            figures = {figure: of(values) if values else None for figure, values in columns.items()}
+            table.append({"statistic": name, "method": method, "scored": len(scored), "of": len(mine), **figures})
+    return table

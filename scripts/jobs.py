@@ -1,0 +1,71 @@
+"""Run one function over many inputs on a local process pool; what a user can put right becomes a result, not an end."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from rich.console import Console
+from rich.progress import Progress
+from stillpoint.datasets.errors import BadParameter, StillpointError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What one input gave: a value, or the one line that says why there is none."""
+
+    value: Result | None = None
+    error: str | None = None
+
+
+def run_jobs(
+    function: Callable[[Item], Result], items: Sequence[Item], jobs: int | None, what: str
+) -> list[Outcome[Result]]:
+    """``function`` of each item, in their order, with progress on stderr.
+
+    ``jobs`` processes (None: one per core); with 1 everything runs in this process. ``function`` and items must
+    pickle. A :class:`StillpointError`, and a worker that dies, become outcomes; any other exception is raised.
+    """
+    if jobs is not None and jobs < 1:
+        raise BadParameter(f"--jobs {jobs}: give 1 or more")
+    workers = min(jobs or os.cpu_count() or 1, len(items))
+    outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
+    with Progress(console=Console(stderr=True), transient=True, disable=len(items) < 2) as progress:
+        task = progress.add_task(what, total=len(items))
+        if workers < 2:
+            for place, item in enumerate(items):
+                outcomes[place] = _caught(function, item)
+                progress.advance(task)
+            return outcomes
+        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            places: dict[Future[Outcome[Result]], int] = {
+                pool.submit(_caught, function, item): place for place, item in enumerate(items)
+            }
+            try:
+                for future in as_completed(places):
+                    outcomes[places[future]] = _result(future)
+                    progress.advance(task)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    return outcomes
+
+
+def _caught(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
+    try:
+        return Outcome(function(item))
+    except StillpointError as error:
+        return Outcome(error=str(error))
+
+
+def _result(future: Future[Outcome[Result]]) -> Outcome[Result]:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return Outcome(error="the process that worked on it, or one beside it, died (out of memory?); use fewer --jobs")

@@ -1,0 +1,154 @@
+"""``stillpoint reference``: make the reference trajectory of recordings."""
+
+import json as json_format
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from stillpoint.datasets import Reference, write
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.scripts import inputs
+from stillpoint.scripts.jobs import Outcome, run_jobs
+from stillpoint.scripts.tables import print_table
+from stillpoint.smoother import DEFAULT_METHOD
+from stillpoint.smoother import reference as make_reference
+from stillpoint.smoother.reference import method_of
+
+COLUMNS = ("recording", "method", "rests", "returns", "closing error, deg", "sd median, deg", "sd max, deg", "s")
+
+
+@dataclass(frozen=True)
+class _Job:
+    source: Path
+    target: Path
+    method: str
+
+
+def reference(
+    paths: Annotated[list[Path], Parameter(negative=())],
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
+    method: str = DEFAULT_METHOD,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
+    jobs: int | None = None,
+    json: str | None = None,
+) -> int:
+    """Make the reference trajectory of recordings.
+
+    Writes NAME.reference.mcap for each recording NAME.mcap, or NAME.METHOD.reference.mcap with several methods. A
+    recording that does not fix a reference is named with the reason and what to do; the exit code is then 2, and the
+    others are made.
+
+    Parameters
+    ----------
+    paths
+        Recordings: MCAP files, folders or globs.
+    out
+        Folder to write into; made when it is not there.
+    method
+        How: redistribution (paper 002), redistribution-earth; several with commas between.
+    set_
+        A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them).
+    jobs
+        Processes; by default one per core.
+    json
+        Also write the table's facts as JSON to this file; - is the standard output.
+    """
+    methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
+    for name in methods:
+        method_of(name)
+    settings = _settings(set_ or [])
+    folder = inputs.output_dir(out)
+    work = _jobs(inputs.recordings(paths), methods, folder)
+    outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
+    if len(work) == 1 and outcomes[0].error is not None:
+        raise StillpointError(outcomes[0].error)
+    rows = [_row(job, outcome) for job, outcome in zip(work, outcomes, strict=True)]
+    if json != "-":
+        print_table("references", COLUMNS, [[_cells(row) for row in rows]])
+        for row in rows:
+            if row["error"] is not None:
+                print(f"not made: {row['error']}")
+    if json is not None:
+        text = json_format.dumps({"rows": rows}, indent=2)
+        print(text) if json == "-" else Path(json).write_text(text + "\n", encoding="utf-8")
+    return 2 if any(row["error"] is not None for row in rows) else 0
+
+
+def _settings(pairs: Sequence[str]) -> dict[str, str]:
+    settings = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise BadParameter(f"--set {pair}: write NAME=VALUE, for example returns.tilt_gate_rad=0.02")
+        settings[name.strip()] = value.strip()
+    return settings
+
+
+def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list[_Job]:
+    work = [
+        _Job(source, folder / f"{source.stem}{f'.{name}' if len(methods) > 1 else ''}.reference.mcap", name)
+        for source in sources
+        for name in methods
+    ]
+    twice = [target for target, count in Counter(job.target for job in work).items() if count > 1]
+    if twice:
+        raise BadParameter(f"{twice[0].name}: two recordings have this name; write them to different folders")
+    return work
+
+
+def _make(job: _Job, settings: dict[str, str]) -> dict[str, Any]:
+    """Read, make, write; the facts of the table."""
+    recording = read_recording(job.source)
+    begun = perf_counter()
+    made = replace(make_reference(recording, job.method, settings), made_from={job.source.name: sha256(job.source)})
+    seconds = perf_counter() - begun
+    write(job.target, made)
+    return {**_facts(made), "seconds": seconds}
+
+
+def _facts(made: Reference) -> dict[str, Any]:
+    sd_deg = np.rad2deg(np.sqrt(np.trace(made.cov_b_rad2, axis1=1, axis2=2)))
+    return {
+        "samples": len(made.t_ns),
+        "rests": len(made.rests_ns),
+        "returns": [
+            {"start_s": (one.start_ns - int(made.t_ns[0])) / 1e9, "accepted": one.accepted, "reason": one.reason}
+            for one in made.returns
+        ],
+        "sd_median_deg": float(np.median(sd_deg)),
+        "sd_max_deg": float(sd_deg.max()),
+        "diagnostics": dict(made.diagnostics),
+    }
+
+
+def _row(job: _Job, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
+    named = {"recording": job.source.stem, "method": job.method}
+    if outcome.value is None:
+        return {**named, "file": None, "error": outcome.error}
+    return {**named, "file": str(job.target), **outcome.value, "error": None}
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    if row["error"] is not None:
+        return [row["recording"], row["method"], *["-"] * (len(COLUMNS) - 2)]
+    accepted = sum(one["accepted"] for one in row["returns"])
+    closing = row["diagnostics"].get("closing_error_deg", [])
+    return [
+        row["recording"],
+        row["method"],
+        str(row["rests"]),
+        f"{accepted} of {len(row['returns'])}",
+        ", ".join(f"{error:.1f}" for error in closing) or "-",
+        f"{row['sd_median_deg']:.2f}",
+        f"{row['sd_max_deg']:.2f}",
+        f"{row['seconds']:.1f}",
+    ]

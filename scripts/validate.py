@@ -1,0 +1,101 @@
+"""``stillpoint validate``: score references against independent truth."""
+
+import json as json_format
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from stillpoint.datasets.store import read_recording
+from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
+from stillpoint.scoring.validation import validate as validate_recording
+from stillpoint.scripts import inputs
+from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.tables import print_table
+
+COLUMNS = (
+    "recording",
+    "method",
+    "total, deg",
+    "heading, deg",
+    "inclination, deg",
+    "max, deg",
+    "in 95 %",
+    "s",
+    "found: heading, deg",
+    "mounting, deg",
+    "time, ms",
+)
+
+
+def validate(
+    paths: Annotated[list[Path], Parameter(negative=())],
+    /,
+    *,
+    align: AlignKind = "heading",
+    methods: str | None = None,
+    jobs: int | None = None,
+    json: str | None = None,
+) -> int:
+    """Score references against independent truth: one row per recording and method, then mean and median.
+
+    Errors are RMSEs over the moving samples of the truth, as in BROAD. "in 95 %" is the share of these whose error lies
+    in the 95 % ellipsoid of the stated covariance. Exit code 2 when nothing could be scored.
+
+    Parameters
+    ----------
+    paths
+        Recordings with truth: MCAP files, folders or globs.
+    align
+        What the two may differ in: none, heading, heading+mounting, heading+mounting+time.
+    methods
+        Names of reference methods and of estimators with commas between; by default every reference method and every
+        offline estimator.
+    jobs
+        Processes; by default one per core.
+    json
+        Also write the rows as JSON to this file; - is the standard output.
+    """
+    chosen = default_methods() if methods is None else check_methods([name.strip() for name in methods.split(",")])
+    sources = inputs.recordings(paths)
+    outcomes = run_jobs(partial(_validate, methods=chosen, align=align), sources, jobs, "validate")
+    rows: list[ValidationRow] = []
+    for source, outcome in zip(sources, outcomes, strict=True):
+        lost = [ValidationRow(source.stem, method, align, error=outcome.error) for method in chosen]
+        rows += lost if outcome.value is None else outcome.value
+    means = summary(rows)
+    if json != "-":
+        _print(rows, means, align)
+    if json is not None:
+        text = json_format.dumps({"rows": [asdict(row) for row in rows], "summary": means}, indent=2)
+        print(text) if json == "-" else Path(json).write_text(text + "\n", encoding="utf-8")
+    return 0 if any(row.error is None for row in rows) else 2
+
+
+def _validate(source: Path, methods: list[str], align: AlignKind) -> list[ValidationRow]:
+    return validate_recording(source.stem, partial(read_recording, source), methods, align)
+
+
+def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -> None:
+    scored = [_figures(asdict(row)) + _found(row) for row in rows]
+    named = [[row.recording, row.method, *cells] for row, cells in zip(rows, scored, strict=True)]
+    below = [
+        [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_figures(row), "", "", ""]
+        for row in means
+    ]
+    print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below])
+    for message in dict.fromkeys(f"{row.method}: {row.error}" for row in rows if row.error is not None):
+        print(f"not scored: {message}")
+
+
+def _figures(row: dict[str, Any]) -> list[str]:
+    return ["-" if row[name] is None else f"{row[name]:.2f}" for name in FIGURES]
+
+
+def _found(row: ValidationRow) -> list[str]:
+    found = row.found
+    if found.heading_deg is None or found.mounting_deg is None or found.time_s is None:
+        return ["-"] * 3
+    return [f"{found.heading_deg:.2f}", f"{found.mounting_deg:.2f}", f"{found.time_s * 1e3:.1f}"]
