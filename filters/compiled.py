@@ -22,7 +22,7 @@ def compiled(function: Function) -> Function:
     The code lies beside the package, or in numba's user cache where the package cannot be written.
     """
     dispatcher = njit(cache=True, error_model="numpy", nogil=True)(function)
-    drop_stale(Path(dispatcher.stats.cache_path))
+    drop_stale(Path(str(dispatcher.stats.cache_path)))
     return cast(Function, dispatcher)
 
 

@@ -1,25 +1,22 @@
-"""Attitude from gravity and the magnetic field: what every estimator of paper 002 leans on (eqs (4)-(9)).
+"""Gravity and the magnetic field as they come from the sensors: low pass, tilt and heading (paper 002, eqs (4)-(9))."""
 
-The accelerometer gives up, the field gives east = field x up: the axes of n seen from the body are the attitude. That
-is eqs (4)-(6) without their singularity at a pitch of 90 deg; eqs (7) and (8) turn it by the declination.
-"""
-
+from math import atan2, pi
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
-    about_up,
+    between,
     blend,
     cross,
     dot,
     from_rows,
-    multiply,
     norm,
+    rotate,
     scale,
 )
-from stillpoint.filters.sample import Sample
+from stillpoint.filters.sample import GAP_S, Sample
 
 # Less specific force than that is free fall: its direction says nothing about up.
 FREE_FALL_MPS2 = 1.0
@@ -28,77 +25,100 @@ LEAST_HORIZONTAL = 0.01
 
 
 class Fields(NamedTuple):
-    """The last raw vectors, for the low pass (9), and the last usable smoothed ones."""
+    """The last raw vectors, for the low pass (9), and the last usable smoothed ones, held in body axes."""
 
     raw_accel: Vector
     raw_mag: Vector
     accel: Vector
-    mag: Vector  # held in body axes between samples of the magnetometer
-    has_accel: bool
+    mag: Vector
+    since_accel_s: float  # time since the last usable one
+    since_mag_s: float
+    has_accel: bool  # False before the first usable one
     has_mag: bool
     n_free_fall: int  # accelerometer samples left out: too short to point up
     n_no_field: int  # magnetometer samples left out: zero
+
+
+class Fresh(NamedTuple):
+    """What one sample brought."""
+
+    accel: bool  # a usable specific force
+    mag: bool  # a usable field
+    mag_hold_s: float  # the time since the field before, which this one stands for
 
 
 @compiled
 def no_fields(zero: float) -> Fields:
     """Before the first sample."""
     none = (zero, zero, zero)
-    return Fields(none, none, none, none, False, False, 0, 0)
+    return Fields(none, none, none, none, zero, zero, False, False, 0, 0)
 
 
 @compiled
-def low_pass(fields: Fields, sample: Sample, share: float) -> tuple[Fields, bool, bool]:
-    """Eq (9): x_bar_k = share x_k + (1 - share) x_(k-1), the raw sample before; each sensor at its own rate.
+def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fresh]:
+    """Eq (9): x_bar_k = kappa x_k + (1 - kappa) x_(k-1), of raw samples, each sensor at its own rate.
 
-    Also returns whether this sample brought a usable specific force, and a usable field.
+    The first sample, and the first after a gap, stand alone.
     """
-    raw_accel, accel, has_accel, n_free_fall = fields.raw_accel, fields.accel, fields.has_accel, fields.n_free_fall
-    new_accel, new_mag = False, False
+    raw_accel, raw_mag, accel, mag, since_accel_s, since_mag_s, has_accel, has_mag, n_free_fall, n_no_field = fields
+    gap_s, zero = like(sample.dt_s, GAP_S), like(sample.dt_s, 0.0)
+    since_accel_s += sample.dt_s
+    since_mag_s += sample.dt_s
+    hold_s = since_mag_s
+    new_accel = new_mag = False
     if sample.has_accel:
-        smooth = blend(sample.accel_b_mps2, raw_accel if has_accel else sample.accel_b_mps2, share)
+        follows = has_accel and since_accel_s <= gap_s
+        smooth = blend(sample.accel_b_mps2, raw_accel if follows else sample.accel_b_mps2, kappa)
         raw_accel = sample.accel_b_mps2
-        if dot(smooth, smooth) >= like(share, FREE_FALL_MPS2 * FREE_FALL_MPS2):
-            accel, has_accel, new_accel = smooth, True, True
+        if dot(smooth, smooth) >= like(kappa, FREE_FALL_MPS2 * FREE_FALL_MPS2):
+            accel, since_accel_s, has_accel, new_accel = smooth, zero, True, True
         else:
             n_free_fall += 1
-    raw_mag, mag, has_mag, n_no_field = fields.raw_mag, fields.mag, fields.has_mag, fields.n_no_field
     if sample.has_mag:
         if dot(sample.mag_b_ut, sample.mag_b_ut) > 0:
-            mag = blend(sample.mag_b_ut, raw_mag if has_mag else sample.mag_b_ut, share)
-            raw_mag, has_mag, new_mag = sample.mag_b_ut, True, True
+            follows = has_mag and since_mag_s <= gap_s
+            mag = blend(sample.mag_b_ut, raw_mag if follows else sample.mag_b_ut, kappa)
+            raw_mag, since_mag_s, has_mag, new_mag = sample.mag_b_ut, zero, True, True
         else:
             n_no_field += 1
-    fields = Fields(raw_accel, raw_mag, accel, mag, has_accel, has_mag, n_free_fall, n_no_field)
-    return fields, new_accel, new_mag
+    return (
+        Fields(raw_accel, raw_mag, accel, mag, since_accel_s, since_mag_s, has_accel, has_mag, n_free_fall, n_no_field),
+        Fresh(new_accel, new_mag, hold_s),
+    )
 
 
 @compiled
 def level(accel: Vector) -> Quaternion:
-    """The attitude with this up and the body's x axis over north: yaw 0 in the paper's angles."""
+    """Eq (4) as a rotation: the attitude with this up and the body's x axis over north (the paper's yaw is 0)."""
     up = scale(accel, like(accel[0], 1.0) / norm(accel))
-    flat = like(up[0], 1.0) - up[0] * up[0]
-    zero = like(flat, 0.0)
-    if flat > like(flat, LEAST_HORIZONTAL * LEAST_HORIZONTAL):
-        north = scale(
-            (flat, -up[0] * up[1], -up[0] * up[2]), like(flat, 1.0) / norm((flat, -up[0] * up[1], -up[0] * up[2]))
-        )
-    else:  # x is vertical: y over west, where eq (4) has roll 0
-        side = cross((zero, like(flat, 1.0), zero), up)
-        north = scale(side, like(flat, 1.0) / norm(side))
-    return from_rows(cross(north, up), north, up)
+    one, zero = like(up[0], 1.0), like(up[0], 0.0)
+    if up[1] * up[1] + up[2] * up[2] > like(zero, 1e-8):
+        west = cross(up, (one, zero, zero))
+    else:  # x is vertical, its azimuth undefined: y over west, where eq (4) has roll 0
+        west = cross(cross(up, (zero, one, zero)), up)
+    west = scale(west, one / norm(west))
+    return from_rows((-west[0], -west[1], -west[2]), cross(west, up), up)
 
 
 @compiled
-def compass(accel: Vector, mag: Vector, declination_rad: float) -> tuple[Quaternion, bool]:
-    """The attitude by up and the field, and False where the field has no horizontal part (the attitude is then level).
+def uprighting(q_nb: Quaternion, accel: Vector) -> Quaternion:
+    """The smallest turn of n that brings the measured up of an attitude to the true one: about a horizontal axis."""
+    zero = like(q_nb[0], 0.0)
+    return between(rotate(q_nb, accel), (zero, zero, like(zero, 1.0)))
 
-    ``declination_rad`` is east of true north.
+
+@compiled
+def turn_to_north(q_nb: Quaternion, mag: Vector, declination_rad: float) -> tuple[float, bool]:
+    """Eqs (5)-(8): the turn about up, in (-pi, pi], after which the field points to magnetic north in n.
+
+    ``q_nb`` levels the field, (5). The declination is east of true north. False where the field has no horizontal part.
     """
-    up = scale(accel, like(accel[0], 1.0) / norm(accel))
-    east = cross(mag, up)
-    size = norm(east)
-    if not size > like(size, LEAST_HORIZONTAL) * norm(mag):
-        return level(accel), False
-    east = scale(east, like(size, 1.0) / size)
-    return multiply(about_up(-declination_rad), from_rows(east, cross(up, east), up)), True
+    east, north, up = rotate(q_nb, mag)
+    flat, least = east * east + north * north, like(east, LEAST_HORIZONTAL * LEAST_HORIZONTAL)
+    turn = atan2(east, north) - declination_rad
+    whole, half = like(turn, 2 * pi), like(turn, pi)
+    if turn > half:
+        turn -= whole
+    elif turn <= -half:
+        turn += whole
+    return turn, flat > least * (flat + up * up)

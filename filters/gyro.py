@@ -5,14 +5,13 @@ accelerometer sample sets the tilt, the first field the heading; across a gap th
 """
 
 from dataclasses import dataclass
-from math import atan2
 from typing import Literal, NamedTuple
 
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.fields import Fields, compass, level, low_pass, no_fields
+from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
 from stillpoint.filters.parameters import Parameters, parameter
-from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, conjugate, multiply, normalise, scale
+from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 
@@ -50,44 +49,29 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 
 @compiled
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
-    one, zero = like(c.newest, 1.0), like(c.newest, 0.0)
-    return State(no_fields(zero), (one, zero, zero, zero), (zero, zero, zero), False, False, 0)
-
-
-@compiled
-def set_out(state: State, fields: Fields, q_nb: Quaternion, new_mag: bool, c: Coefficients) -> tuple[Quaternion, bool]:
-    """The attitude with the tilt of the fields where there was none, and their heading when it is the first."""
-    found = False
-    if new_mag and not state.is_headed:
-        q_fields, found = compass(fields.accel, fields.mag, c.declination_rad)
-        if found and state.is_level:
-            error = multiply(q_fields, conjugate(q_nb))
-            q_nb = multiply(about_up(like(c.newest, 2.0) * atan2(error[3], error[0])), q_nb)
-        elif found:
-            q_nb = q_fields
-    if not found and not state.is_level:
-        q_nb = level(fields.accel)
-    return q_nb, found
+    """Before the first sample: level, x over north."""
+    zero, half = like(c.newest, 0.0), like(c.newest, 0.5**0.5)
+    return State(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), False, False, 0)
 
 
 @compiled
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Turn by rate times interval."""
-    q_nb, is_level, is_headed = state.q_nb, state.is_level, state.is_headed
-    rate = blend(sample.gyro_b_radps, state.rate_b_radps, c.newest) if sample.dt_s > 0 else sample.gyro_b_radps
+    fields, q_nb, is_level, is_headed, n_gaps = state.fields, state.q_nb, state.is_level, state.is_headed, state.n_gaps
     if is_level:
+        rate = blend(sample.gyro_b_radps, state.rate_b_radps, c.newest)
         q_nb = normalise(multiply(q_nb, rotation.exp(scale(rate, sample.dt_s))))
-    fields = state.fields
+    if sample.dt_s > like(sample.dt_s, GAP_S):
+        n_gaps += 1
     if not (is_level and is_headed):
-        fields, new_accel, new_mag = low_pass(fields, sample, like(c.newest, 1.0))
-        if new_accel:
-            q_nb, found = set_out(state, fields, q_nb, new_mag, c)
-            is_level, is_headed = True, is_headed or found
-    n_gaps = state.n_gaps + (1 if sample.dt_s > like(sample.dt_s, GAP_S) else 0)
-    return State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps), Output(
-        q_nb, None, None, None, is_level
-    )
+        fields, fresh = low_pass(fields, sample, like(c.newest, 1.0))
+        if fresh.accel and not is_level:
+            q_nb, is_level = multiply(uprighting(q_nb, fields.accel), q_nb), True
+        if fresh.mag and is_level:
+            turn, is_headed = turn_to_north(q_nb, fields.mag, c.declination_rad)
+            q_nb = multiply(about_up(turn), q_nb) if is_headed else q_nb
+    state = State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps)
+    return state, Output(q_nb, None, None, None, is_level)
 
 
 @compiled

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets import BadParameter, Recording
 from stillpoint.filters.parameters import Parameters, parameter
 
 Floats = NDArray[np.float64]
@@ -38,6 +38,23 @@ class PeerTrack(NamedTuple):
 
     q_nb: Floats  # (N, 4) wxyz, body to magnetic East-North-Up
     gyro_bias_b_radps: Floats | None  # (N, 3)
+
+
+def at_constant_rate(recording: Recording) -> tuple[PeerInput, dict[str, Any]]:
+    """The recording at its mean interval, and how far that and the held field are from the truth."""
+    imu, mag = recording.require_imu(), recording.mag
+    n = len(imu.t_ns)
+    since_start_s = (imu.t_ns - imu.t_ns[0]) / 1e9
+    interval_s = float(since_start_s[-1]) / (n - 1) if n > 1 else 0.01
+    off_s = since_start_s - interval_s * np.arange(n)
+    facts: dict[str, Any] = {"interval_s": interval_s, "worst_clock_error_s": float(np.abs(off_s).max())}
+    if mag is None:
+        return PeerInput(interval_s, imu.gyro_b_radps, imu.accel_b_mps2, None), facts
+    newest = np.searchsorted(mag.t_ns, imu.t_ns, side="right") - 1
+    facts["n_before_first_mag"] = int((newest < 0).sum())  # these get the first field, from their future
+    newest = np.maximum(newest, 0)
+    facts["worst_mag_age_s"] = float((imu.t_ns - mag.t_ns[newest]).max()) / 1e9
+    return PeerInput(interval_s, imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut[newest]), facts
 
 
 def vqf(data: PeerInput, params: VqfParams) -> PeerTrack:

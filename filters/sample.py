@@ -91,6 +91,17 @@ def keep(track: Track, k: int, output: Output) -> None:
     track.ready[k] = output.ready
 
 
+def counts(state: Any) -> dict[str, int]:
+    """What an estimator left out or met: the fields of a state, and of states within it, that begin with ``n_``."""
+    found: dict[str, int] = {}
+    for name, value in state._asdict().items():
+        if hasattr(value, "_asdict"):
+            found |= counts(value)
+        elif name.startswith("n_"):
+            found[name] = int(value)
+    return found
+
+
 def put(column: Any, k: int, values: Any) -> None:
     """Write a tuple into row ``k``; nothing where there is no column."""
     if column is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.filters import complementary, gyro, peers, tilt
+from stillpoint.filters import complementary, gyro, moving_average, peers, tilt
 from stillpoint.filters.parameters import Parameters, nearest
 
 
@@ -43,6 +43,7 @@ def _ours(module: Any, summary: str, **gives: Any) -> Estimator:
 
 ESTIMATORS: dict[str, Estimator | Peer] = {
     "acc": _ours(tilt, "tilt and compensated heading from accelerometer and magnetometer (paper 002)"),
+    "acc-ma": _ours(moving_average, "moving average of acc over 7 s (paper 002)"),
     "gyro": _ours(gyro, "integrated rate, never corrected (paper 002)"),
     "cf": _ours(complementary, "second-order complementary filter (paper 002, eq 11)", gives_bias=True),
     "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),

@@ -1,16 +1,16 @@
 """``acc``: tilt from the accelerometer, heading from the magnetometer, no gyro (paper 002, eqs (4)-(9)).
 
-Between samples of a slower magnetometer its last field is held in body axes; without any the heading is 0 (body x over
-north). True only where the sensor is not accelerated.
+Between samples of a slower magnetometer its last field is held in body axes; without any the paper's yaw is 0 (body x
+over north). True only where the sensor is not accelerated.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.fields import Fields, compass, level, low_pass, no_fields
+from stillpoint.filters.fields import Fields, level, low_pass, no_fields, turn_to_north
 from stillpoint.filters.parameters import Parameters, parameter
-from stillpoint.filters.rotation import Quaternion
+from stillpoint.filters.rotation import Quaternion, about_up, multiply
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 
@@ -51,16 +51,18 @@ def start(c: Coefficients) -> State:
 @compiled
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """The attitude by this sample alone (and the raw one before it, eq (9))."""
-    fields, _, _ = low_pass(state.fields, sample, c.kappa)
+    fields, _ = low_pass(state.fields, sample, c.kappa)
     q_nb, n_no_north = state.q_nb, state.n_no_north
-    if fields.has_mag and fields.has_accel:
-        q_new, found = compass(fields.accel, fields.mag, c.declination_rad)
-        if found:
-            q_nb = q_new
+    if fields.has_accel:
+        q_level = level(fields.accel)
+        if fields.has_mag:
+            turn, found = turn_to_north(q_level, fields.mag, c.declination_rad)
+            if found:
+                q_nb = multiply(about_up(turn), q_level)
+            else:
+                n_no_north += 1
         else:
-            n_no_north += 1
-    elif fields.has_accel:
-        q_nb = level(fields.accel)
+            q_nb = q_level
     return State(fields, q_nb, n_no_north), Output(q_nb, None, None, None, fields.has_accel)
 
 

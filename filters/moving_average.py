@@ -1,0 +1,140 @@
+"""``acc-ma``: the mean of ``acc`` over the last seconds (paper 002, table 1).
+
+The mean is taken of n's axes as the body sees them, never of angles: the sum of up and the sum of east over the window,
+squared up again. It has no wrap; for attitudes close together it is their mean rotation.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.filters import tilt
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.parameters import Parameters, parameter
+from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+
+# Sums shorter than that share of what was summed point nowhere: the attitudes of the window cancel each other.
+LEAST_SUM = 0.01
+
+
+@dataclass(frozen=True)
+class Params(Parameters):
+    """Parameters of ``acc-ma``."""
+
+    window_s: float = parameter(7.0, "length of the moving average, s", 0.0, 600.0)
+    kappa: float = parameter(0.7, "share of the newest raw sample in the low pass (9); 1 = no low pass", 0.0, 1.0)
+    room_hz: float = parameter(
+        1000.0, "fastest rate that the window has room for (faster: shorter window), Hz", 1.0, 1e4
+    )
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    tilt: tilt.Coefficients
+    window_ns: int
+    room: int  # rows of the ring
+
+
+class Window(NamedTuple):
+    """The last seconds. The ring is handed on from step to step and written in place."""
+
+    ring: NDArray[np.float64]  # (room, 6) up and east, seen from the body
+    stamps_ns: NDArray[np.int64]  # (room,) since the first sample
+    oldest: int  # row
+    held: int
+    up: Vector  # sums over the window
+    east: Vector
+    is_full: bool
+    n_cut: int  # samples for which the ring had no room for the whole window
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    tilt: tilt.State
+    window: Window
+    t_ns: int  # since the first sample
+    q_nb: Quaternion
+    n_no_mean: int  # samples that keep the mean before: the attitudes cancel each other
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of these parameters at a place with this declination (east of true north)."""
+    room = int(params.window_s * params.room_hz) + 2
+    return Coefficients(tilt.Coefficients(params.kappa, declination_rad), round(params.window_s * 1e9), room)
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    one, zero = like(c.tilt.kappa, 1.0), like(c.tilt.kappa, 0.0)
+    none = (zero, zero, zero)
+    window = Window(np.full((c.room, 6), zero), np.full(c.room, 0), 0, 0, none, none, False, 0)
+    return State(tilt.start(c.tilt), window, 0, (one, zero, zero, zero), 0)
+
+
+@compiled
+def row_at(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
+    """Up and east of one sample in the window."""
+    return (ring[row, 0], ring[row, 1], ring[row, 2]), (ring[row, 3], ring[row, 4], ring[row, 5])
+
+
+@compiled
+def slide(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
+    """The window with one attitude more at its end, and without those that are now too old."""
+    one, zero = like(q_nb[0], 1.0), like(q_nb[0], 0.0)
+    ring, stamps_ns, oldest, held, up_sum, east_sum, is_full, n_cut = window
+    while held > 0 and (t_ns - stamps_ns[oldest] >= c.window_ns or held == c.room):
+        if t_ns - stamps_ns[oldest] < c.window_ns:
+            n_cut += 1
+        up, east = row_at(ring, oldest)
+        up_sum, east_sum = add(up_sum, scale(up, -one)), add(east_sum, scale(east, -one))
+        oldest, held, is_full = (oldest + 1) % c.room, held - 1, True
+    row, q_bn = (oldest + held) % c.room, conjugate(q_nb)
+    up, east = rotate(q_bn, (zero, zero, one)), rotate(q_bn, (one, zero, zero))
+    ring[row, 0], ring[row, 1], ring[row, 2] = up
+    ring[row, 3], ring[row, 4], ring[row, 5] = east
+    stamps_ns[row] = t_ns
+    return Window(ring, stamps_ns, oldest, held + 1, add(up_sum, up), add(east_sum, east), is_full, n_cut)
+
+
+@compiled
+def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
+    """The attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
+    one = like(q_nb[0], 1.0)
+    least = one * window.held * like(one, LEAST_SUM)
+    height = norm(window.up)
+    if height < least:
+        return q_nb, False
+    up = scale(window.up, one / height)
+    north = cross(up, window.east)
+    length = norm(north)
+    if length < least:
+        return q_nb, False
+    north = scale(north, one / length)
+    return from_rows(cross(north, up), north, up), True
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """``acc``, then its mean over the window."""
+    inner, output = tilt.step(state.tilt, sample, c.tilt)
+    t_ns = state.t_ns + round(np.float64(sample.dt_s) * 1e9)
+    window, q_nb, n_no_mean = state.window, state.q_nb, state.n_no_mean
+    if output.ready:
+        window = slide(window, output.q_nb, t_ns, c)
+        q_nb, found = mean(window, q_nb)
+        n_no_mean += 0 if found else 1
+    return State(inner, window, t_ns, q_nb, n_no_mean), Output(q_nb, None, None, None, window.is_full)
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, sample_at(log, k), c)
+        keep(track, k, output)
+    return state
