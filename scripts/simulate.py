@@ -1,6 +1,6 @@
 """``stillpoint simulate``: make recordings whose truth is known by construction."""
 
-import json as json_format
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +13,7 @@ from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import SENSORS, SIMULATIONS
 from stillpoint.datasets.simulate import simulate as make
 from stillpoint.scripts.inputs import output_dir
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 
 
 def simulate(
@@ -25,7 +26,7 @@ def simulate(
     minutes: float | None = None,
     rate: float = 100.0,
     sensor: str | None = None,
-    json: str | None = None,
+    json: JsonFile = None,
 ) -> None:
     """Make recordings whose truth is known by construction; the same options give the same bytes.
 
@@ -66,20 +67,17 @@ def simulate(
         path = folder / f"{recording.name}.mcap"
         write(path, recording)
         rows.append(_facts(path, recording))
-        if json != "-":
+        if json != STDOUT:
             print(_line(rows[-1]))
-    if json is not None:
-        text = json_format.dumps({"rows": rows}, indent=2)
-        print(text) if json == "-" else Path(json).write_text(text + "\n", encoding="utf-8")
+    write_json(json, rows)
 
 
 def _facts(path: Path, recording: Recording) -> dict[str, Any]:
-    rests = json_format.loads(recording.info.extra["rests_s"])
     return {
         "file": str(path),
         "minutes": recording.duration_s / 60,
         "rates_hz": {name: rate_hz(t_ns) for name, t_ns in recording.streams()},
-        "rests": len(rests),
+        "rests": len(loads(recording.info.extra["rests_s"])),
         "notes": list(recording.info.notes),
     }
 

@@ -1,7 +1,8 @@
 """The simulations: paper 002's protocol, exact truth, determinism, and accelerations of the paper's size."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -257,3 +258,16 @@ def test_impossible_wishes_are_refused_in_one_line(options, message):
     with pytest.raises(BadParameter, match=message) as caught:
         simulate(**options)
     assert "\n" not in str(caught.value)
+
+
+def test_the_page_about_the_model_states_the_values_in_use():
+    page = (Path(__file__).parents[1] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    rows = [[cell.strip(" `") for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("| ")]
+    stated = {(part, name): float(value) for part, name, value in rows if hasattr(PHONE, part)}
+    used = {
+        (part, name): value
+        for part, values in asdict(PHONE).items()
+        if part != "name"
+        for name, value in values.items()
+    }
+    assert stated == used

@@ -96,8 +96,8 @@ class Sensor:
 
 PERFECT = Sensor("perfect")
 
-# A telephone of about 2020 (IMU of the LSM6DSO or BMI260 class, magnetometer of the AK0991x class) whose system has
-# done its factory and background calibration; docs/simulation.md says where each number comes from.
+# A telephone with an IMU of the BMI160 class and a magnetometer of the AK0991x class, after its factory and background
+# calibration; docs/simulation.md says more on the numbers.
 PHONE = Sensor(
     "phone",
     gyro=GyroModel(
