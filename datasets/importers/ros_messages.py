@@ -46,7 +46,9 @@ LEAVES: dict[str, dict[str, tuple[str, ...]]] = {
 class Source(Protocol):
     """What a bag and an MCAP file have in common."""
 
-    types: Mapping[str, str]  # topic -> message type
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Topic -> message type."""
 
     def read(self, topic: str, leaves: tuple[str, ...], child: str | None, log: Log) -> Series:
         """The numbers of a topic on the stamps of its headers."""

@@ -130,9 +130,7 @@ def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
         log.noted(f"truth: {int(early.sum())} frames before the zero of the phone's clock dropped")
     keep = seen & ~early
     rotations = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)[keep]  # stored column by column
-    log.converted(
-        f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); its 10 ms grid is kept as it is"
-    )
+    log.converted(f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); given on a 10 ms grid")
     log.converted("truth rotation matrix (body -> East-North-Up) -> quaternion; positions mm -> m")
     q_nb = quaternion(Rotation.from_matrix(rotations))
     truth = Truth(t_ns[keep], q_nb, scored[keep], position_n_m[keep])

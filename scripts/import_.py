@@ -1,0 +1,248 @@
+"""``stillpoint import``: turn recordings of other formats into MCAP files."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from cyclopts import Group, Parameter
+from rich.console import Console
+from rich.table import Table
+from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.importers.table import IMPORTERS, Importer
+from stillpoint.datasets.recording import Recording, rate_hz
+from stillpoint.datasets.store import write
+from stillpoint.scripts.inputs import output_dir
+from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+
+OWN = Group("Own recordings (csv, sensorlogger, phyphox, ros)", sort_key=1)
+PHONES = Group("Phones (tyrex, sensorlogger)", sort_key=2)
+CSV = Group("Delimited logs (csv)", sort_key=3)
+ROS = Group("ROS (ros)", sort_key=4)
+FLAG = Annotated[bool, Parameter(negative="")]
+COLUMNS = Parameter(group=CSV, allow_leading_hyphen=True)
+STREAMS = ("imu", "mag", "gps", "truth")  # that importers make, in the order of the table
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A recording and the file it went to."""
+
+    source: Path
+    file: Path
+    recording: Recording
+
+
+def import_(
+    kind: str,
+    /,
+    *sources: Path,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    repair: FLAG = False,
+    units_unchecked: FLAG = False,
+    json: JsonTarget = None,
+    licence: Annotated[str | None, Parameter(group=OWN)] = None,
+    citation: Annotated[str | None, Parameter(group=OWN)] = None,
+    sensor: Annotated[str | None, Parameter(group=OWN)] = None,
+    mag_uncalibrated: Annotated[bool, Parameter(group=OWN, negative="")] = False,
+    mag: Annotated[str | None, Parameter(group=[PHONES, CSV], allow_leading_hyphen=True)] = None,
+    platform: Annotated[str | None, Parameter(group=PHONES)] = None,
+    config: Annotated[Path | None, Parameter(group=CSV)] = None,
+    time: Annotated[str | None, Parameter(group=CSV)] = None,
+    rate: Annotated[float | None, Parameter(group=CSV)] = None,
+    gyro: Annotated[str | None, COLUMNS] = None,
+    accel: Annotated[str | None, COLUMNS] = None,
+    truth: Annotated[str | None, COLUMNS] = None,
+    truth_frame: Annotated[str | None, Parameter(group=CSV)] = None,
+    position: Annotated[str | None, COLUMNS] = None,
+    moving: Annotated[str | None, Parameter(group=CSV)] = None,
+    delimiter: Annotated[str | None, Parameter(group=CSV)] = None,
+    drop_disordered: Annotated[bool, Parameter(group=CSV, negative="")] = False,
+    imu_topic: Annotated[str | None, Parameter(group=ROS)] = None,
+    mag_topic: Annotated[str | None, Parameter(group=ROS)] = None,
+    gps_topic: Annotated[str | None, Parameter(group=ROS)] = None,
+    truth_topic: Annotated[str | None, Parameter(group=ROS)] = None,
+    truth_child: Annotated[str | None, Parameter(group=ROS)] = None,
+) -> None:
+    """Turn recordings of other formats into MCAP files, one NAME.mcap each, and say what was converted.
+
+    docs/importing.md has a section for each kind.
+
+    Parameters
+    ----------
+    kind
+        broad, tyrex, bench, csv, sensorlogger, phyphox or ros.
+    sources
+        Files or folders of that kind.
+    out
+        Folder to write into; made when it is not there.
+    repair
+        Apply the doctor's remedies; each is recorded in the file.
+    units_unchecked
+        Keep a recording whose sizes are implausible, for the doctor to look at.
+    json
+        Also write what was imported as JSON to this file; - is the standard output.
+    licence
+        Licence of the recording, kept in the file.
+    citation
+        How to cite it.
+    sensor
+        Model of the sensor.
+    mag_uncalibrated
+        The size of the field says nothing (hard iron, raw counts).
+    mag
+        tyrex, sensorlogger: raw (the default) or calibrated by the phone. csv: columns and unit, mx,my,mz:uT.
+    platform
+        sensorlogger: ios or android, where no Metadata.csv says it.
+    config
+        A TOML file with the settings of this group, as gyro = "gx,gy,gz:deg/s".
+    time
+        The column of time and its unit, t:ms (s, ms, us, ns).
+    rate
+        Samples per second, where the log has no time.
+    gyro
+        Columns and unit of the gyro, gx,gy,gz:deg/s; a leading - turns a sign, 0.061*deg/s is a unit per count.
+    accel
+        Columns and unit of the accelerometer, ax,ay,az:g.
+    truth
+        Columns of a quaternion that takes the body to the local frame, qw,qx,qy,qz.
+    truth_frame
+        The local frame of the truth: enu (the default), nwu or ned.
+    position
+        Columns and unit of the truth's position, x,y,z:m.
+    moving
+        A column that is 0 where the truth is not to be scored.
+    delimiter
+        What separates the columns, where it is not found by itself.
+    drop_disordered
+        Sort by time and drop equal stamps, counted, where time does not rise.
+    imu_topic
+        The topic of gyro and accelerometer, where there are several.
+    mag_topic
+        The topic of the magnetometer.
+    gps_topic
+        The topic of the satellite fixes.
+    truth_topic
+        The topic of the true pose (PoseStamped, Odometry, TransformStamped, QuaternionStamped or TF).
+    truth_child
+        The child frame to take from a TF topic.
+    """
+    given = {
+        name: value for name, value in locals().items() if name not in ("kind", "sources", "out", "repair", "json")
+    }
+    importer, options = _importer(kind, {name: value for name, value in given.items() if value not in (None, False)})
+    if not sources:
+        raise BadParameter(f"no source: name files or folders of kind {kind}")
+    folder = output_dir(out)
+    kept: dict[Path, Kept] = {}
+    with Console(stderr=True).status("import") as status:
+        for source, recording in _recordings(importer, options, sources, repair):
+            status.update(f"import {recording.name}")
+            file = folder / f"{recording.name}.mcap"
+            if file in kept:
+                raise BadSource(
+                    f"{source}: a recording {recording.name} was already imported from {kept[file].source}; "
+                    "import them into different folders"
+                )
+            write(file, recording)
+            kept[file] = Kept(source, file, recording)
+    if json != STDOUT:
+        _show(list(kept.values()))
+    write_json(json, [_facts(one) for one in kept.values()])
+
+
+def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
+    """The importer and its options; an option that the kind does not take is refused."""
+    if kind not in IMPORTERS:
+        raise BadParameter(f"no kind {kind!r}; there are {', '.join(IMPORTERS)}")
+    importer = IMPORTERS[kind]
+    known = {field.name: field.type for field in fields(importer.options)}
+    for name, value in given.items():
+        flag = f"--{name.replace('_', '-')}"
+        if name not in known:
+            taken = ", ".join(f"--{one.replace('_', '-')}" for one in known)
+            raise BadParameter(f"{flag}: {kind} takes no such option; it takes {taken}")
+        choices = _choices(known[name])
+        if choices and value not in choices:
+            raise BadParameter(f"{flag} {value}: {kind} takes {' or '.join(choices)}")
+    return importer, importer.options(**given)
+
+
+def _choices(annotation: Any) -> tuple[str, ...]:
+    """The words of a Literal, alone or in a union with None."""
+    for part in (annotation, *get_args(annotation)):
+        if get_origin(part) is Literal:
+            return tuple(str(word) for word in get_args(part))
+    return ()
+
+
+def _recordings(
+    importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool
+) -> Iterator[tuple[Path, Recording]]:
+    for source in sources:
+        if not repair:
+            yield from ((source, recording) for recording in importer(source, options))
+            continue
+        # Sizes are tested after the repair: what the doctor mends need not be refused before.
+        for recording in importer(source, replace(options, units_unchecked=True)):
+            yield source, _repaired(recording, source, options.units_unchecked)
+
+
+def _repaired(recording: Recording, source: Path, units_unchecked: bool) -> Recording:
+    from stillpoint.datasets.doctor import apply, diagnose
+    from stillpoint.datasets.errors import BadRecording
+    from stillpoint.smoother.rest import find_rests
+
+    diagnosis = diagnose(recording, find_rests(recording.require_imu()))
+    mended = apply(recording, diagnosis.remedies)
+    try:
+        return replace(mended, info=replace(mended.info, units_unchecked=units_unchecked))
+    except BadRecording as error:
+        raise BadSource(f"{source}: {error}") from None
+
+
+def _show(kept: list[Kept]) -> None:
+    """One table of the recordings; below it what was converted, once where it holds for all, and the notes."""
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    table = Table("recording", box=None)
+    present = [name for name in STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
+    for heading in ("s", *(f"{name} Hz" for name in present)):
+        table.add_column(heading, justify="right")
+    for one in kept:
+        rates = {name: f"{rate_hz(t_ns):.1f}" for name, t_ns in one.recording.streams()}
+        cells = [rates.get(name, "-") for name in present]
+        table.add_row(one.recording.name, f"{one.recording.duration_s:.1f}", *cells)
+    console.print(table)
+    lines = Counter(line for one in kept for line in _said(one.recording))
+    console.print(f"\n{'all' if len(kept) > 1 else kept[0].recording.name}:")
+    for line in (line for line, count in lines.items() if count == len(kept)):
+        console.print(f"  {line}")
+    for one in kept:
+        own = [line for line in _said(one.recording) if lines[line] < len(kept)]
+        if own:
+            console.print(f"{one.recording.name}:")
+        for line in own:
+            console.print(f"  {line}")
+    console.print(f"\n{len(kept)} written to {kept[0].file.parent}")
+
+
+def _said(recording: Recording) -> list[str]:
+    """Conversions and notes, each once."""
+    notes = (f"note: {note}" for note in recording.info.notes)
+    return list(dict.fromkeys((*recording.info.conversions, *notes)))
+
+
+def _facts(one: Kept) -> dict[str, Any]:
+    recording = one.recording
+    return {
+        "recording": recording.name,
+        "file": str(one.file),
+        "source": str(one.source),
+        "duration_s": recording.duration_s,
+        "streams": {name: {"samples": len(t_ns), "rate_hz": rate_hz(t_ns)} for name, t_ns in recording.streams()},
+        "conversions": list(recording.info.conversions),
+        "notes": list(recording.info.notes),
+        "sha256": dict(recording.info.sha256),
+    }

@@ -1,0 +1,150 @@
+"""``stillpoint info``: what is in a recording, reference or estimate."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+from stillpoint.datasets.recording import Recording, Times, rate_hz
+from stillpoint.datasets.store import read
+from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.scripts.inputs import mcap_files
+from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.smoother.rest import find_rests
+
+GAP_STEPS = 3.0  # a step longer than three median ones is a gap
+
+
+def info(
+    *files: Path,
+    units_unchecked: Annotated[bool, Parameter(negative="")] = False,
+    json: JsonTarget = None,
+) -> None:
+    """Say what is in a file: streams, rates, gaps, duration, rests, provenance.
+
+    Parameters
+    ----------
+    files
+        MCAP files, folders or globs: recordings, references and estimates.
+    units_unchecked
+        Open recordings whose sizes do not fit their units.
+    json
+        Also write the facts as JSON to this file; - is the standard output.
+    """
+    rows = []
+    for path in mcap_files(files):
+        facts = facts_of(path, read(path, units_unchecked=units_unchecked))
+        rows.append(facts)
+        if json != STDOUT:
+            _show(facts)
+    write_json(json, rows)
+
+
+def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:
+    """What there is to say about the content of one file."""
+    if isinstance(thing, Recording):
+        return {"file": str(path), "kind": "recording", "name": thing.name, **_recording_facts(thing)}
+    name = thing.recording if isinstance(thing, Estimate) else thing.name
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "kind": "estimate",
+        "name": name,
+        "streams": [_clock("q_nb", thing.t_ns)],
+    }
+    if isinstance(thing, Reference):
+        sd_deg = np.rad2deg(np.sqrt(np.trace(thing.cov_b_rad2, axis1=1, axis2=2)))
+        returns = [one.accepted for one in thing.returns]
+        facts |= {"kind": "reference", "method": thing.method, "rests": _spans(thing.rests_ns, thing.t_ns)}
+        facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
+        facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
+    elif isinstance(thing, RollReference):
+        sd_deg = np.rad2deg(thing.angle_sd_rad)
+        facts |= {"kind": "roll reference", "method": thing.method, "streams": [_clock("angle", thing.t_ns)]}
+        facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
+    else:
+        facts |= {"estimator": thing.name, "ns_per_sample": thing.ns_per_sample}
+        facts["not_ready"] = 0 if thing.ready is None else int((~thing.ready).sum())
+    return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
+
+
+def _recording_facts(recording: Recording) -> dict[str, Any]:
+    info = recording.info
+    imu = recording.imu
+    facts = {
+        "duration_s": recording.duration_s,
+        "streams": [_clock(name, t_ns) for name, t_ns in recording.streams()],
+        "rests": [] if imu is None else _spans(find_rests(imu), imu.t_ns),
+        "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
+    }
+    said = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
+    marks = {name: getattr(info, name) for name in ("mag_uncalibrated", "units_unchecked")}
+    place = None if info.place_lat_lon_alt is None else list(info.place_lat_lon_alt)
+    lists = {"conversions": list(info.conversions), "notes": list(info.notes)}
+    return {
+        **facts,
+        **said,
+        "place_lat_lon_alt": place,
+        **marks,
+        **dict(info.extra),
+        **lists,
+        "sha256": dict(info.sha256),
+    }
+
+
+def _clock(name: str, t_ns: Times) -> dict[str, Any]:
+    steps_s = np.diff(t_ns) / 1e9
+    gaps_s = steps_s[steps_s > GAP_STEPS * np.median(steps_s)] if len(steps_s) else steps_s
+    return {
+        "stream": name,
+        "samples": len(t_ns),
+        "rate_hz": rate_hz(t_ns),
+        "start_s": float(t_ns[0]) / 1e9,
+        "length_s": float(t_ns[-1] - t_ns[0]) / 1e9,
+        "gaps": len(gaps_s),
+        "longest_gap_s": float(gaps_s.max()) if len(gaps_s) else 0.0,
+    }
+
+
+def _spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
+    """Start and length of rests, in s from the first sample."""
+    return [{"start_s": float(start - t_ns[0]) / 1e9, "length_s": float(end - start) / 1e9} for start, end in rests_ns]
+
+
+def _show(facts: dict[str, Any]) -> None:
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console.print(f"{facts['file']}: {facts['kind']} {facts['name']}")
+    table = Table("stream", box=None)
+    for heading in ("samples", "Hz", "start s", "length s", "gaps", "longest s"):
+        table.add_column(heading, justify="right")
+    for one in facts["streams"]:
+        row = (str(one["samples"]), *(f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s")))
+        table.add_row(one["stream"], *row, str(one["gaps"]), f"{one['longest_gap_s']:.3f}" if one["gaps"] else "-")
+    console.print(table)
+    if "rests" in facts:
+        console.print(f"  {'rests':17} {_rests_line(facts['rests'])}")
+    shown = {"file", "kind", "name", "streams", "rests", "duration_s"}
+    for key, value in facts.items():
+        if key in shown or value in (None, "", [], {}, False):
+            continue
+        for line in _lines(value):
+            console.print(f"  {key:17} {line}")
+            key = ""
+    console.print()
+
+
+def _rests_line(rests: list[dict[str, float]]) -> str:
+    if not rests:
+        return "none"
+    total = sum(rest["length_s"] for rest in rests)
+    at = ", ".join(f"{rest['start_s']:.1f}+{rest['length_s']:.1f}" for rest in rests[:6])
+    return f"{len(rests)}, {total:.1f} s in all: at {at}{' ...' if len(rests) > 6 else ''} s"
+
+
+def _lines(value: Any) -> list[str]:
+    if isinstance(value, dict):
+        return [f"{name}: {item}" for name, item in value.items()]
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        return list(value)
+    return [f"{value:.4g}" if isinstance(value, float) else str(value)]
