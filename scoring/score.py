@@ -1,6 +1,7 @@
 """One function, one frozen result: how far an estimate is from a truth or a reference, over the moving samples."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,3 +162,11 @@ def _reference_sd_deg(comparison: Comparison) -> float | None:
         return None
     trace = np.trace(comparison.true_cov_b_rad2[comparison.moving], axis1=1, axis2=2)
     return float(np.rad2deg(np.median(np.sqrt(trace))))
+
+
+def score_row(score: Score) -> dict[str, Any]:
+    """The score for machines: its fields, flat, with ``align`` and what was ``found`` in place of the alignment."""
+    named = {"recording": score.recording, "method": score.estimated, "against": score.against}
+    skipped = ("recording", "estimated", "against", "alignment")
+    figures = {column.name: getattr(score, column.name) for column in fields(score) if column.name not in skipped}
+    return {**named, "align": score.alignment.kind, **figures, "found": score.alignment.found(), "error": None}

@@ -1,0 +1,47 @@
+"""Which files belong together: ``NAME.mcap``, ``NAME[.METHOD].reference.mcap``, ``NAME.ESTIMATOR.estimate.mcap``.
+
+Names find the candidates; what settles it is the SHA-256 of the recording that a file says it was made from.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.inputs import KINDS, SUFFIX, kind_of
+
+
+def recording_name(path: Path) -> str:
+    """NAME of an estimate's or a recording's file; of a reference's file NAME or NAME.METHOD, as it cannot tell."""
+    name = path.name.removesuffix(KINDS.get(kind_of(path), SUFFIX))
+    return name.rpartition(".")[0] if kind_of(path) == "estimate" else name
+
+
+def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
+    """The references or estimates of the recording NAME among these files, sorted by name."""
+    suffix = KINDS[kind]
+    found = []
+    for file in files:
+        label = file.name.removesuffix(suffix).removeprefix(name)
+        ours = kind_of(file) == kind and file.name.startswith(name)
+        if ours and (label == "" or (label[0] == "." and "." not in label[1:])):
+            found.append(file)
+    return sorted(found)
+
+
+def neighbours(path: Path) -> list[Path]:
+    """All MCAP files in the same folder."""
+    return sorted(file for file in path.absolute().parent.glob(f"*{SUFFIX}") if not file.name.startswith("."))
+
+
+def made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
+    """Whether two files were made from one recording, by its SHA-256; True also where one of them does not say."""
+    return not ours or not theirs or bool(set(ours.values()) & set(theirs.values()))
+
+
+def require_same(path: Path, ours: Mapping[str, str], other: Path, theirs: Mapping[str, str]) -> None:
+    """Raise :class:`BadParameter` when the two files were made from different recordings."""
+    if not made_of_same(ours, theirs):
+        raise BadParameter(
+            f"{path}: was made from another recording than {other} ({', '.join(ours)} of another SHA-256); "
+            "make it again from this one"
+        )

@@ -1,0 +1,86 @@
+"""``stillpoint demo``: simulate a phone in the hand and follow it the whole way to a report."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+from rich.console import Console
+from stillpoint.datasets import Recording, write
+from stillpoint.datasets.recording import rate_hz
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.store import sha256
+from stillpoint.filters import ESTIMATORS, estimate
+from stillpoint.scoring.report import judge, report_html
+from stillpoint.scripts.inputs import output_dir
+from stillpoint.scripts.report import PAGE, gather
+from stillpoint.scripts.score import print_scores
+from stillpoint.smoother import DEFAULT_METHOD, find_rests, reference
+
+KIND = "phone-3"
+
+
+def demo(
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path("demo"),
+    minutes: float = 4.0,
+    seed: int = 0,
+) -> None:
+    """Simulate a phone in the hand and follow it the whole way to a report.
+
+    The third experiment of paper 002, with a truth that is known by construction: the recording, its reference, all
+    estimators, their scores, and one HTML page. Every step writes the file that its verb would write.
+
+    Parameters
+    ----------
+    out
+        Folder to write into; made when it is not there.
+    minutes
+        Length of the simulated recording.
+    seed
+        Another seed gives another motion and another sensor.
+    """
+    folder = output_dir(out)
+    with _step(f"simulate {KIND}"):
+        recording = simulate(KIND, seed=seed, minutes=minutes)
+        path = folder / f"{recording.name}.mcap"
+        write(path, recording)
+    _say(recording)
+    made_from = {path.name: sha256(path)}
+    with _step(f"reference by {DEFAULT_METHOD}"):
+        made = replace(reference(recording), made_from=made_from)
+        write(folder / f"{recording.name}.reference.mcap", made)
+    for name in ESTIMATORS:
+        with _step(f"estimate by {name}"):
+            found = replace(estimate(recording, name), made_from=made_from)
+            write(folder / f"{recording.name}.{name}.estimate.mcap", found)
+    with _step("scores and report"):
+        material = gather(path)
+        verdicts = judge(material)
+        page = folder / f"{recording.name}{PAGE}"
+        page.write_text(report_html(material, verdicts), encoding="utf-8")
+    print_scores([score for verdict in verdicts for score in verdict.scores])
+    print(f"report: {page}")
+
+
+@contextmanager
+def _step(name: str) -> Iterator[None]:
+    """Say on stderr what is done, and how long it took."""
+    console = Console(stderr=True, highlight=False)
+    begun = perf_counter()
+    with console.status(name):
+        yield
+    console.print(f"{perf_counter() - begun:6.1f} s  {name}")
+
+
+def _say(recording: Recording) -> None:
+    """What a user would ask first: length, rates, rests."""
+    imu = recording.require_imu()
+    rests_s = np.diff(find_rests(imu), axis=1)[:, 0] / 1e9
+    streams = ", ".join(f"{name} {rate_hz(t_ns):.1f} Hz" for name, t_ns in recording.streams())
+    rests = ", ".join(f"{rest_s:.0f}" for rest_s in rests_s)
+    print(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_s)} rests of {rests} s")

@@ -1,0 +1,182 @@
+"""``stillpoint score``: score estimates against a reference or a truth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import track
+from stillpoint.datasets import Estimate, Reference, Truth, read
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.frames import EulerFrame
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.scoring import AlignKind, Score, score_row
+from stillpoint.scoring import score as score_against
+from stillpoint.scripts import inputs
+from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.tables import print_table
+
+COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw", "aligned by")
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """What scores: a reference, or the truth of a recording; and what it was made from."""
+
+    path: Path
+    truth: Reference | Truth
+    made_from: Mapping[str, str]
+
+
+def score(
+    paths: Annotated[list[Path], Parameter(negative=())],
+    /,
+    *,
+    against: Path | None = None,
+    align: AlignKind = "heading",
+    frame: EulerFrame = "nwu",
+    json: JsonFile = None,
+) -> int:
+    """Score estimates against a reference or a truth.
+
+    Prints one row per estimate: RMSE of the total, heading and inclination error over the moving samples, its 95th
+    percentile and maximum, and RMSE / largest absolute error of roll, pitch and yaw, all in degrees.
+
+    Parameters
+    ----------
+    paths
+        Estimates: MCAP files, folders or globs. A reference that is named by its file is scored too.
+    against
+        A reference, or a recording that holds a truth. By default, for each estimate, the reference of the same
+        recording in its folder (NAME.reference.mcap), else the truth in NAME.mcap there.
+    align
+        What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
+    frame
+        Frame of roll, pitch and yaw: nwu (paper 002), ned (paper 003) or enu (ROS).
+    json
+        Also write all figures as JSON to this file; - is the standard output.
+    """
+    files = _files(paths)
+    rows, scores = [], []
+    for file in track(files, "score", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
+        try:
+            found = _score_file(file, against, align, frame)
+        except StillpointError as error:
+            if len(files) == 1:
+                raise
+            rows.append({"recording": recording_name(file), "file": str(file), "error": str(error)})
+            continue
+        scores.append(found)
+        rows.append({**score_row(found), "file": str(file)})
+    if json != STDOUT:
+        print_scores(scores)
+        for row in rows:
+            if row["error"] is not None:
+                print(f"not scored: {row['error']}")
+    write_json(json, rows)
+    return 2 if len(scores) < len(files) else 0
+
+
+def print_scores(scores: Sequence[Score]) -> None:
+    """The table of scores, a section per recording and judge, best first; then what was left out or means nothing."""
+
+    def place(s: Score) -> tuple[str, str]:
+        return s.recording, s.against
+
+    ordered = sorted(scores, key=lambda s: (*place(s), s.total_rmse_deg))
+    for against, same in groupby(sorted(ordered, key=lambda s: s.against), key=lambda s: s.against):
+        judged = list(same)
+        sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
+        title = f"against the {against}: RMSE in deg; roll, pitch, yaw in {judged[0].frame.upper()}: RMSE / MaxAE"
+        print_table(title, COLUMNS, sections)
+        for note in _notes(judged):
+            print(note)
+
+
+def judge_of(path: Path) -> Judge:
+    """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
+    thing = read(path)
+    if isinstance(thing, Reference):
+        return Judge(path, thing, thing.made_from)
+    if isinstance(thing, Recording) and thing.truth is not None:
+        return Judge(path, thing.truth, {path.name: sha256(path)})
+    what = "a recording without a truth" if isinstance(thing, Recording) else "no reference of an attitude"
+    raise BadParameter(f"{path}: is {what}; give a reference (stillpoint reference) or a recording that holds a truth")
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """All estimates in the paths, and references that are named one by one."""
+    named = {path for path in paths if path.is_file() and inputs.kind_of(path) == "reference"}
+    others = [path for path in paths if path not in named]
+    return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
+
+
+def _score_file(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score:
+    thing = read(file)
+    if not isinstance(thing, Estimate | Reference):
+        raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
+    judge = judge_of(_beside(file, thing) if against is None else against)
+    require_same(file, thing.made_from, judge.path, judge.made_from)
+    return score_against(thing, judge.truth, align, frame)
+
+
+def _beside(file: Path, thing: Estimate | Reference) -> Path:
+    """What judges a file when nothing was named: the reference of its recording, else the recording's truth."""
+    name = recording_name(file) if isinstance(thing, Estimate) else thing.name
+    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
+    recording = file.parent / f"{name}{inputs.SUFFIX}"
+    plain = [path for path in candidates if path.name == f"{name}{inputs.KINDS['reference']}"]
+    if plain or len(candidates) == 1:
+        return (plain or candidates)[0]
+    if candidates:
+        raise BadParameter(
+            f"{file}: {', '.join(path.name for path in candidates)} lie beside it; name one with --against"
+        )
+    if recording.is_file() and read_recording(recording).truth is not None:
+        return recording
+    raise BadParameter(
+        f"{file}: no {name}{inputs.KINDS['reference']} and no truth in {recording.name} beside it; "
+        "make a reference there (stillpoint reference) or name one with --against"
+    )
+
+
+def _cells(s: Score) -> list[str]:
+    found: Mapping[str, Any] = s.alignment.found()
+    parts = [f"{found['heading_deg']:+.2f}°"] if s.alignment.kind != "none" else ["nothing"]
+    if "mounting" in s.alignment.kind:
+        parts.append(f"mounting {found['mounting_deg']:.2f}°")
+    if "time" in s.alignment.kind:
+        parts.append(f"{1000 * found['time_s']:+.1f} ms")
+    mark = "†" if s.reference_sd_deg is not None and s.total_rmse_deg < s.reference_sd_deg else ""
+    return [
+        s.recording,
+        s.estimated,
+        f"{mark}{s.total_rmse_deg:.2f}",
+        f"{s.heading_rmse_deg:.2f}",
+        f"{s.inclination_rmse_deg:.2f}",
+        f"{s.total_p95_deg:.2f}",
+        f"{s.total_max_deg:.2f}",
+        f"{s.roll_rmse_deg:.2f} / {s.roll_maxae_deg:.1f}",
+        f"{s.pitch_rmse_deg:.2f} / {s.pitch_maxae_deg:.1f}",
+        f"{s.yaw_rmse_deg:.2f} / {s.yaw_maxae_deg:.1f}",
+        ", ".join(parts),
+    ]
+
+
+def _notes(scores: Sequence[Score]) -> list[str]:
+    notes = []
+    for s in scores:
+        left_out = {"outside": s.samples_outside, "in gaps": s.samples_in_gap, "not ready": s.samples_unready}
+        counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)
+        if counts:
+            notes.append(f"{s.recording} {s.estimated}: {s.samples} moving samples scored, left out: {counts}")
+    sds = sorted({(s.recording, s.reference_sd_deg) for s in scores if s.reference_sd_deg is not None})
+    notes += [f"{name}: the reference's own sd is {sd_deg:.2f} deg (median)" for name, sd_deg in sds]
+    if any(s.reference_sd_deg is not None and s.total_rmse_deg < s.reference_sd_deg for s in scores):
+        notes.append("† below the reference's own sd: differences down there mean nothing")
+    return notes
