@@ -44,7 +44,10 @@ def facts_of(thing: Kept) -> dict[str, Any]:
 
 def info_from(facts: Mapping[str, Any]) -> Info:
     """The :class:`Info` of a recording's facts."""
-    return Info(**{name: tuple(value) if isinstance(value, list) else value for name, value in facts["info"].items()})
+    info: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in facts["info"].items()
+    }
+    return Info(**info)
 
 
 def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
@@ -56,7 +59,7 @@ def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
 
 def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords of a :class:`Reference` that its facts hold."""
-    calibration = {
+    calibration: dict[str, Any] = {
         name: np.array(value, np.float64) if isinstance(value, list) else value
         for name, value in facts["calibration"].items()
     }

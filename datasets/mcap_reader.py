@@ -176,9 +176,12 @@ class _Gather:
             return
         self.t_ns.append(heads["log_time"].astype(np.int64))
         try:
-            for length in np.unique(heads["length"]).tolist():
+            left = np.ones(len(offsets), np.bool_)
+            while left.any():
+                length = heads["length"][left.argmax()]
                 same = heads["length"] == length
-                self._take_equal(block.data, offsets[same], rows[same], length + RECORD_HEAD.itemsize)
+                self._take_equal(block.data, offsets[same], rows[same], int(length) + RECORD_HEAD.itemsize)
+                left &= ~same
         except cdr.Undecodable as error:
             self.refusal = str(error)
             self.pieces.clear()

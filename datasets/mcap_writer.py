@@ -218,7 +218,7 @@ class _Writer:
         """One chunk and its message indexes."""
         first = min(int(entries["log_time"][0]) for entries in indexes.values())
         last = max(int(entries["log_time"][-1]) for entries in indexes.values())
-        raw = memoryview(buffer)
+        raw = buffer.data
         packed = self.compress(raw)
         chunk = Chunk(
             compression="zstd",

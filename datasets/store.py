@@ -154,7 +154,7 @@ def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
             streams += _mag_remainder(topic, thing.mag if isinstance(thing, Recording) else None)
             continue
         holder: Any = getattr(thing, topic.stream) if topic.stream else thing
-        given = {column.field: getattr(holder, column.field, None) for column in topic.columns}
+        given: dict[str, Any] = {column.field: getattr(holder, column.field, None) for column in topic.columns}
         if all(values is None for values in given.values()):
             continue
         if topic.stream == "mag":
@@ -302,4 +302,4 @@ def _of_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKind:
     if isinstance(thing, wanted):
         return thing
     needed = next(kind for kind, of_kind in KINDS.items() if of_kind is wanted)
-    raise BadFile(f"{path}: holds a {kind_of(thing)}; this needs a {needed}")
+    raise BadFile(f"{path}: holds one {kind_of(thing)}; this needs one {needed}")

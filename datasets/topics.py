@@ -195,9 +195,11 @@ def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     no double in tesla that multiplies back to it. The remainder is exact, and -0.0 (which changes no bit) elsewhere.
     """
     best = mag_b_ut / UT_PER_TESLA
-    for toward in (-np.inf, np.inf):
-        other = np.nextafter(mag_b_ut / UT_PER_TESLA, toward)
-        best = np.where((best * UT_PER_TESLA != mag_b_ut) & (other * UT_PER_TESLA == mag_b_ut), other, best)
+    with np.errstate(over="ignore"):
+        for toward in (0.0, np.copysign(np.inf, mag_b_ut)):
+            other = np.nextafter(mag_b_ut / UT_PER_TESLA, toward)
+            nearer = np.abs(other * UT_PER_TESLA - mag_b_ut) < np.abs(best * UT_PER_TESLA - mag_b_ut)
+            best = np.where(nearer, other, best)
     back = best * UT_PER_TESLA
     return best, np.where(back == mag_b_ut, -0.0, mag_b_ut - back)
 

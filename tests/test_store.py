@@ -1,0 +1,399 @@
+"""Round trips through files, bit for bit; same input, same bytes; files that are cut, broken or of another kind."""
+
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from stillpoint.datasets import (
+    BadFile,
+    BadRecording,
+    BasePoseReturn,
+    Calibration,
+    Encoder,
+    Estimate,
+    Gps,
+    Imu,
+    Info,
+    Mag,
+    Recording,
+    Reference,
+    RollReference,
+    Spin,
+    SpinGeometry,
+    Truth,
+    read,
+    store,
+    write,
+)
+
+ANY = {"allow_nan": False, "allow_infinity": False, "width": 64}
+FAR = {"min_value": -1e12, "max_value": 1e12, **ANY}
+
+
+def assert_same(a, b, where=""):
+    """Equal to the last bit: dtypes, shapes, NaN payloads in arrays, signs of zero, types of containers."""
+    assert type(a) is type(b), where
+    if is_dataclass(a):
+        for field in fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, np.ndarray):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape), where
+        assert a.tobytes() == b.tobytes(), where
+    elif isinstance(a, float) and not (np.isnan(a) and np.isnan(b)):
+        assert np.float64(a).tobytes() == np.float64(b).tobytes(), where
+    elif isinstance(a, dict):
+        assert list(a) == list(b), where
+        for key in a:
+            assert_same(a[key], b[key], f"{where}[{key}]")
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b), where
+        for k, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same(x, y, f"{where}[{k}]")
+    elif not isinstance(a, float):
+        assert a == b, where
+
+
+def floats(*shape, elements=None):
+    return arrays(np.float64, shape, elements=st.floats(**ANY) if elements is None else elements)
+
+
+@st.composite
+def stamps(draw, least=1):
+    steps = draw(st.lists(st.integers(1, 10**12), min_size=least, max_size=6))
+    return draw(st.integers(0, 2**60)) + np.cumsum(np.array(steps, np.int64))
+
+
+@st.composite
+def quaternions(draw, n):
+    q = draw(floats(n, 4, elements=st.floats(0.1, 1.0)))
+    signs = draw(arrays(np.float64, (n, 4), elements=st.sampled_from([-1.0, 1.0])))
+    return signs * q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def maybe(strategy):
+    return st.none() | strategy
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=6,
+)
+json_maps = st.dictionaries(st.text(), json_values, max_size=3).filter(lambda d: "__float__" not in str(d))
+words = st.dictionaries(st.text(), st.text(), max_size=2)
+nan_floats = st.floats(width=64)
+
+
+@st.composite
+def infos(draw):
+    place = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-400, 9000))
+    return Info(
+        source=draw(st.text()),
+        licence=draw(st.text()),
+        epoch=draw(st.sampled_from(["unix", "source"])),
+        place_lat_lon_alt=draw(maybe(place)),
+        mag_uncalibrated=draw(st.booleans()),
+        units_unchecked=True,
+        sha256=draw(words),
+        conversions=tuple(draw(st.lists(st.text(), max_size=2))),
+        notes=tuple(draw(st.lists(st.text(), max_size=2))),
+        extra=draw(words),
+    )
+
+
+@st.composite
+def spins(draw):
+    t, k, m = draw(stamps()), draw(st.integers(1, 4)), draw(st.integers(0, 2))
+    axes = draw(quaternions(k + m))[:, :3]
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    geometry = SpinGeometry(draw(floats(k, 3)), axes[:k], axes[k:])
+    return Spin(t, draw(floats(len(t), k)), draw(floats(len(t), m)), geometry)
+
+
+@st.composite
+def gps_streams(draw):
+    t = draw(stamps())
+    n = len(t)
+    valid = draw(arrays(np.bool_, n))
+    lat, lon = draw(floats(n, elements=st.floats(-90, 90))), draw(floats(n, elements=st.floats(-180, 180)))
+    lat[~valid] = draw(floats(int((~valid).sum()), elements=nan_floats))
+    return Gps(t, lat, lon, *(draw(floats(n, elements=nan_floats)) for _ in range(3)), valid)
+
+
+@st.composite
+def truths(draw):
+    t = draw(stamps())
+    position = draw(maybe(floats(len(t), 3, elements=nan_floats)))
+    return Truth(t, draw(quaternions(len(t))), draw(arrays(np.bool_, len(t))), position)
+
+
+@st.composite
+def recordings(draw):
+    t, t_mag, t_encoder = draw(stamps()), draw(stamps()), draw(stamps())
+    n = len(t_encoder)
+    imu = Imu(t, draw(floats(len(t), 3)), draw(floats(len(t), 3)))
+    spin = draw(maybe(spins()))
+    base_pose = draw(maybe(quaternions(1)))
+    return Recording(
+        name=draw(st.text()),
+        imu=draw(maybe(st.just(imu))) if spin else imu,
+        mag=draw(maybe(floats(len(t_mag), 3).map(lambda m: Mag(t_mag, m)))),
+        gps=draw(maybe(gps_streams())),
+        spin=spin,
+        encoder=draw(maybe(st.just(Encoder(t_encoder, draw(floats(n)), draw(floats(n)))))),
+        truth=draw(maybe(truths())),
+        base_pose=None if base_pose is None else base_pose[0],
+        info=draw(infos()),
+    )
+
+
+@st.composite
+def references(draw):
+    t = draw(stamps())
+    n = len(t)
+    cov = draw(floats(n, 3, 3))
+    cov[:, range(3), range(3)] = draw(floats(n, 3, elements=st.floats(1e-300, 1e3)))
+    calibration = Calibration(
+        gyro_matrix=draw(maybe(floats(3, 3))),
+        hard_iron_b_ut=draw(maybe(floats(3))),
+        clock_offset_s=draw(st.dictionaries(st.text(), st.floats(**ANY), max_size=2)),
+    )
+    back = st.builds(
+        BasePoseReturn, st.integers(0, 2**62), st.integers(0, 2**62), st.floats(**ANY), st.booleans(), st.text()
+    )
+    rests = np.array(draw(st.lists(st.tuples(st.integers(0, 2**62), st.integers(0, 2**62)), max_size=2)), np.int64)
+    return Reference(
+        t,
+        draw(quaternions(n)),
+        cov,
+        draw(floats(n, 3)),
+        method=draw(st.text()),
+        name=draw(st.text()),
+        calibration=calibration,
+        rests_ns=rests.reshape(-1, 2),
+        returns=tuple(draw(st.lists(back, max_size=2))),
+        params=draw(json_maps),
+        diagnostics=draw(json_maps),
+        made_from=draw(words),
+    )
+
+
+@st.composite
+def roll_references(draw):
+    t = draw(stamps())
+    columns = [draw(floats(len(t))) for _ in range(4)]
+    return RollReference(t, *columns, method=draw(st.text()), params=draw(json_maps), made_from=draw(words))
+
+
+@st.composite
+def estimates(draw):
+    t = draw(stamps())
+    n = len(t)
+    q_nb, angle = draw(maybe(quaternions(n))), draw(maybe(floats(n)))
+    if q_nb is None and angle is None:
+        angle = draw(floats(n))
+    return Estimate(
+        t,
+        name=draw(st.text()),
+        q_nb=q_nb,
+        angle_rad=angle,
+        rate_radps=draw(maybe(floats(n))),
+        cov_b_rad2=None if q_nb is None else draw(maybe(floats(n, 3, 3))),
+        innovation=draw(maybe(st.integers(0, 3).flatmap(lambda m: floats(n, m, elements=nan_floats)))),
+        gyro_bias_b_radps=draw(maybe(floats(n, 3))),
+        ready=draw(maybe(arrays(np.bool_, n))),
+        recording=draw(st.text()),
+        params=draw(json_maps),
+        ns_per_sample=draw(st.floats()),
+    )
+
+
+@pytest.mark.parametrize("things", [recordings(), references(), roll_references(), estimates()])
+def test_every_thing_comes_back_bit_for_bit(tmp_path_factory, things):
+    path = tmp_path_factory.mktemp("store") / "thing.mcap"
+
+    @settings(max_examples=50)
+    @given(things)
+    def round_trip(thing):
+        write(path, thing)
+        assert_same(thing, read(path))
+
+    round_trip()
+
+
+def phone(n=600, seed=1, **changes):
+    """A recording with all that a phone gives, several chunks long."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n, dtype=np.int64) * 10_000_000 + 1_700_000_000_000_000_000
+    q = rng.normal(size=(n, 4))
+    parts = {
+        "imu": Imu(t, rng.normal(size=(n, 3)), rng.normal(size=(n, 3)) + np.array([0, 0, 9.81])),
+        "mag": Mag(t[::2] + 3, rng.normal(size=(len(t[::2]), 3)) + np.array([20, 0, -40])),
+        "truth": Truth(t, q / np.linalg.norm(q, axis=1, keepdims=True), rng.random(n) > 0.5),
+        "info": Info(source="test", epoch="unix"),
+    }
+    return Recording("phone", **{**parts, **changes})
+
+
+def reference_of(n=50):
+    t = np.arange(n, dtype=np.int64) * 10_000_000
+    return Reference(t, np.tile([1.0, 0, 0, 0], (n, 1)), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), method="m")
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path):
+    for name in ("a.mcap", "b.mcap"):
+        write(tmp_path / name, phone(), attachments={"calibration.json": b"{}"})
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert store.sha256(tmp_path / "a.mcap") == store.sha256(tmp_path / "b.mcap")
+
+
+def test_a_file_says_what_it_is_and_how_it_was_made(tmp_path):
+    path = tmp_path / "r.mcap"
+    write(path, replace(reference_of(), made_from={"a.mcap": "ab12"}, params={"k": 1}), attachments={"log": b"\0\1"})
+    said = store.provenance(path)
+    assert (said.kind, said.attachments, said.lost) == ("reference", {"log": b"\0\1"}, "")
+    assert (said.facts["made_from"], said.facts["params"]) == ({"a.mcap": "ab12"}, {"k": 1})
+    assert said.topics["/reference/attitude"] == ("sensor_msgs/msg/Imu", 50)
+    assert "East-North-Up" in said.convention
+
+
+def test_a_file_of_another_kind_is_refused_by_name(tmp_path):
+    path = tmp_path / "r.mcap"
+    write(path, reference_of())
+    with pytest.raises(BadFile, match=r"r\.mcap: holds one reference; this needs one recording"):
+        store.read_recording(path)
+    with pytest.raises(BadFile, match="this needs one estimate"):
+        store.read_estimate(path)
+    assert_same(store.read_reference(path), reference_of())
+
+
+def test_implausible_units_are_opened_only_on_request(tmp_path):
+    path = tmp_path / "g.mcap"
+    in_g = replace(phone().imu, accel_b_mps2=np.tile([0.0, 0.0, 1.0], (600, 1)))
+    write(path, phone(imu=in_g, info=Info(units_unchecked=True)))
+    raw = path.read_bytes()
+    assert store.read_recording(path).info.units_unchecked
+    with pytest.raises(BadRecording, match="in g"):
+        phone(imu=in_g)
+    assert store.read_recording(path, units_unchecked=True).imu.accel_b_mps2[0, 2] == 1.0
+    assert raw == path.read_bytes()
+
+
+def test_parameters_that_json_has_no_word_for_are_refused_before_a_file_is_there(tmp_path):
+    with pytest.raises(BadRecording, match=r"facts\.params\.how: is a function"):
+        write(tmp_path / "x.mcap", replace(reference_of(), params={"how": lambda: 0}))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numpy_values_in_parameters_become_plain_numbers(tmp_path):
+    params = {"gain": np.float64(0.1), "n": np.int32(3), "axes": np.eye(2), "nan": float("nan"), "pair": (1, 2)}
+    write(tmp_path / "x.mcap", replace(reference_of(), params=params))
+    back = store.read_reference(tmp_path / "x.mcap").params
+    assert back["gain"] == 0.1
+    assert np.isnan(back["nan"])
+    assert (back["n"], back["axes"], back["pair"]) == (3, [[1.0, 0.0], [0.0, 1.0]], [1, 2])
+
+
+# --- files that are cut or broken
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    path = tmp_path_factory.mktemp("small") / "small.mcap"
+    write(path, phone(n=12), attachments={"notes.txt": b"as it was"})
+    return path
+
+
+def test_any_flipped_bit_is_found(small, tmp_path):
+    """CRCs of chunks, data section, attachments and summary, the magics and the footer leave no byte out."""
+    whole = small.read_bytes()
+    rng = np.random.default_rng(3)
+    ends = [*range(60), *range(len(whole) - 60, len(whole))]
+    for at in [*ends, *rng.choice(len(whole), 300, replace=False).tolist()]:
+        broken = bytearray(whole)
+        broken[at] ^= 1 << int(rng.integers(8))
+        path = tmp_path / "broken.mcap"
+        path.write_bytes(broken)
+        with pytest.raises(BadFile) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+        assert "broken.mcap: " in str(caught.value)
+
+
+def test_a_cut_recording_gives_its_whole_chunks_and_says_what_is_lost(tmp_path):
+    n = 6000
+    recording = phone(n)
+    path, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    write(path, recording)
+    whole = path.read_bytes()
+    read_samples = []
+    for share in (0.35, 0.5, 0.7, 0.9, 0.999, 1 - 1 / len(whole)):
+        cut.write_bytes(whole[: int(len(whole) * share)])
+        back = store.read_recording(cut)
+        k, m, j = len(back.imu.t_ns), len(back.mag.t_ns), len(back.truth.t_ns)
+        read_samples.append(k)
+        assert back.imu.gyro_b_radps.tobytes() == recording.imu.gyro_b_radps[:k].tobytes()
+        assert back.mag.mag_b_ut.tobytes() == recording.mag.mag_b_ut[:m].tobytes()
+        assert back.truth.moving.tobytes() == recording.truth.moving[:j].tobytes()
+        (note,) = back.info.notes
+        assert "cut" in note
+        if k < n:
+            assert f"/imu/data_raw {k} of {n}" in note
+    assert read_samples == sorted(read_samples)
+    assert read_samples[0] < read_samples[2] < read_samples[-1] == n
+
+
+def test_a_cut_anywhere_ends_in_a_recording_or_one_line(small, tmp_path):
+    whole = small.read_bytes()
+    path = tmp_path / "cut.mcap"
+    for end in range(0, len(whole), 37):
+        path.write_bytes(whole[:end])
+        try:
+            assert read(path).info.notes
+        except BadFile as error:
+            assert "\n" not in str(error)  # noqa: PT017
+
+
+def test_a_cut_reference_is_refused(tmp_path):
+    path = tmp_path / "r.mcap"
+    write(path, reference_of())
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(BadFile, match="a cut reference is of no use"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"), [(b"", "is empty"), (b"\x89PNG" * 9, "is not an MCAP file"), (None, "cannot be opened")]
+)
+def test_what_is_no_mcap_file_is_named(tmp_path, content, says):
+    path = tmp_path / "x.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(BadFile, match=says):
+        read(path)
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "x.mcap"
+    write(path, reference_of())
+    before = path.read_bytes()
+
+    def full(_handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(BadFile, match=r"x\.mcap: cannot be written \(No space left on device\)"):
+        write(path, phone())
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["x.mcap"]
+    with pytest.raises(BadFile, match="cannot be written"):
+        write(tmp_path / "no" / "x.mcap", phone())
+
+
+def test_a_written_file_has_the_mode_of_any_new_file(tmp_path):
+    write(tmp_path / "x.mcap", reference_of())
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "x.mcap").stat().st_mode == (tmp_path / "plain").stat().st_mode
