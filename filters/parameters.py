@@ -77,5 +77,7 @@ def _checked(each: Any, hint: Any, value: Any) -> Any:
         low, high = each.metadata["low"], each.metadata["high"]
         good = good and (low is None or value >= low) and (high is None or value <= high)
     if not good:
-        raise BadParameter(f"{each.name} = {value!r} is not allowed: {each.metadata['meaning']}; {_range(each, hint)}")
+        raise BadParameter(
+            f"{each.name} = {value!r} is not allowed ({each.metadata['meaning']}); give {_range(each, hint)}"
+        )
     return value

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from stillpoint.datasets import BadParameter, Estimate, Recording
 from stillpoint.datasets.earth import declination_rad
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.filters import peers
 from stillpoint.filters.parameters import Parameters, make
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sample import GAP_S, Log, Track, counts
+from stillpoint.filters.sample import GAP_S, Floats, Log, Track, counts
 from stillpoint.filters.table import Estimator, Peer, find
 
 
@@ -48,24 +49,25 @@ def estimate(
     entry = find(name)
     chosen = make(entry.params, params)
     imu = recording.require_imu()
+    declination, source = local_declination(recording)
     if isinstance(entry, Peer):
         if precision != "double":
             raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
         data, facts = peers.at_constant_rate(recording)
         begun = perf_counter_ns()
-        columns = entry.batch(data, chosen)._asdict()
+        found = entry.batch(data, chosen)
         elapsed_ns = perf_counter_ns() - begun
+        columns = found._replace(q_nb=to_true_north(found.q_nb, declination))._asdict()
     else:
         log, facts = as_log(recording)
-        declination, source = local_declination(recording)
         columns, counted, elapsed_ns = _run(entry, log, chosen, declination, precision)
-        facts |= counted | {"declination_rad": declination, "declination": source, "precision": precision}
+        facts |= counted | {"precision": precision}
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
         recording=recording.name,
         params=asdict(chosen),
-        diagnostics=facts,
+        diagnostics=facts | {"declination_rad": declination, "declination": source},
         ns_per_sample=elapsed_ns / len(imu.t_ns),
         **columns,
     )
@@ -97,6 +99,13 @@ def local_declination(recording: Recording) -> tuple[float, str]:
         return declination_rad(place, date), f"World Magnetic Model at {place[0]:g}, {place[1]:g} deg on {date}"
     except BadParameter as error:
         return 0.0, f"n is magnetic East-North-Up: {error}"
+
+
+def to_true_north(q_nb: Floats, declination: float) -> Floats:
+    """Attitudes (N, 4) in magnetic East-North-Up, in true East-North-Up; bit for bit the same for a declination of 0."""
+    if declination == 0.0:
+        return q_nb
+    return quaternion(heading_rotation(-declination) * rotation(q_nb))
 
 
 def _run(
