@@ -1,6 +1,5 @@
 """``stillpoint reference``: make the reference trajectory of recordings."""
 
-import json as json_format
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +15,12 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import Outcome, run_jobs
+from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
 from stillpoint.scripts.tables import print_table
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
-from stillpoint.smoother.reference import method_of
+from stillpoint.smoother.params import Settings
+from stillpoint.smoother.reference import settings_of
 
 COLUMNS = ("recording", "method", "rests", "returns", "closing error, deg", "sd median, deg", "sd max, deg", "s")
 
@@ -39,7 +40,7 @@ def reference(
     method: str = DEFAULT_METHOD,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
     jobs: int | None = None,
-    json: str | None = None,
+    json: JsonTarget = None,
 ) -> int:
     """Make the reference trajectory of recordings.
 
@@ -63,34 +64,31 @@ def reference(
         Also write the table's facts as JSON to this file; - is the standard output.
     """
     methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
-    for name in methods:
-        method_of(name)
-    settings = _settings(set_ or [])
+    changes = _changes(set_ or [])
+    settings = {name: settings_of(name, changes) for name in methods}
     folder = inputs.output_dir(out)
     work = _jobs(inputs.recordings(paths), methods, folder)
     outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
     if len(work) == 1 and outcomes[0].error is not None:
         raise StillpointError(outcomes[0].error)
     rows = [_row(job, outcome) for job, outcome in zip(work, outcomes, strict=True)]
-    if json != "-":
+    if json != STDOUT:
         print_table("references", COLUMNS, [[_cells(row) for row in rows]])
         for row in rows:
             if row["error"] is not None:
                 print(f"not made: {row['error']}")
-    if json is not None:
-        text = json_format.dumps({"rows": rows}, indent=2)
-        print(text) if json == "-" else Path(json).write_text(text + "\n", encoding="utf-8")
+    write_json(json, rows)
     return 2 if any(row["error"] is not None for row in rows) else 0
 
 
-def _settings(pairs: Sequence[str]) -> dict[str, str]:
-    settings = {}
+def _changes(pairs: Sequence[str]) -> dict[str, str]:
+    changes = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not equals:
             raise BadParameter(f"--set {pair}: write NAME=VALUE, for example returns.tilt_gate_rad=0.02")
-        settings[name.strip()] = value.strip()
-    return settings
+        changes[name.strip()] = value.strip()
+    return changes
 
 
 def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list[_Job]:
@@ -105,11 +103,13 @@ def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list
     return work
 
 
-def _make(job: _Job, settings: dict[str, str]) -> dict[str, Any]:
+def _make(job: _Job, settings: dict[str, Settings]) -> dict[str, Any]:
     """Read, make, write; the facts of the table."""
     recording = read_recording(job.source)
     begun = perf_counter()
-    made = replace(make_reference(recording, job.method, settings), made_from={job.source.name: sha256(job.source)})
+    made = replace(
+        make_reference(recording, job.method, settings[job.method]), made_from={job.source.name: sha256(job.source)}
+    )
     seconds = perf_counter() - begun
     write(job.target, made)
     return {**_facts(made), "seconds": seconds}

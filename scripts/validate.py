@@ -1,6 +1,5 @@
 """``stillpoint validate``: score references against independent truth."""
 
-import json as json_format
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods,
 from stillpoint.scoring.validation import validate as validate_recording
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
 from stillpoint.scripts.tables import print_table
 
 COLUMNS = (
@@ -37,7 +37,7 @@ def validate(
     align: AlignKind = "heading",
     methods: str | None = None,
     jobs: int | None = None,
-    json: str | None = None,
+    json: JsonTarget = None,
 ) -> int:
     """Score references against independent truth: one row per recording and method, then mean and median.
 
@@ -65,12 +65,9 @@ def validate(
     for source, outcome in zip(sources, outcomes, strict=True):
         lost = [ValidationRow(source.stem, method, align, error=outcome.error) for method in chosen]
         rows += lost if outcome.value is None else outcome.value
-    means = summary(rows)
-    if json != "-":
-        _print(rows, means, align)
-    if json is not None:
-        text = json_format.dumps({"rows": [asdict(row) for row in rows], "summary": means}, indent=2)
-        print(text) if json == "-" else Path(json).write_text(text + "\n", encoding="utf-8")
+    if json != STDOUT:
+        _print(rows, summary(rows), align)
+    write_json(json, [asdict(row) for row in rows])
     return 0 if any(row.error is None for row in rows) else 2
 
 

@@ -15,21 +15,22 @@ from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.datasets.trajectory import BasePoseReturn
+from stillpoint.smoother.params import Settings, degrees, number
 from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing
 
 LEVEL_FIELD_SHARE = 0.05  # a field nearer to the vertical than this has no heading
 
 
 @dataclass(frozen=True)
-class ReturnParams:
-    """When a rest counts as a return to the base pose."""
+class ReturnParams(Settings):
+    """When a rest counts as a return to the base pose: default, lowest, highest, meaning."""
 
-    lead_s: float = 2.0  # the first rest must begin within this time of the first sample; 0 .. 10
-    repeat_sd_rad: float = np.deg2rad(0.4)  # how well the sensor is put back, per axis; 0.05 (a jig) .. 1 (by hand)
-    tilt_gate_rad: float = np.deg2rad(3.0)  # largest difference of gravity's direction; 1 .. 5
-    heading_gate_rad: float = np.deg2rad(10.0)  # a difference below this is always accepted; 2 .. 20
-    heading_gate_sd: float = 4.0  # ... and so is one below this multiple of the gyro's drift; 3 .. 6
-    heading_limit_rad: float = np.deg2rad(45.0)  # but none above this, however long the gyro drifted; 20 .. 90
+    lead_s: float = number(2.0, 0.0, 60.0, "the first rest must begin within this time of the first sample")
+    repeat_sd_rad: float = degrees(0.4, 0.001, 10.0, "how well the sensor is put back, per axis")
+    tilt_gate_rad: float = degrees(3.0, 0.1, 30.0, "largest difference of gravity's direction from the base's")
+    heading_gate_rad: float = degrees(10.0, 0.1, 90.0, "a heading difference below this is always accepted")
+    heading_gate_sd: float = number(4.0, 1.0, 20.0, "and so is one below this multiple of the gyro's drift")
+    heading_limit_rad: float = degrees(45.0, 1.0, 180.0, "but none above this, however long the gyro drifted")
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.base_pose import BasePose, ReturnParams, Returns, closure, find_base_pose, find_returns
+from stillpoint.smoother.params import Settings, number
 from stillpoint.smoother.rest import RestParams, find_rests
 from stillpoint.smoother.strapdown import (
     GyroErrors,
@@ -37,21 +38,31 @@ from stillpoint.smoother.strapdown import (
     unknowns_variance,
 )
 
-METHOD_OF_AXES = {"body": "redistribution", "earth": "redistribution-earth"}
+Axes = Literal["body", "earth"]
+METHOD_OF_AXES: dict[Axes, str] = {"body": "redistribution", "earth": "redistribution-earth"}
 
 
 @dataclass(frozen=True)
-class RedistributionParams:
+class RedistributionParams(Settings):
     """Settings of the benchmark of paper 002, by station."""
 
-    axes: Literal["body", "earth"] = "body"  # in which the closing error is spread; earth is the truer one
     rest: RestParams = field(default_factory=RestParams)
     returns: ReturnParams = field(default_factory=ReturnParams)
     gyro: GyroErrors = field(default_factory=GyroErrors)
-    prior_returns: float = 1.0  # how many returns' worth of trust the sizes in gyro deserve against what is seen
+    prior_returns: float = number(1.0, 0.01, 100.0, "how many returns' worth of trust the sizes in gyro deserve")
 
 
 def redistribution(recording: Recording, params: RedistributionParams) -> Reference:
+    """The benchmark of paper 002: closing errors spread in body axes; see :func:`redistributed`."""
+    return redistributed(recording, params, "body")
+
+
+def redistribution_earth(recording: Recording, params: RedistributionParams) -> Reference:
+    """The same with closing errors spread in the earth frame, where they arise; see :func:`redistributed`."""
+    return redistributed(recording, params, "earth")
+
+
+def redistributed(recording: Recording, params: RedistributionParams, axes: Axes) -> Reference:
     """The reference by error redistribution between base-pose returns.
 
     Before the first rest and after the last return the gyro runs free: the covariance grows. Raises
@@ -70,8 +81,8 @@ def redistribution(recording: Recording, params: RedistributionParams) -> Refere
     q_nb = np.tile(base.q_nb, (n, 1))
     cov_n = np.tile(repeat, (n, 1, 1))
     for path in returns.swings:
-        q_nb[path.rows] = spread(path, base.q_nb, params.axes)
-        cov_n[path.rows] = repeat + spread_covariance(path, closure(path, base).as_rotvec(), scale, params)
+        q_nb[path.rows] = spread(path, base.q_nb, axes)
+        cov_n[path.rows] = repeat + spread_covariance(path, closure(path, base).as_rotvec(), scale, params, axes)
     for start, stop in ((base.start, 0), (returns.spans[-1][1], n - 1)):
         path = swing(imu, base.gyro_bias_b_radps, start, stop, base.q_nb, params.gyro)
         q_nb[path.rows] = path.q_nb
@@ -81,7 +92,7 @@ def redistribution(recording: Recording, params: RedistributionParams) -> Refere
         q_nb=q_nb,
         cov_b_rad2=in_body(cov_n, q_nb),
         gyro_bias_b_radps=np.tile(base.gyro_bias_b_radps, (n, 1)),
-        method=METHOD_OF_AXES[params.axes],
+        method=METHOD_OF_AXES[axes],
         name=recording.name,
         rests_ns=rests_ns,
         returns=returns.verdicts,
@@ -89,7 +100,7 @@ def redistribution(recording: Recording, params: RedistributionParams) -> Refere
     )
 
 
-def spread(path: Swing, q_end_nb: Floats, axes: str) -> Floats:
+def spread(path: Swing, q_end_nb: Floats, axes: Axes) -> Floats:
     """The attitudes (M, 4) of a swing with its closing error spread in proportion to time; ends on ``q_end_nb``."""
     raw = rotation(path.q_nb)
     share = _share(path)
@@ -101,7 +112,7 @@ def spread(path: Swing, q_end_nb: Floats, axes: str) -> Floats:
     return quaternion(Rotation.from_rotvec(share[:, None] * error_n) * raw)
 
 
-def spread_covariance(path: Swing, error_n: Floats, scale: float, params: RedistributionParams) -> Floats:
+def spread_covariance(path: Swing, error_n: Floats, scale: float, params: RedistributionParams, axes: Axes) -> Floats:
     """Second moment (M, 3, 3), earth frame, of what the spreading leaves, given the closing error (3,) it spread.
 
     The expected miss enters by its size in all directions alike: to first order its direction is known too, but
@@ -117,7 +128,7 @@ def spread_covariance(path: Swing, error_n: Floats, scale: float, params: Redist
         walk = walk_rad2[rows, None, None] * np.eye(3)
         with_end = (matrix * variance) @ end_matrix.T + walk
         expected = with_end @ np.linalg.inv(end_cov)
-        turn = np.eye(3) if params.axes == "earth" else rotation(path.q_nb[rows]).as_matrix() @ back_to_end
+        turn = np.eye(3) if axes == "earth" else rotation(path.q_nb[rows]).as_matrix() @ back_to_end
         missed_n = (expected - share[rows, None, None] * turn) @ error_n
         known = (matrix * variance) @ matrix.transpose(0, 2, 1) + walk - expected @ with_end.transpose(0, 2, 1)
         cov_n[rows] = known + np.sum(missed_n**2, axis=1)[:, None, None] / 3 * np.eye(3)

@@ -8,8 +8,8 @@ from typing import Any
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Reference
-from stillpoint.smoother.params import with_settings
-from stillpoint.smoother.redistribution import RedistributionParams, redistribution
+from stillpoint.smoother.params import Settings, with_settings
+from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 
 DEFAULT_METHOD = "redistribution"
 
@@ -19,19 +19,19 @@ class Method:
     """One way to make a reference."""
 
     function: Callable[[Recording, Any], Reference]
-    defaults: Any  # its settings; their class is what ``params`` must be of
+    defaults: Settings  # its settings; their class is what ``params`` must be of
     summary: str
 
 
 METHODS: dict[str, Method] = {
     "redistribution": Method(
         redistribution,
-        RedistributionParams(axes="body"),
+        RedistributionParams(),
         "the gyro between returns to the base pose, closing errors spread in body axes (paper 002)",
     ),
     "redistribution-earth": Method(
-        redistribution,
-        RedistributionParams(axes="earth"),
+        redistribution_earth,
+        RedistributionParams(),
         "the same with the closing errors spread in the earth frame, where a gyro's errors pile up",
     ),
 }
@@ -46,8 +46,18 @@ def method_of(name: str) -> Method:
     return METHODS[name]
 
 
+def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
+    """The method's settings with what the user gave; raises :class:`BadParameter`."""
+    defaults = method_of(method).defaults
+    if params is None or isinstance(params, Mapping):
+        return with_settings(defaults, params or {}, method)
+    if not isinstance(params, type(defaults)):
+        raise BadParameter(f"{method}: params is a {type(params).__name__}; give a {type(defaults).__name__}")
+    return params
+
+
 def reference(
-    recording: Recording, method: str = DEFAULT_METHOD, params: object | Mapping[str, Any] | None = None
+    recording: Recording, method: str = DEFAULT_METHOD, params: Settings | Mapping[str, Any] | None = None
 ) -> Reference:
     """The reference trajectory of a recording.
 
@@ -55,12 +65,5 @@ def reference(
     (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. Raises :class:`BadParameter` for a method or
     setting that is not there, :class:`Unobservable` when the recording does not fix a reference.
     """
-    chosen = method_of(method)
-    settings = chosen.defaults
-    if isinstance(params, Mapping):
-        settings = with_settings(settings, params, method)
-    elif params is not None:
-        if not isinstance(params, type(settings)):
-            raise BadParameter(f"{method}: params is a {type(params).__name__}; give a {type(settings).__name__}")
-        settings = params
-    return replace(chosen.function(recording, settings), params=asdict(settings))
+    settings = settings_of(method, params)
+    return replace(method_of(method).function(recording, settings), params=asdict(settings))

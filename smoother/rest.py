@@ -11,26 +11,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
+from stillpoint.smoother.params import Settings, degrees, number
 
 
 @dataclass(frozen=True)
-class RestParams:
-    """Thresholds of :func:`find_rests`. The defaults lie between what was measured at rest and in a calm hand.
+class RestParams(Settings):
+    """Thresholds of :func:`find_rests`: default, lowest, highest, meaning.
 
-    Deviation of the rate at rest: 0.02-0.07 deg/s (BROAD, MPU6050 bench); of a phone held still: 0.9-6 deg/s.
+    They lie between what was measured: the rate deviates by 0.02-0.07 deg/s at rest (BROAD, an MPU6050 on a bench) and
+    by 0.9-6 deg/s in a hand that holds a phone still (Tyrex).
     """
 
-    window_s: float = 1.0  # the deviation is taken over this time; shorter rests go unseen; 0.3 .. 5
-    smooth_s: float = 0.1  # mean that takes out white noise and vibration before; 0 .. 0.3
-    gyro_sd_radps: float = np.deg2rad(0.2)  # largest deviation of the smoothed rate (three axes together)
-    accel_sd_mps2: float = 0.08  # largest deviation of the smoothed specific force (three axes together)
-    noise_factor: float = 3.0  # a noisier sensor raises both to this multiple of its own white noise; 1 .. 5
-    noise_limit: float = 5.0  # ... but never above this multiple of them; 1 .. 10
-    tilt_change_rad: float = np.deg2rad(1.0)  # gravity may turn by this much between the ends of a rest
-    bias_change_radps: float = np.deg2rad(0.4)  # the rest bias may differ by this much from one rest to the next
-    bias_limit_radps: float = np.deg2rad(10.0)  # a steadier rate above this is a rotation, not a bias
-    min_rest_s: float = 1.0  # shorter rests are not reported
-    edge_s: float = 0.1  # cut from both ends, where motion starts and fades out
+    window_s: float = number(1.0, 0.3, 10.0, "time over which deviations are taken; shorter rests go unseen")
+    smooth_s: float = number(0.1, 0.0, 0.5, "mean before that, which takes out white noise and vibration")
+    gyro_sd_radps: float = degrees(0.2, 0.005, 5.0, "largest deviation of the smoothed rate, three axes together")
+    accel_sd_mps2: float = number(0.08, 0.002, 2.0, "the same of the specific force")
+    noise_factor: float = number(3.0, 1.0, 10.0, "both rise to this multiple of the sensor's own white noise")
+    noise_limit: float = number(5.0, 1.0, 100.0, "but never above this multiple of themselves")
+    tilt_change_rad: float = degrees(1.0, 0.05, 10.0, "gravity may turn by this much between the ends of a rest")
+    bias_change_radps: float = degrees(0.4, 0.01, 5.0, "the mean rate may change by this much from rest to rest")
+    bias_limit_radps: float = degrees(10.0, 0.1, 100.0, "a mean rate above this is a rotation, not a bias")
+    min_rest_s: float = number(1.0, 0.1, 60.0, "shorter rests are not reported")
+    edge_s: float = number(0.1, 0.0, 1.0, "cut from both ends, where motion fades in and out")
 
 
 def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:

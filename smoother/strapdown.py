@@ -18,19 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
+from stillpoint.smoother.params import Settings, degrees, number
 
 CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
 GAP_STEPS = 5.0  # an interval longer than this many median steps is a gap: 5 lost samples
 
 
 @dataclass(frozen=True)
-class GyroErrors:
-    """What is not known of a gyro whose bias was measured at rest: one standard deviation each."""
+class GyroErrors(Settings):
+    """What is not known of a gyro whose bias was measured at rest, one standard deviation: default, lowest, highest."""
 
-    scale_sd: float = 0.005  # scale and misalignment, relative; 0.002 (calibrated) .. 0.03 (cheap and raw)
-    bias_sd_radps: float = np.deg2rad(0.03)  # change of the bias since the rest; 0.003 .. 0.2 deg/s
-    walk_rad_rts: float = np.deg2rad(0.05)  # angle random walk, with what else is new in each second; 0.005 .. 0.3
-    gap_rate_sd_radps: float = np.deg2rad(60.0)  # rate that a gap in the stamps may hide
+    scale_sd: float = number(0.005, 0.0001, 0.2, "scale and misalignment, relative; 0.002 calibrated, 0.03 raw")
+    bias_sd_radps: float = degrees(0.03, 0.0001, 5.0, "change of the bias since the rest")
+    walk_rad_rts: float = degrees(0.05, 0.0005, 5.0, "angle random walk per sqrt(s), with all that is new each second")
+    gap_rate_sd_radps: float = degrees(60.0, 0.0, 3000.0, "rate that a gap in the stamps may hide")
 
 
 @dataclass(frozen=True, eq=False)
