@@ -22,7 +22,7 @@ def path(request):
 
 def test_acceleration_integrates_back_to_the_position(path):
     # Gauss-Legendre with three points is exact for the polynomials of degree 3 between the ends of the strokes.
-    knots = path.position_n_m.x
+    knots = np.unique(np.concatenate([chain.x for chain in path.place_n_m]))
     nodes, weights = np.polynomial.legendre.leggauss(3)
     velocity, position = np.zeros(3), path.position(knots[:1])[0]
     for start, end in pairwise(knots):
@@ -32,7 +32,8 @@ def test_acceleration_integrates_back_to_the_position(path):
         position = position + velocity * (end - start) + moments[0] * (end - start) / 2
         velocity = velocity + moments[1] * (end - start) / 2
         np.testing.assert_allclose(position, path.position([end])[0], atol=1e-9)
-        np.testing.assert_allclose(velocity, 0, atol=1e-9)
+        if not path.moving([end]).any():
+            np.testing.assert_allclose(velocity, 0, atol=1e-9)
 
 
 def test_rate_integrates_back_to_the_attitude(path):
@@ -88,7 +89,7 @@ def test_neither_rate_nor_acceleration_jumps(path):
 def test_rate_is_the_derivative_of_any_turn(turn, further, share):
     times = [0.0, 1.0, 2.0, 3.0]
     turns = strokes(times, [np.zeros(3), turn, further, further])
-    path = Path(np.array([1.0, 0, 0, 0]), turns, strokes(times, np.zeros((4, 3))), np.array([[0.0, 0.0], [2.0, 3.0]]))
+    path = Path(np.array([1.0, 0, 0, 0]), turns, (), np.array([[0.0, 0.0], [2.0, 3.0]]))
     t, h = 1 + share, 1e-4
     step = path.steps_b_rad(np.array([t - h, t + h]))[0] / (2 * h)
     # The central difference is wrong by h^2/6 times the second derivative of the rate, under 100 rad/s^3 here.

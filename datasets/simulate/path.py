@@ -34,7 +34,7 @@ class Path:
 
     base_q_nb: Floats  # (4,) wxyz
     turn_b_rad: BPoly  # (3,) rotation vector from the base attitude, in the body axes of the base
-    position_n_m: BPoly  # (3,)
+    place_n_m: tuple[BPoly, ...]  # (3,) each; the position is their sum
     rests_s: Floats  # (R, 2) from, to; the first begins at 0, the last ends with the path
 
     @property
@@ -68,11 +68,13 @@ class Path:
 
     def position(self, t_s: ArrayLike) -> Floats:
         """Position in n, (N, 3) in m."""
-        return np.asarray(self.position_n_m(self._within(t_s)))
+        t = self._within(t_s)
+        return np.sum([chain(t) for chain in self.place_n_m], axis=0)
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
         """Second derivative of the position in n, (N, 3)."""
-        return np.asarray(self._acceleration(self._within(t_s)))
+        t = self._within(t_s)
+        return np.sum([chain(t) for chain in self._accelerations], axis=0)
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
         """Whether a time (N,) lies outside all rests."""
@@ -85,8 +87,8 @@ class Path:
         return self.turn_b_rad.derivative()
 
     @cached_property
-    def _acceleration(self) -> BPoly:
-        return self.position_n_m.derivative(2)
+    def _accelerations(self) -> list[BPoly]:
+        return [chain.derivative(2) for chain in self.place_n_m]
 
     def _within(self, t_s: ArrayLike) -> Floats:
         return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)

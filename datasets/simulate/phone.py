@@ -26,15 +26,17 @@ BASE_EULER_NWU_DEG = (0.4, -0.3, 40.0)  # a table that is nearly level; the phon
 
 SWING_S = (20.0, 30.0)
 RETURN_S = (3.0, 6.0)
-SHORTEST_STROKE_S = 0.15
+SHORTEST_TURN_S = 0.15
+SHORTEST_REACH_S = 0.06
 
 
 @dataclass(frozen=True)
 class Hand:
-    """How the phone is moved: strokes to turns and places drawn from a box around the base pose.
+    """How the phone is moved: strokes to turns and places drawn from a box around the base pose, and jolts on the way.
 
     Triples are for the axes of the base pose. Peak rate and peak acceleration of a stroke are drawn between the two
-    given values, their logarithm uniform; they set how long the stroke takes.
+    given values, their logarithm uniform; they set how long the stroke takes. Jolts are small, short strokes on top of
+    the others: the stick and slip of sliding, the shaking of a hand.
     """
 
     initial_rest_s: float
@@ -42,6 +44,8 @@ class Hand:
     peak_rate_degps: tuple[float, float]
     reach_m: tuple[float, float, float]  # half the sides of the box
     peak_accel_mps2: tuple[float, float]
+    jolt_m: tuple[float, float, float]  # half the sides of the box
+    jolt_accel_mps2: tuple[float, float]
     return_turn_deg: tuple[float, float, float] = (0.2, 0.2, 0.2)  # sd: how well the base pose is found again
     return_reach_m: float = 0.002  # sd
 
@@ -51,22 +55,28 @@ SLIDING = Hand(
     turn_deg=(0.0, 0.0, 120.0),
     peak_rate_degps=(20.0, 400.0),
     reach_m=(0.35, 0.35, 0.0),
-    peak_accel_mps2=(0.2, 6.0),
+    peak_accel_mps2=(0.1, 0.4),
+    jolt_m=(0.01, 0.01, 0.0),
+    jolt_accel_mps2=(0.2, 5.5),
     return_turn_deg=(0.0, 0.0, 0.2),
 )
 TRIPOD = Hand(
     initial_rest_s=60.0,
     turn_deg=(40.0, 40.0, 90.0),
     peak_rate_degps=(10.0, 90.0),
-    reach_m=(0.15, 0.15, 0.05),
+    reach_m=(0.3, 0.3, 0.1),
     peak_accel_mps2=(0.1, 4.0),
+    jolt_m=(0.001, 0.001, 0.001),
+    jolt_accel_mps2=(0.02, 0.2),
 )
 IN_HAND = Hand(
     initial_rest_s=60.0,
     turn_deg=(60.0, 45.0, 90.0),
     peak_rate_degps=(100.0, 800.0),
     reach_m=(0.3, 0.3, 0.2),
-    peak_accel_mps2=(2.0, 18.0),
+    peak_accel_mps2=(0.5, 4.0),
+    jolt_m=(0.03, 0.03, 0.03),
+    jolt_accel_mps2=(2.0, 20.0),
 )
 
 
@@ -111,19 +121,24 @@ def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float,
 def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     """The path of one experiment: rest, then swings that end in the base pose."""
     rests = protocol(hand.initial_rest_s, total_s, seed, kind)
-    box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
-    turns, places = [(0.0, np.zeros(3))], [(0.0, np.zeros(3))]
+    turn_box, reach_box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
+    turn_s = partial(_turn_s, np.deg2rad(hand.peak_rate_degps))
+    reach_s, jolt_s = partial(_reach_s, hand.peak_accel_mps2), partial(_reach_s, hand.jolt_accel_mps2)
+    start = (0.0, np.zeros(3))
+    turns, places, jolts = [start], [start], [start]
     for swing, ((_, start_s), (end_s, _)) in enumerate(pairwise(rests)):
         rng = draws(seed, f"{kind}/swing/{swing}")
         home_turn = np.deg2rad(rng.standard_normal(3) * hand.return_turn_deg)
-        home_place = rng.standard_normal(3) * hand.return_reach_m * (box[1] > 0)
-        turns += _swing(start_s, end_s, turns[-1][1], home_turn, box[0], partial(_turn_s, hand), rng)
-        places += _swing(start_s, end_s, places[-1][1], home_place, box[1], partial(_reach_s, hand), rng)
-    turns.append((total_s, turns[-1][1]))
-    places.append((total_s, places[-1][1]))
+        home_place = rng.standard_normal(3) * hand.return_reach_m * (reach_box > 0)
+        turns += _swing(start_s, end_s, turns[-1][1], home_turn, turn_box, turn_s, rng)
+        places += _swing(start_s, end_s, places[-1][1], home_place, reach_box, reach_s, rng)
+        jolts += _swing(start_s, end_s, np.zeros(3), np.zeros(3), np.asarray(hand.jolt_m), jolt_s, rng)
+    for chain in (turns, places, jolts):
+        chain.append((total_s, chain[-1][1]))
     base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
-    places = [(at_s, rotation(base_q_nb).apply(place)) for at_s, place in places]
-    return Path(base_q_nb, strokes(*zip(*turns, strict=True)), strokes(*zip(*places, strict=True)), rests)
+    base = rotation(base_q_nb)
+    in_n = tuple(strokes([t for t, _ in chain], base.apply([at for _, at in chain])) for chain in (places, jolts))
+    return Path(base_q_nb, strokes(*zip(*turns, strict=True)), in_n, rests)
 
 
 def protocol(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
@@ -166,14 +181,14 @@ def _swing(
         ends.append((at_s, target))
 
 
-def _turn_s(hand: Hand, way_rad: Floats, speed: float) -> float:
+def _turn_s(rate_radps: Floats, way_rad: Floats, speed: float) -> float:
     """A stroke of a minimum-jerk turn peaks at 15/8 of its mean rate."""
-    slowest, fastest = np.deg2rad(hand.peak_rate_degps)
-    return max(SHORTEST_STROKE_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
+    slowest, fastest = rate_radps
+    return max(SHORTEST_TURN_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
 
 
-def _reach_s(hand: Hand, way_m: Floats, speed: float) -> float:
+def _reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> float:
     """The acceleration of a minimum-jerk stroke peaks at 10/sqrt(3) of its way over its time squared."""
-    slowest, fastest = hand.peak_accel_mps2
+    slowest, fastest = accel_mps2
     peak = slowest ** (1 - speed) * fastest**speed
-    return max(SHORTEST_STROKE_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))
+    return max(SHORTEST_REACH_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))
