@@ -60,6 +60,11 @@ class Alignment:
         }
 
     @property
+    def time_at_limit(self) -> bool:
+        """Whether the clock was found at an end of the searched range, where no minimum is."""
+        return abs(self.time_offset_s) >= TIME_RANGE_S
+
+    @property
     def mounting(self) -> Rotation:
         """M: vectors of the estimate's body to the truth's."""
         return Rotation.from_rotvec(self.mounting_rotvec_rad)
@@ -145,10 +150,11 @@ def _clock_offset(estimated: Track, t_ns: Times, q_true: Floats) -> int:
     some = _spread(inside, COARSE_SAMPLES)
     grid = np.linspace(-TIME_RANGE_S, TIME_RANGE_S, round(2 * TIME_RANGE_S / COARSE_STEP_S) + 1)
     start = float(grid[int(np.argmin([cost(offset_s, some) for offset_s in grid]))])
+    bounds = max(start - COARSE_STEP_S, -TIME_RANGE_S), min(start + COARSE_STEP_S, TIME_RANGE_S)
     offset_s = start
     for _ in range(FINE_STEPS):
         step_s = _clock_step(estimated, t_ns[inside], q_true[inside], offset_s)
-        closer_s = float(np.clip(offset_s + step_s, start - COARSE_STEP_S, start + COARSE_STEP_S))
+        closer_s = float(np.clip(offset_s + step_s, *bounds))
         moved_s, offset_s = abs(closer_s - offset_s), closer_s
         if moved_s < FINE_ENOUGH_S:
             break

@@ -24,6 +24,7 @@ from stillpoint.scoring.score import Score
 Floats = NDArray[np.float64]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
+ON_DARK = ("#4DA9E8", "#FF8B4A", "#2EC79A", "#E6A0C8", "#F2B632", "#9AD8F7", "#B9A0DB", "#D1A04D")  # the same, lighter
 SMALLEST_ERROR_DEG = 0.01  # lower end of a logarithmic axis
 WRAP_DEG = 180.0
 REST_GREY = "0.5"
@@ -173,7 +174,7 @@ def _time_axis(ax: Axes, view: View) -> None:
         if last_s > start_s and first_s < end_s:
             ax.axvspan(max(first_s, start_s), min(last_s, end_s), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
     ax.set_xlim(start_s, end_s)
-    ax.xaxis.set_major_locator(MaxNLocator(max(_columns(ax) // 35, 3)))
+    ax.xaxis.set_major_locator(MaxNLocator(max(_columns(ax) // 30, 4)))
 
 
 def _still_stretches(truth: Truth) -> Times:

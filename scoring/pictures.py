@@ -10,8 +10,10 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from stillpoint.scoring.figures import COLOURS
 
 INK, GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them
+PAGE_COLOURS = {colour.lower(): f"var(--line-{k})" for k, colour in enumerate(COLOURS)}
 WIDTHS_PX = {"wide": 1040, "narrow": 358}
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -62,10 +64,10 @@ def picture(
                 axes[-1].set_xlabel("time (s)")
             handles, labels = axes[0].get_legend_handles_labels()
             if len(labels) > 1:
-                columns = min(len(labels), 7 if name == "wide" else 3)
-                figure.legend(
-                    handles, labels, loc="outside upper left", ncols=columns, handlelength=1.3, columnspacing=1
-                )
+                columns = min(len(labels), 8 if name == "wide" else 2)
+                legend = figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.3)
+                for line in legend.get_lines():
+                    line.set_linewidth(3)
             drawn[name] = _svg(figure, title, name)
     return Picture(title, note, **drawn)
 
@@ -79,5 +81,6 @@ def _svg(figure: Figure, title: str, name: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), svg)
     svg = re.sub(r'\bid="(?!m|p|C)[^"]*"', "", svg)
-    svg = svg.replace(INK, "currentColor").replace(GRID, "var(--grid)")
+    for colour, of_page in {INK: "currentColor", GRID: "var(--grid)", **PAGE_COLOURS}.items():
+        svg = svg.replace(colour, of_page)
     return svg.replace("<svg", f'<svg class="{name}" role="img" aria-label="{html.escape(title)}"', 1)

@@ -1,7 +1,7 @@
 """One self-contained HTML page about a recording: scores, pictures, what was aligned, where everything comes from."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
@@ -13,7 +13,7 @@ from stillpoint.datasets.recording import Recording, Truth, rate_hz
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.compare import Comparison, compare, name_of
-from stillpoint.scoring.figures import View, draw_angles, draw_band, draw_errors, draw_scores, view_of
+from stillpoint.scoring.figures import COLOURS, ON_DARK, View, draw_angles, draw_band, draw_errors, draw_scores, view_of
 from stillpoint.scoring.pictures import Picture, picture
 from stillpoint.scoring.score import Score, score_of
 
@@ -66,6 +66,8 @@ def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         lstrip_blocks=True,
     ).get_template("report.html.j2")
     return page.render(
+        colours=COLOURS,
+        colours_on_dark=ON_DARK,
         name=material.name,
         facts=_facts(material),
         sections=[_section(verdict) for verdict in verdicts],
@@ -162,8 +164,17 @@ def _provenance(material: Material) -> dict[str, Any]:
     return {
         "files": dict(material.sha256),
         "sources": dict(material.recording.info.sha256) if material.recording is not None else {},
-        "params": {name_of(thing): {key: str(value) for key, value in thing.params.items()} for thing in made},
+        "params": {name_of(thing): dict(_dotted("", thing.params)) for thing in made},
     }
+
+
+def _dotted(prefix: str, params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Nested parameters in one level: ``rest.window_s``."""
+    for key, value in params.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(f"{prefix}{key}.", value)
+        else:
+            yield f"{prefix}{key}", f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _versions() -> dict[str, str]:

@@ -17,15 +17,15 @@ def recording_name(path: Path) -> str:
 
 
 def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
-    """The references or estimates of the recording NAME among these files, sorted by name."""
+    """The references or estimates of the recording NAME among these files, sorted by METHOD or ESTIMATOR."""
     suffix = KINDS[kind]
     found = []
     for file in files:
         label = file.name.removesuffix(suffix).removeprefix(name)
         ours = kind_of(file) == kind and file.name.startswith(name)
         if ours and (label == "" or (label[0] == "." and "." not in label[1:])):
-            found.append(file)
-    return sorted(found)
+            found.append((label, file))
+    return [file for _, file in sorted(found)]
 
 
 def neighbours(path: Path) -> list[Path]:

@@ -92,8 +92,11 @@ def print_scores(scores: Sequence[Score]) -> None:
     for against, same in groupby(sorted(ordered, key=lambda s: s.against), key=lambda s: s.against):
         judged = list(same)
         sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
-        title = f"against the {against}: RMSE in deg; roll, pitch, yaw in {judged[0].frame.upper()}: RMSE / MaxAE"
-        print_table(title, COLUMNS, sections)
+        whose, first = ("", 0) if len(sections) > 1 else (f"{judged[0].recording} ", 1)
+        title = (
+            f"{whose}against the {against}: RMSE in deg; roll, pitch, yaw in {judged[0].frame.upper()}: RMSE / MaxAE"
+        )
+        print_table(title, COLUMNS[first:], [[cells[first:] for cells in rows] for rows in sections])
         for note in _notes(judged):
             print(note)
 
@@ -175,6 +178,8 @@ def _notes(scores: Sequence[Score]) -> list[str]:
         counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)
         if counts:
             notes.append(f"{s.recording} {s.estimated}: {s.samples} moving samples scored, left out: {counts}")
+        if s.alignment.time_at_limit:
+            notes.append(f"{s.recording} {s.estimated}: the clock lies at the end of the search; do not trust it")
     sds = sorted({(s.recording, s.reference_sd_deg) for s in scores if s.reference_sd_deg is not None})
     notes += [f"{name}: the reference's own sd is {sd_deg:.2f} deg (median)" for name, sd_deg in sds]
     if any(s.reference_sd_deg is not None and s.total_rmse_deg < s.reference_sd_deg for s in scores):
