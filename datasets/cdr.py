@@ -103,15 +103,15 @@ class _Walk:
     def __init__(self, order: str, length_at: Callable[[str, int, int], int], size: int | None = None) -> None:
         self.order, self.length_at, self.size = order, length_at, size  # size: of a message that is there to be read
         self.end = ENCAPSULATION
-        self.names: list[str] = []
+        self.offsets: dict[str, int] = {}  # of each leaf
         self.formats: list[Any] = []
-        self.offsets: list[int] = []
         self.words: list[tuple[int, bytes]] = []
 
     def layout(self, message_type: MessageType) -> Layout:
         self._message(message_type.definitions, message_type.name, "", depth=0)
         size = self.end if self.size is None else self.size
-        spec: Any = {"names": self.names, "formats": self.formats, "offsets": self.offsets, "itemsize": size}
+        places = {"names": list(self.offsets), "offsets": list(self.offsets.values())}
+        spec: Any = {**places, "formats": self.formats, "itemsize": size}
         return Layout(np.dtype(spec), tuple(self.words))
 
     def _message(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], name: str, path: str, depth: int) -> None:
@@ -158,7 +158,7 @@ class _Walk:
         """One primitive, ``count`` of them in a row, or a string."""
         if primitive == "string":
             length = self._length(path, empty=1)
-            self._place(path, np.dtype((np.bytes_, max(length - 1, 0))), length)
+            self._place(path, f"S{max(length - 1, 0)}", length)
             return
         if primitive not in PRIMITIVES:
             raise Undecodable(f"its field {path} is of type {primitive}")
@@ -171,9 +171,10 @@ class _Walk:
     def _place(self, path: str, form: Any, size: int) -> None:
         if self.size is not None and self.end + size > self.size:
             raise Undecodable(f"a message ends within {path}")
-        if len(self.names) >= MOST_LEAVES:
+        if len(self.offsets) >= MOST_LEAVES:
             raise Undecodable(f"a message has more than {MOST_LEAVES} parts")
-        self.names.append(path)
+        if path in self.offsets:
+            raise Undecodable(f"its schema defines {path} twice")
         self.formats.append(form)
-        self.offsets.append(self.end)
+        self.offsets[path] = self.end
         self.end += size
