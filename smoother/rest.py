@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
 from stillpoint.smoother.params import Settings, degrees, number
 
+DENSE_SHARE = 0.6  # of the samples of a window must be there: less than that beside a long gap
+
 
 @dataclass(frozen=True)
 class RestParams(Settings):
@@ -38,8 +40,8 @@ class RestParams(Settings):
 def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
     """First and last stamp of each rest, ``(R, 2)`` int64 ns, in the order of time; R may be 0.
 
-    Works in seconds on the stream's own stamps, regular or not; a stretch where half of the samples are missing is
-    no rest.
+    Works in seconds on the stream's own stamps, regular or not; no rest reaches across a gap of half a
+    window.
     """
     if len(imu.t_ns) < 3:
         return np.empty((0, 2), dtype=np.int64)
@@ -51,10 +53,7 @@ def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
     accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
 
     still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(imu.t_ns), params)
-    first, last = _window(t_s, params.window_s)
-    touched = np.concatenate([[0], np.cumsum(still)])
-    spans = _runs(touched[last] > touched[first])
-    spans = _cut_edges(t_s, spans, params)
+    spans = _cut_edges(t_s, _widened(t_s, _runs(still), params), params)
     spans = spans[[_keeps_tilt(imu, t_s, span, params) for span in spans]] if len(spans) else spans
     spans = spans[_at_bias(imu, spans, gyro_sd, params)]
     return imu.t_ns[spans]
@@ -90,16 +89,25 @@ def _limit(threshold: float, noise: float, params: RestParams) -> float:
 
 
 def _dense(t_s: Floats, rate: float, params: RestParams) -> NDArray[np.bool_]:
-    """At least half of the samples that the recording's rate promises are in the window."""
+    """Enough of the samples that the recording's rate promises are in the window."""
     first, last = _window(t_s, params.window_s)
     inside_s = np.minimum(t_s + params.window_s / 2, t_s[-1]) - np.maximum(t_s - params.window_s / 2, t_s[0])
-    return (last - first >= 0.5 * rate * inside_s) & (last - first >= 3)
+    return (last - first >= DENSE_SHARE * rate * inside_s) & (last - first >= 3)
 
 
 def _runs(mask: NDArray[np.bool_]) -> Times:
     """First and last index of each run of True, (R, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return np.stack([edges[::2], edges[1::2] - 1], axis=1).astype(np.int64)
+
+
+def _widened(t_s: Floats, runs: Times, params: RestParams) -> Times:
+    """Runs of still window centres, grown to what their windows cover; neighbours meet halfway and stay apart."""
+    first, last = _window(t_s, params.window_s)
+    start, end = first[runs[:, 0]], last[runs[:, 1]] - 1
+    middle = (runs[:-1, 1] + runs[1:, 0]) // 2
+    start[1:], end[:-1] = np.maximum(start[1:], middle + 1), np.minimum(end[:-1], middle)
+    return np.stack([start, end], axis=1).astype(np.int64)
 
 
 def _cut_edges(t_s: Floats, spans: Times, params: RestParams) -> Times:
