@@ -1,0 +1,212 @@
+"""The report: what is on the page, that it needs no network, that a browser shows it, that thinning keeps peaks."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets import Estimate, Imu, Recording, Reference, Truth
+from stillpoint.datasets.frames import quaternion, rotation
+from stillpoint.scoring.envelope import break_line, envelope
+from stillpoint.scoring.figures import draw_angles, draw_errors, draw_scores, view_of
+from stillpoint.scoring.report import Material, judge, report_html
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+@pytest.fixture(scope="module")
+def material():
+    """40 s with two rests, a reference with a covariance, and two estimates, one of them with a hostile name."""
+    n = 4000
+    t_ns = np.arange(n) * 10_000_000
+    t_s = np.clip(t_ns / 1e9, 5, 35) - 5
+    angles = np.stack([2.5 * np.sin(0.5 * t_s), 0.7 * np.sin(1.1 * t_s), 0.5 * np.sin(1.7 * t_s)], axis=1)
+    q_nb = quaternion(Rotation.from_euler("ZYX", angles))
+    still = (t_ns < 5e9) | (t_ns > 35e9)
+    rng = np.random.default_rng(0)
+
+    def turned(sd_rad):
+        return quaternion(rotation(q_nb) * Rotation.from_rotvec(rng.normal(scale=sd_rad, size=(n, 3))))
+
+    imu = Imu(t_ns, np.zeros((n, 3)), np.tile([0.0, 0.0, 9.81], (n, 1)))
+    recording = Recording("run & 7", imu=imu, truth=Truth(t_ns, q_nb, ~still))
+    rests_ns = np.array([[t_ns[0], t_ns[499]], [t_ns[3501], t_ns[-1]]])
+    cov = np.tile(np.eye(3) * 0.01**2, (n, 1, 1))
+    params = {"rest": {"window_s": 1.0}, "axes": "body"}
+    reference = Reference(
+        t_ns, turned(0.01), cov, np.zeros((n, 3)), "redistribution", "run & 7", rests_ns=rests_ns, params=params
+    )
+    estimates = (
+        Estimate(t_ns, "steady", q_nb=turned(0.05), recording="run & 7", params={"kappa": 0.7}),
+        Estimate(t_ns, "<script>alert(1)</script>", q_nb=turned(0.2), recording="run & 7"),
+    )
+    return Material("run & 7", recording, (reference,), estimates, {"run & 7.mcap": "0123456789abcdef" * 4})
+
+
+@pytest.fixture(scope="module")
+def page(material):
+    return report_html(material, judge(material))
+
+
+def test_everything_is_judged_by_reference_and_truth(material):
+    """Estimates against the reference; the reference and the estimates against the truth."""
+    by_reference, by_truth = judge(material)
+    names = ["steady", "<script>alert(1)</script>"]
+    assert [s.estimated for s in by_reference.scores] == names
+    assert [s.estimated for s in by_truth.scores] == ["reference (redistribution)", *names]
+    assert by_truth.scores[0].coverage95 == pytest.approx(0.95, abs=0.02)
+    assert all(s.samples == 3001 for verdict in (by_reference, by_truth) for s in verdict.scores)
+
+
+def test_page_shows_the_scores_that_were_found(material, page):
+    for verdict in judge(material):
+        for s in verdict.scores:
+            assert f">{s.total_rmse_deg:.2f}" in page
+            assert f"{s.roll_rmse_deg:.2f} <span" in page
+
+
+def test_page_says_how_it_came_about(page):
+    for said in ("0123456789abcdef" * 4, "rest.window_s = 1", "kappa = 0.7", "stillpoint 0.", "aligned by heading"):
+        assert said in page
+    assert "Only independent truth shows accuracy" in page
+
+
+def test_page_asks_nothing_of_the_network(page):
+    """No address is fetched: every src, href and url() stays inside the page."""
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", page)
+    assert not re.search(r"url\((?!#|data:)", page)
+    assert "@import" not in page
+    assert "<script" not in page
+
+
+def test_names_are_escaped(page):
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert" in page
+    assert "run &amp; 7" in page
+
+
+def test_same_material_same_bytes(material, page):
+    assert report_html(material, judge(material)) == page
+
+
+def test_recording_without_truth_has_one_verdict(material):
+    blind = Material("blind", None, material.references, material.estimates)
+    (verdict,) = judge(blind)
+    assert isinstance(verdict.truth, Reference)
+
+
+def browser():
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip(f"no browser here (looked for {', '.join(BROWSERS)}): the page is not opened")
+    return found
+
+
+def run_browser(tmp_path, page, *options):
+    """Headless Chromium on the page, without the network."""
+    file = tmp_path / "page.html"
+    file.write_text(page, encoding="utf-8")
+    offline = ("--headless", "--no-sandbox", "--disable-gpu", "--host-resolver-rules=MAP * ~NOTFOUND")
+    command = [browser(), *offline, f"--user-data-dir={tmp_path / 'profile'}", *options, file.as_uri()]
+    return subprocess.run(command, capture_output=True, timeout=120, check=True).stdout.decode()
+
+
+def test_browser_finds_the_table_and_the_pictures(tmp_path, page):
+    """After the browser's own parsing: a row per estimate, and every picture with drawn lines, in both widths."""
+    seen = run_browser(tmp_path, page, "--dump-dom")
+    tables = re.findall(r'<table class="scores">.*?</table>', seen, re.DOTALL)
+    assert [len(re.findall(r"<tr[ >]", table)) - 1 for table in tables] == [2, 3]
+    pictures = re.findall(r'<svg class="(wide|narrow)" role="img".*?</svg>', seen, re.DOTALL)
+    assert pictures.count("wide") == pictures.count("narrow") == 6
+    for svg in re.findall(r'<svg class="(?:wide|narrow)".*?</svg>', seen, re.DOTALL):
+        assert svg.count("<path") > 5
+        assert "<text" in svg
+
+
+@pytest.mark.parametrize("width_px", [1280, 500])
+def test_browser_paints_the_page(tmp_path, page, width_px):
+    """The painted page has ink of the first estimate's colour: the pictures are shown, not only there."""
+    shot = tmp_path / "shot.png"
+    run_browser(tmp_path, page, f"--window-size={width_px},4000", "--hide-scrollbars", f"--screenshot={shot}")
+    painted = imread(shot)[..., :3]
+    assert painted.shape[1] == width_px
+    blue = np.abs(painted - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=2) < 0.02
+    assert blue.sum() > 1000
+
+
+# --- pictures
+
+
+@given(st.integers(1, 3000), st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_thinning_keeps_every_column_s_extremes(n, columns, seed):
+    """Least and greatest of each stretch, both ends, the order, and no invented point."""
+    rng = np.random.default_rng(seed)
+    t, value = np.cumsum(rng.uniform(0.1, 1, n)), rng.normal(size=n)
+    kept_t, kept = envelope(t, value, columns)
+    rows = np.searchsorted(t, kept_t)
+    assert (t[rows] == kept_t).all()
+    assert (value[rows] == kept).all()
+    assert (kept_t[0], kept_t[-1]) == (t[0], t[-1])
+    assert len(kept) <= max(4 * columns, n if n <= 4 * columns else 0)
+    if n > 1:
+        column = np.minimum(((t - t[0]) / (t[-1] - t[0]) * columns).astype(int), columns - 1)
+        for one in np.unique(column):
+            assert value[column == one].max() in kept
+            assert value[column == one].min() in kept
+
+
+def test_lines_break_at_gaps_and_wraps_and_stay_broken_when_thinned():
+    t = np.concatenate([np.arange(5000.0), np.arange(5100.0, 9000.0)])
+    value = np.where(t < 2000, 170.0, -170.0)
+    broken_t, broken = break_line(t, value, longest_step=5, largest_jump=180)
+    assert np.flatnonzero(np.isnan(broken)).tolist() == [2000, 5001]
+    thin_t, thin = envelope(broken_t, broken, 50)
+    assert np.isnan(thin).sum() == 2
+    assert thin_t[np.isnan(thin)].tolist() == [1999.5, 5049.5]
+    assert np.nanmax(thin) == 170
+
+
+def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
+    """The truth's line is on top and shows paper 002's yaw: minus the ENU one plus 90 deg."""
+    verdict = judge(material)[1]
+    drawn = {}
+    for frame in ("nwu", "enu"):
+        axes = Figure().subplots(3, 1)
+        draw_angles(axes, view_of(verdict.comparisons, verdict.truth, frame))
+        (line,) = [line for line in axes[2].lines if line.get_label() == "truth"]
+        assert line.zorder == max(other.zorder for other in axes[2].lines)
+        drawn[frame] = line.get_ydata()[0]
+    assert drawn["nwu"] == pytest.approx(90 - drawn["enu"], abs=1e-6)
+
+
+def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
+    verdict = judge(material)[0]
+    view = view_of(verdict.comparisons, verdict.truth, "nwu")
+    axes = Figure().subplots(2, 1)
+    draw_errors(axes, view)
+    for ax, s in zip(axes, verdict.scores, strict=True):
+        assert ax.get_title(loc="left") == s.estimated
+        moving = (ax.lines[0].get_xdata() > 5) & (ax.lines[0].get_xdata() < 35)
+        assert ax.lines[0].get_ydata()[moving].max() == pytest.approx(s.total_max_deg)
+        assert len(ax.patches) == 2
+        assert len(ax.collections) == 1
+
+
+def test_busiest_stretch_is_where_the_truth_turns(material):
+    view = view_of(judge(material)[0].comparisons, judge(material)[0].truth, "nwu").busiest(4.0)
+    first, last = (np.array(view.span_ns) - view.zero_ns) / 1e9
+    assert last - first == pytest.approx(4.0, abs=0.011)
+    assert 5 <= first <= 31
+
+
+def test_scores_are_drawn_best_on_top(material):
+    ax = Figure().subplots()
+    draw_scores(ax, judge(material)[1].scores)
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    assert names == ["<script>alert(1)</script>", "steady", "reference (redistribution)"]

@@ -1,0 +1,136 @@
+"""The verbs demo, score and report, the way a user calls them."""
+
+import json
+import shutil
+
+import pytest
+from stillpoint.datasets.store import read_estimate, write
+from stillpoint.filters import ESTIMATORS
+from stillpoint.scripts.beside import files_of, recording_name
+from stillpoint.scripts.main import main
+
+NAME = "phone-3-seed0"
+
+
+def call(*arguments):
+    """Exit code of the command."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of a short demo."""
+    folder = tmp_path_factory.mktemp("demo")
+    assert call("demo", "-o", folder, "--minutes", "2") == 0
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy that a test may change."""
+    return shutil.copytree(made, tmp_path / "demo")
+
+
+def rows_of(capsys, *arguments):
+    capsys.readouterr()
+    code = call("score", *arguments, "--json", "-")
+    return code, json.loads(capsys.readouterr().out)["rows"]
+
+
+def test_demo_leaves_the_files_of_every_step(made):
+    expected = {f"{NAME}.mcap", f"{NAME}.reference.mcap", f"{NAME}.report.html"}
+    expected |= {f"{NAME}.{name}.estimate.mcap" for name in ESTIMATORS}
+    assert {path.name for path in made.iterdir()} == expected
+
+
+def test_score_takes_the_reference_beside_the_estimates(made, capsys):
+    code, rows = rows_of(capsys, made)
+    assert code == 0
+    assert sorted(row["method"] for row in rows) == sorted(ESTIMATORS)
+    assert {row["against"] for row in rows} == {"reference (redistribution)"}
+    assert all(row["total_rmse_deg"] > 0 and row["reference_sd_deg"] > 0 and row["error"] is None for row in rows)
+    assert set(rows[0]["found"]) == {"heading_deg", "mounting_deg", "mounting_rotvec_deg", "time_s"}
+
+
+def test_score_takes_the_truth_where_there_is_no_reference(folder, capsys):
+    (folder / f"{NAME}.reference.mcap").unlink()
+    code, rows = rows_of(capsys, folder / f"{NAME}.vqf.estimate.mcap")
+    assert (code, rows[0]["against"], rows[0]["reference_sd_deg"]) == (0, "truth", None)
+
+
+def test_score_of_a_reference_is_against_the_truth(made, capsys):
+    code, rows = rows_of(capsys, made / f"{NAME}.reference.mcap")
+    assert (code, rows[0]["method"], rows[0]["against"]) == (0, "reference (redistribution)", "truth")
+    assert 0 <= rows[0]["coverage95"] <= 1
+
+
+def test_table_has_a_row_per_estimate(made, capsys):
+    capsys.readouterr()
+    assert call("score", made, "--align", "heading+mounting", "--frame", "ned") == 0
+    out = capsys.readouterr().out
+    assert all(f" {name} " in out for name in ESTIMATORS)
+    assert "in NED" in out
+    assert "mounting" in out
+    assert "the reference's own sd is" in out
+
+
+def test_unknown_alignment_is_one_line(made, capsys):
+    assert call("score", made, "--align", "yaw") == 2
+    assert "heading+mounting+time" in capsys.readouterr().err
+
+
+def test_estimate_of_another_recording_is_refused(folder, capsys):
+    """The name fits, the SHA-256 does not: a score would compare two different runs."""
+    file = folder / f"{NAME}.vqf.estimate.mcap"
+    estimate = read_estimate(file)
+    object.__setattr__(estimate, "made_from", {f"{NAME}.mcap": "0" * 64})
+    write(file, estimate)
+    assert call("score", file) == 2
+    assert "was made from another recording" in capsys.readouterr().err
+    code, rows = rows_of(capsys, folder)
+    assert code == 2
+    assert [row["file"] for row in rows if row["error"]] == [str(file)]
+    assert call("report", folder, "-o", folder) == 2
+
+
+def test_nothing_to_score_against_says_what_to_do(folder, capsys):
+    (folder / f"{NAME}.reference.mcap").unlink()
+    (folder / f"{NAME}.mcap").unlink()
+    assert call("score", folder / f"{NAME}.vqf.estimate.mcap") == 2
+    assert "stillpoint reference" in capsys.readouterr().err
+
+
+def test_several_references_ask_for_one_to_be_named(folder, capsys):
+    first = folder / f"{NAME}.reference.mcap"
+    shutil.move(first, folder / f"{NAME}.one.reference.mcap")
+    shutil.copy(folder / f"{NAME}.one.reference.mcap", folder / f"{NAME}.two.reference.mcap")
+    file = folder / f"{NAME}.vqf.estimate.mcap"
+    assert call("score", file) == 2
+    assert "--against" in capsys.readouterr().err
+    code, rows = rows_of(capsys, file, "--against", folder / f"{NAME}.two.reference.mcap")
+    assert (code, rows[0]["against"]) == (0, "reference (redistribution)")
+
+
+def test_report_writes_a_page_per_recording(made, tmp_path, capsys):
+    assert call("report", made, "-o", tmp_path / "pages") == 0
+    page = tmp_path / "pages" / f"{NAME}.report.html"
+    assert str(page) in capsys.readouterr().out
+    assert page.read_bytes() == (made / page.name).read_bytes()
+
+
+def test_report_without_reference_or_truth_says_what_to_do(tmp_path, capsys):
+    assert call("simulate", "phone-1", "-o", tmp_path, "--minutes", "1") == 0
+    assert call("report", tmp_path / "phone-1-seed0.mcap", "-o", tmp_path) == 2
+    assert "no reference or estimate of it lies beside it" in capsys.readouterr().err
+
+
+def test_files_of_one_recording_are_told_from_those_of_another(tmp_path):
+    names = ("run.reference", "run.graph.reference", "run2.reference", "run.2.graph.reference", "run.vqf.estimate")
+    files = [tmp_path / f"{name}.mcap" for name in names]
+    assert files_of("run", "reference", files) == files[:2]
+    assert files_of("run.2", "reference", files) == [files[3]]
+    assert files_of("run", "estimate", files) == [files[4]]
+    assert recording_name(tmp_path / "a.b.vqf.estimate.mcap") == "a.b"
+    assert recording_name(tmp_path / "a.b.mcap") == "a.b"
