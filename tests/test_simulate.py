@@ -190,6 +190,17 @@ def test_base_pose_is_to_true_north(phones):
     np.testing.assert_allclose(wrap(magnetic + declination), np.deg2rad(40.0), atol=1e-9)
 
 
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10**6), kind=st.sampled_from(KINDS))
+def test_every_swing_is_motion(seed, kind):
+    """No swing may pass with the phone left in the base pose: half of it is away by 10 deg and more."""
+    path = move({"phone-1": SLIDING, "phone-2": TRIPOD, "phone-3": IN_HAND}[kind], 180.0, seed, kind)
+    for start, end in zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True):
+        turn = np.rad2deg(np.linalg.norm(path.turn_b_rad(np.linspace(start, end, 500)), axis=1))
+        assert np.median(turn) > 10
+        assert turn.max() > 20
+
+
 def acc_angles(accel_b, mag_b):
     """Roll, pitch, magnetic azimuth (N, 3) by paper 002, eqs (4)-(6)."""
     roll = np.arctan2(-accel_b[:, 1], accel_b[:, 2])

@@ -63,9 +63,9 @@ SLIDING = Hand(
 TRIPOD = Hand(
     initial_rest_s=60.0,
     turn_deg=(40.0, 40.0, 90.0),
-    peak_rate_degps=(10.0, 90.0),
+    peak_rate_degps=(15.0, 90.0),
     reach_m=(0.3, 0.3, 0.1),
-    peak_accel_mps2=(0.1, 4.0),
+    peak_accel_mps2=(0.1, 3.4),
     jolt_m=(0.001, 0.001, 0.001),
     jolt_accel_mps2=(0.02, 0.2),
 )
@@ -169,16 +169,17 @@ def _swing(
 ) -> list[tuple[float, Floats]]:
     """Ends of the strokes of one swing, which leaves from ``value`` at the start and is ``home`` at the end.
 
-    ``stroke_s(way, speed)`` is how long a stroke takes; ``speed`` in [0, 1] is from the slowest to the fastest. The way
-    home is slow, as a hand is that puts something down.
+    ``stroke_s(way, speed)`` is how long a stroke takes; ``speed`` in [0, 1] is from the slowest to the fastest. Strokes
+    follow one another until not even a fast one fits. The way home is slow, as a hand is that puts something down.
     """
     ends = [(start_s, value)]
     while True:
         target = rng.uniform(-1, 1, 3) * box
-        at_s = ends[-1][0] + stroke_s(target - ends[-1][1], rng.uniform())
-        if at_s + stroke_s(home - target, 0.3) > end_s:
+        at_s, way, last_s = ends[-1][0], target - ends[-1][1], stroke_s(home - target, 0.3)
+        fitting = [speed for speed in (rng.uniform(), 1.0) if at_s + stroke_s(way, speed) + last_s <= end_s]
+        if not fitting:
             return [*ends, (end_s, home)]
-        ends.append((at_s, target))
+        ends.append((at_s + stroke_s(way, fitting[0]), target))
 
 
 def _turn_s(rate_radps: Floats, way_rad: Floats, speed: float) -> float:
