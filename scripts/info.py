@@ -87,7 +87,7 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
         **said,
         "place_lat_lon_alt": place,
         **marks,
-        **dict(info.extra),
+        "extra": dict(info.extra),
         **lists,
         "sha256": dict(info.sha256),
     }

@@ -93,7 +93,7 @@ def _recording(file: Path, options: CsvOptions) -> Recording:
     if gyro is None or accel is None:
         raise BadParameter(
             f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
-            f"the file has {', '.join(table.columns)}"
+            f"the file has {table.listed}"
         )
     mag = _vector(table, options.mag, "mag", FIELD, "uT", t_ns, options, log)
     info = Info(
@@ -125,7 +125,7 @@ def _clock(table: Table, options: CsvOptions, log: Log) -> tuple[Times, Literal[
         return np.asarray(np.round(rows * (1e9 / options.rate)), dtype=np.int64), "source"
     if options.time is None:
         likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
-        hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {', '.join(table.columns)}"
+        hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
         raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
     column, unit = _split(options.time, "s")
     if unit not in TIME_EXPONENT:

@@ -24,6 +24,12 @@ class Table:
     first_line: int  # of the first row, counted from 1
     decimal_comma: bool
 
+    @property
+    def listed(self) -> str:
+        """The columns for a message, the first twenty of them."""
+        more = f" and {len(self.columns) - 20} more" if len(self.columns) > 20 else ""
+        return ", ".join(self.columns[:20]) + more
+
     @cached_property
     def index(self) -> dict[str, int]:
         """Column name -> place; raises :class:`BadSource` for a name that stands twice."""
@@ -39,7 +45,7 @@ class Table:
     def place(self, column: str) -> int:
         """Where a column stands; raises :class:`BadSource` with the columns there are."""
         if column not in self.index:
-            raise BadSource(f"{self.where}: no column {column!r}; it has {', '.join(self.columns)}")
+            raise BadSource(f"{self.where}: no column {column!r}; it has {self.listed}")
         return self.index[column]
 
     def floats(self, columns: tuple[str, ...]) -> Floats:

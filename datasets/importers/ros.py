@@ -61,7 +61,7 @@ def _topic(source: Path, bag: Source, stream: str, options: RosOptions) -> str |
         return str(named)
     if stream == "truth":
         # TF holds whatever moves: it is taken for the truth only when nothing says more.
-        found = [topic for topic in found if bag.types[topic] != TF] or [t for t in found if t != "/tf_static"]
+        found = [topic for topic in found if bag.types[topic] not in TF] or [t for t in found if t != "/tf_static"]
     if stream == "imu" and not found:
         raise BadSource(f"{source}: has no topic of sensor_msgs/Imu; it has {listed}")
     if len(found) > 1:

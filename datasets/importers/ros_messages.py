@@ -14,7 +14,7 @@ from stillpoint.datasets.errors import BadFile, BadParameter, BadSource
 from stillpoint.datasets.importers.clock import Log, Series
 from stillpoint.datasets.mcap_reader import read_log, survey
 
-TF = "tf2_msgs/msg/TFMessage"
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
 
 
 def _leaves(prefix: str, names: str) -> tuple[str, ...]:
@@ -38,7 +38,7 @@ LEAVES: dict[str, dict[str, tuple[str, ...]]] = {
         "nav_msgs/msg/Odometry": _pose("pose.pose"),
         "geometry_msgs/msg/TransformStamped": _TRANSFORM,
         "geometry_msgs/msg/QuaternionStamped": _leaves("quaternion", "wxyz"),
-        TF: _TRANSFORM,
+        **dict.fromkeys(TF, _TRANSFORM),
     },
 }
 
@@ -83,7 +83,7 @@ class McapSource:
 
     def read(self, topic: str, leaves: tuple[str, ...], child: str | None, log: Log) -> Series:
         """The numbers of a topic; transforms, whose number differs per message, go one by one."""
-        if self.types[topic] == TF:
+        if self.types[topic] in TF:
             with AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST)) as reader:
                 return BagSource(self.path, reader, self.types).read(topic, leaves, child, log)
         found = read_log(self.path, [topic])
@@ -114,8 +114,8 @@ class BagSource:
         numbers = attrgetter(*leaves)
         for connection, log_ns, raw in self.reader.messages([c for c in self.reader.connections if c.topic == topic]):
             message: Any = self.reader.deserialize(raw, connection.msgtype)
-            for part in message.transforms if connection.msgtype == TF else (message,):
-                if connection.msgtype == TF:
+            for part in message.transforms if connection.msgtype in TF else (message,):
+                if connection.msgtype in TF:
                     children.add(part.child_frame_id)
                     if child not in (None, part.child_frame_id):
                         continue

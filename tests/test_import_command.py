@@ -1,0 +1,106 @@
+"""The verbs import and info, through the command line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stillpoint.datasets import Recording
+from stillpoint.datasets.store import read_recording, write
+from stillpoint.scripts.main import main
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    lines = ["t,gx,gy,gz,ax,ay,az"] + [f"{10 * k},0.5,-1,2,0,0,-1" for k in range(1200)]
+    file = tmp_path / "still.csv"
+    file.write_text("\n".join(lines))
+    return file
+
+
+FLAGS = ("--time", "t:ms", "--gyro", "-gx,gy,gz:deg/s", "--accel", "ax,ay,-az:g")
+
+
+def test_import_writes_the_recording_and_says_what_it_converted(log, tmp_path, capsys):
+    assert run("import", "csv", log, "-o", tmp_path / "out", *FLAGS, "--licence", "CC0", "--json", "-") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    recording = read_recording(rows[0]["file"])
+    assert recording.name == rows[0]["recording"] == "still"
+    np.testing.assert_allclose(recording.imu.gyro_b_radps[7], np.deg2rad([-0.5, -1, 2]))
+    np.testing.assert_allclose(recording.imu.accel_b_mps2[7], [0, 0, 9.80665])
+    assert recording.info.licence == "CC0"
+    assert any("sign of x flipped" in line for line in rows[0]["conversions"])
+    assert rows[0]["streams"]["imu"] == {"samples": 1200, "rate_hz": 100.0}
+
+
+def test_import_prints_each_conversion_once_and_notes_with_their_recording(log, tmp_path, capsys):
+    other = log.with_name("other.csv")
+    other.write_text(log.read_text().replace("\n100,0.5,", "\n100,,"))
+    assert run("import", "csv", log, other, "-o", tmp_path / "out", *FLAGS) == 0
+    out = capsys.readouterr().out
+    assert out.count("sign of x flipped") == 1
+    assert out.index("other:") < out.index("gyro: 1 of 1200 rows")
+    assert "2 written to" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("csvv", "X"), "no kind 'csvv'"),
+        (("csv",), "no source"),
+        (("broad", "X", "--rate", "100"), "--rate: broad takes no such option; it takes --units-unchecked"),
+        (("tyrex", "X", "--mag", "best"), "--mag best: tyrex takes raw or calibrated"),
+        (("csv", "X", "--truth-frame", "frd"), "--truth-frame frd: csv takes enu or nwu or ned"),
+        (("broad", "X"), "X: there is no such file"),
+    ],
+)
+def test_wrong_words_are_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert run("import", *words, "-o", tmp_path) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_two_recordings_of_one_name_are_not_written_over_each_other(log, tmp_path, capsys):
+    (tmp_path / "again").mkdir()
+    twin = tmp_path / "again" / "still.csv"
+    twin.write_text(log.read_text())
+    assert run("import", "csv", log, twin, "-o", tmp_path / "out", *FLAGS) == 2
+    assert "already imported from" in capsys.readouterr().err
+
+
+def test_info_finds_rates_gaps_and_rests(tmp_path, capsys):
+    """20 s of rest, a second without samples, 20 s of swinging, 20 s of rest; 100 Hz with 1 mrad/s of noise."""
+    t_s = np.concatenate([np.arange(0, 20, 0.01), np.arange(21, 61, 0.01)])
+    swinging = (t_s > 21) & (t_s < 41)
+    rng = np.random.default_rng(1)
+    gyro = rng.normal(0, 1e-3, (len(t_s), 3))
+    gyro[swinging] += 2 * np.sin(3 * t_s[swinging, None])
+    accel = np.array([0, 0, 9.81]) + rng.normal(0, 0.01, (len(t_s), 3))
+    accel[swinging] += 3 * np.cos(4 * t_s[swinging, None])
+    write(tmp_path / "swing.mcap", Recording.from_arrays("swing", t_s, gyro, accel, source="a test"))
+    assert run("info", tmp_path / "*.mcap", "--json", "-") == 0
+    facts = json.loads(capsys.readouterr().out)["rows"][0]
+    stream = facts["streams"][0]
+    assert (stream["samples"], stream["gaps"]) == (6000, 1)
+    assert stream["rate_hz"] == pytest.approx(100)
+    assert stream["longest_gap_s"] == pytest.approx(1.01)
+    assert len(facts["rests"]) == 2
+    assert facts["rests"][1]["start_s"] == pytest.approx(41, abs=1)
+    assert run("info", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "a test" in out
+    assert "6000" in out
+
+
+def test_info_of_what_is_no_recording(tmp_path, capsys):
+    (tmp_path / "x.mcap").write_bytes(b"nothing of the kind")
+    assert run("info", tmp_path / "x.mcap") == 2
+    assert "x.mcap" in capsys.readouterr().err
