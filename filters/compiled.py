@@ -39,8 +39,8 @@ def drop_stale(cache: Path) -> None:
     try:
         if stamp.exists() and stamp.read_text() == _SOURCES:
             return
-        for index in cache.glob("*.nbi"):
-            index.unlink(missing_ok=True)
+        for machine_code in cache.glob("*.nb[ci]"):
+            machine_code.unlink(missing_ok=True)
         stamp.write_text(_SOURCES)
     except OSError:
         return  # a cache that cannot be written is not one that numba uses

@@ -58,7 +58,7 @@ def no_fields(zero: float) -> Fields:
 def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fresh]:
     """Eq (9): x_bar_k = kappa x_k + (1 - kappa) x_(k-1), of raw samples, each sensor at its own rate.
 
-    The first sample, and the first after a gap, stand alone.
+    The first sample, and the first after a gap, stand alone. Samples that are not usable take no part.
     """
     raw_accel, raw_mag, accel, mag, since_accel_s, since_mag_s, has_accel, has_mag, n_free_fall, n_no_field = fields
     gap_s, zero = like(sample.dt_s, GAP_S), like(sample.dt_s, 0.0)
@@ -69,9 +69,9 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
     if sample.has_accel:
         follows = has_accel and since_accel_s <= gap_s
         smooth = blend(sample.accel_b_mps2, raw_accel if follows else sample.accel_b_mps2, kappa)
-        raw_accel = sample.accel_b_mps2
-        if dot(smooth, smooth) >= like(kappa, FREE_FALL_MPS2 * FREE_FALL_MPS2):
-            accel, since_accel_s, has_accel, new_accel = smooth, zero, True, True
+        least = like(kappa, FREE_FALL_MPS2 * FREE_FALL_MPS2)
+        if dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least and dot(smooth, smooth) >= least:
+            raw_accel, accel, since_accel_s, has_accel, new_accel = sample.accel_b_mps2, smooth, zero, True, True
         else:
             n_free_fall += 1
     if sample.has_mag:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from math import isfinite
+from numbers import Real
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from stillpoint.datasets.errors import BadParameter
@@ -63,7 +64,7 @@ def _range(each: Any, hint: Any) -> str:
     if hint is bool:
         return "True, False"
     low, high = each.metadata["low"], each.metadata["high"]
-    return f"{low:g} to {high:g}" if high is not None else f"{low:g} or more"
+    return f"{low:g} to {high:g}"
 
 
 def _checked(each: Any, hint: Any, value: Any) -> Any:
@@ -72,10 +73,9 @@ def _checked(each: Any, hint: Any, value: Any) -> Any:
     elif hint is bool:
         good = isinstance(value, bool)
     else:
-        good = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+        good = isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+        good = good and each.metadata["low"] <= value <= each.metadata["high"]
         value = float(value) if good else value
-        low, high = each.metadata["low"], each.metadata["high"]
-        good = good and (low is None or value >= low) and (high is None or value <= high)
     if not good:
         raise BadParameter(
             f"{each.name} = {value!r} is not allowed ({each.metadata['meaning']}); give {_range(each, hint)}"

@@ -80,7 +80,9 @@ def as_log(recording: Recording) -> tuple[Log, dict[str, Any]]:
     mag_row = np.full(len(dt_s), -1, dtype=np.int64)
     facts: dict[str, Any] = {"n_imu_gaps": int((dt_s > GAP_S).sum())}
     if mag is None:
-        return Log(dt_s, imu.gyro_b_radps, imu.accel_b_mps2, np.zeros((1, 3)), mag_row), facts
+        nothing = np.zeros((1, 3))
+        nothing.flags.writeable = False  # as a recording's columns are: the same compiled code serves both
+        return Log(dt_s, imu.gyro_b_radps, imu.accel_b_mps2, nothing, mag_row), facts
     newest = np.searchsorted(mag.t_ns, imu.t_ns, side="right") - 1
     is_new = np.diff(newest, prepend=-1) > 0
     mag_row[is_new] = newest[is_new]
@@ -102,7 +104,7 @@ def local_declination(recording: Recording) -> tuple[float, str]:
 
 
 def to_true_north(q_nb: Floats, declination: float) -> Floats:
-    """Attitudes (N, 4) in magnetic East-North-Up, in true East-North-Up; bit for bit the same for a declination of 0."""
+    """Attitudes (N, 4) from magnetic to true East-North-Up; the same bits for a declination of 0."""
     if declination == 0.0:
         return q_nb
     return quaternion(heading_rotation(-declination) * rotation(q_nb))

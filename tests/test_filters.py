@@ -1,0 +1,349 @@
+"""Every filter of the table over the same suite of motions with exact truth, batch and streaming."""
+
+import pickle
+from collections.abc import Callable
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
+from stillpoint.datasets.frames import heading_rotation, rotation
+from stillpoint.filters import ESTIMATORS, Stream, estimate
+from stillpoint.filters.parameters import describe
+from stillpoint.filters.table import Estimator
+
+GRAVITY_N = np.array([0.0, 0.0, 9.81])
+FIELD_N = np.array([0.0, 20.0, -44.0])
+FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
+FOLLOWING = [name for name in FILTERS if name != "acc-ma"]  # acc-ma is late by half its window, by design
+
+Attitude = Callable[[NDArray[np.float64]], Rotation]
+
+
+def record(attitude: Attitude, t_s: NDArray[np.float64], mag_t_s: NDArray[np.float64] | None = None) -> Recording:
+    """Perfect sensors on a body whose rate is constant between samples: integration is exact."""
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+    mag_t_ns = t_ns if mag_t_s is None else np.round(mag_t_s * 1e9).astype(np.int64)
+    rot = attitude(t_ns / 1e9)
+    turned = (rot[:-1].inv() * rot[1:]).as_rotvec() / (np.diff(t_ns) / 1e9)[:, None]
+    gyro = np.vstack([turned[:1], turned])
+    mag = Mag(mag_t_ns, attitude(mag_t_ns / 1e9).inv().apply(FIELD_N))
+    return Recording("motion", Imu(t_ns, gyro, rot.inv().apply(GRAVITY_N)), mag=mag, info=Info(units_unchecked=True))
+
+
+def turning(axis: tuple[float, float, float], rate_degps: float, start: Rotation | None = None) -> Attitude:
+    begin = Rotation.identity() if start is None else start
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return lambda t_s: Rotation.from_rotvec(np.deg2rad(rate_degps) * np.atleast_1d(t_s)[:, None] * unit) * begin
+
+
+def resting(rot: Rotation) -> Attitude:
+    return lambda t_s: Rotation.from_quat(np.tile(rot.as_quat(), (len(t_s), 1)))
+
+
+def wobble(t_s: NDArray[np.float64]) -> Rotation:
+    angles = np.column_stack([0.7 * np.sin(1.1 * t_s), 0.5 * np.sin(1.7 * t_s + 1), 2.0 * np.sin(0.6 * t_s)])
+    return Rotation.from_rotvec(angles)
+
+
+def errors_deg(estimated: NDArray[np.float64], recording: Recording, attitude: Attitude) -> NDArray[np.float64]:
+    truth = attitude(recording.require_imu().t_ns / 1e9)
+    return np.rad2deg((rotation(estimated) * truth.inv()).magnitude())
+
+
+def regular(seconds: float, rate_hz: float = 100.0) -> NDArray[np.float64]:
+    return np.arange(0, seconds, 1 / rate_hz)
+
+
+def jittered(seconds: float, seed: int = 5) -> NDArray[np.float64]:
+    """Steps of 2 to 18 ms."""
+    return np.cumsum(np.random.default_rng(seed).uniform(0.002, 0.018, int(seconds * 100)))
+
+
+def untidy(seed: int = 3) -> Recording:
+    """Jitter, a slower magnetometer on its own clock, a gap of 3 s, noise: nothing is round."""
+    draw = np.random.default_rng(seed)
+    t_s = jittered(20.0, seed)
+    t_s = t_s[(t_s < 9) | (t_s > 12)]
+    clean = record(wobble, t_s, np.arange(0.013, t_s[-1], 0.0437))
+    imu, mag = clean.require_imu(), clean.mag
+    assert mag is not None
+    noisy = Imu(
+        imu.t_ns,
+        imu.gyro_b_radps + draw.normal(0, 0.05, (len(t_s), 3)),
+        imu.accel_b_mps2 + draw.normal(0, 2.0, (len(t_s), 3)),
+    )
+    field = Mag(mag.t_ns, mag.mag_b_ut + draw.normal(0, 1.0, mag.mag_b_ut.shape))
+    return Recording("untidy", noisy, mag=field, info=Info(units_unchecked=True))
+
+
+def feed(stream: Stream, recording: Recording, first: int = 0, last: int | None = None) -> NDArray[np.float64]:
+    """The quaternions of a stream that gets a recording's samples in the order of their stamps."""
+    imu, mag = recording.require_imu(), recording.mag
+    newest = -np.ones(len(imu.t_ns), dtype=int)
+    if mag is not None:
+        newest = np.searchsorted(mag.t_ns, imu.t_ns, side="right") - 1
+    fresh = np.diff(newest, prepend=-1) > 0
+    out = []
+    for k in range(first, len(imu.t_ns) if last is None else last):
+        field = mag.mag_b_ut[newest[k]] if mag is not None and fresh[k] else None
+        out.append(stream.update(int(imu.t_ns[k]), imu.gyro_b_radps[k], imu.accel_b_mps2[k], field).q_nb)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("heading_deg", [0, 90, 179.9, -179.9, -60])
+def test_a_level_rest_stays_where_it_is(name: str, heading_deg: float) -> None:
+    pose = resting(heading_rotation(np.deg2rad(heading_deg)))
+    recording = record(pose, regular(12))
+    found = estimate(recording, name)
+    assert errors_deg(found.q_nb, recording, pose).max() < 1e-5  # the arc cosine of 1 - 1e-16 is 1e-6 deg
+    assert found.ready is not None
+    assert found.ready[-1]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (1, 1, 0), (3, -1, 0.2)])
+def test_an_upside_down_start_is_no_special_case(name: str, axis: tuple[float, float, float]) -> None:
+    pose = resting(Rotation.from_rotvec(np.pi * np.array(axis) / np.linalg.norm(axis)))
+    recording = record(pose, regular(8))
+    assert errors_deg(estimate(recording, name).q_nb, recording, pose).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (1, 2, 3)])
+def test_two_whole_turns_through_every_wrap(name: str, axis: tuple[float, float, float]) -> None:
+    spin = turning(axis, 90.0, Rotation.from_euler("ZYX", [170, 20, -30], degrees=True))
+    recording = record(spin, regular(8))
+    # The low pass (9) delays acc by 0.3 of a sample; the fields change direction by at most 90 deg/s.
+    late_deg = 0.3 * 90.0 / 100.0 * 1.5
+    assert errors_deg(estimate(recording, name).q_nb, recording, spin).max() < late_deg
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1)])
+def test_the_moving_average_of_a_steady_turn_is_late_by_half_its_window(axis: tuple[float, float, float]) -> None:
+    spin = turning(axis, 20.0)
+    recording = record(spin, regular(36))  # two turns, past +-180 deg
+    found = estimate(recording, "acc-ma", {"window_s": 7.0, "kappa": 1.0})
+    delayed = turning(axis, 20.0, Rotation.from_rotvec(-np.deg2rad(20.0) * 3.495 * np.array(axis)))  # (700 - 1) / 2
+    assert errors_deg(found.q_nb, recording, delayed)[700:].max() < 1e-5
+    assert not found.ready[699]
+    assert found.ready[700]
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_jitter_of_the_clock_costs_nothing(name: str) -> None:
+    recording = record(wobble, jittered(12))
+    late_deg = 0.3 * np.rad2deg(2.0) * 0.018 * 1.5  # 2 rad/s at most, steps of 18 ms at most, see above
+    assert errors_deg(estimate(recording, name).q_nb, recording, wobble).max() < late_deg
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_a_slower_magnetometer_on_its_own_clock(name: str) -> None:
+    slow_turn = turning((0, 0, 1), 5.0)
+    recording = record(slow_turn, regular(20), np.arange(0.0031, 20, 0.1))
+    held_deg = 5.0 * (0.1 + 0.01 + 0.03)  # acc holds a field in body axes for one period; its low pass, a third more
+    assert errors_deg(estimate(recording, name).q_nb, recording, slow_turn)[10:].max() < held_deg
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_after_a_gap_the_attitude_is_found_again(name: str) -> None:
+    t_s = regular(30)
+    spin = turning((0.2, 0.1, 1), 33.0)
+    recording = record(spin, t_s[(t_s < 5) | (t_s > 9.3)])
+    still = resting(spin(np.array([9.31]))[0])
+    rest = record(still, regular(12) + 9.31)
+    imu, later = recording.require_imu(), rest.require_imu()
+    before = imu.t_ns < 5e9
+    joined = Recording(
+        "gap",
+        Imu(
+            np.concatenate([imu.t_ns[before], later.t_ns]),
+            np.concatenate([imu.gyro_b_radps[before], np.zeros_like(later.gyro_b_radps)]),
+            np.concatenate([imu.accel_b_mps2[before], later.accel_b_mps2]),
+        ),
+        mag=rest.mag,
+        info=Info(units_unchecked=True),
+    )
+    found = estimate(joined, name)
+    assert found.diagnostics["n_imu_gaps"] == 1
+    if name != "gyro":  # nothing ever tells the gyro what happened in the gap
+        assert np.rad2deg((rotation(found.q_nb[-1]) * still(np.zeros(1))[0].inv()).magnitude()) < 0.1
+
+
+def test_the_gyro_bridges_a_gap_with_the_rate_at_its_end() -> None:
+    t_s = regular(30)
+    spin = turning((0.2, 0.1, 1), 33.0)
+    recording = record(spin, t_s[(t_s < 5) | (t_s > 9.3)])
+    turned = turning((0.2, 0.1, 1), 33.0)
+    found = estimate(recording, "gyro")
+    assert found.diagnostics["n_gaps"] == 1
+    # record() made the rate over the gap from the attitudes at its ends, so holding it is exact.
+    assert errors_deg(found.q_nb, recording, turned).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_streaming_and_batch_agree_bit_for_bit(name: str) -> None:
+    recording = untidy()
+    stream = Stream(name)
+    streamed = feed(stream, recording)
+    batch = estimate(recording, name)
+    assert (streamed == batch.q_nb).all()
+    for what, count in stream.counts.items():
+        assert count == batch.diagnostics.get(what, 0), what
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("cut", [1, 2, 777, 1400])
+def test_two_halves_are_the_whole_bit_for_bit(name: str, cut: int) -> None:
+    recording = untidy()
+    whole = feed(Stream(name), recording)
+    first = Stream(name)
+    head = feed(first, recording, last=cut)
+    saved = pickle.loads(pickle.dumps(first.save()))
+    feed(first, recording, first=cut)  # going on must not reach into what was saved
+    tail = feed(Stream(name, saved=saved), recording, first=cut)
+    assert (np.concatenate([head, tail]) == whole).all()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_single_precision_is_single_throughout_and_near_double(name: str) -> None:
+    recording = untidy()
+    double, single = estimate(recording, name), estimate(recording, name, precision="single")
+    assert (single.q_nb.astype(np.float32) == single.q_nb).all()
+    assert not (double.q_nb.astype(np.float32) == double.q_nb).all()
+    assert np.rad2deg((rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude()).max() < 0.01
+    streamed = feed(Stream(name, precision="single"), recording, last=300)
+    assert (streamed == single.q_nb[:300]).all()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_broken_samples_are_counted_and_never_poison(name: str) -> None:
+    recording = untidy()
+    imu = recording.require_imu()
+    stream, clean = Stream(name), Stream(name)
+    field, nothing = (0.0, 20.0, -44.0), (float("nan"),) * 3
+    for k in range(800):
+        t_ns, gyro, accel = int(imu.t_ns[k]), imu.gyro_b_radps[k], imu.accel_b_mps2[k]
+        undisturbed = clean.update(t_ns, gyro, accel, field)
+        broken_gyro = (float("inf"), 0.0, 0.0) if 100 <= k < 105 else gyro
+        out = stream.update(t_ns, broken_gyro, nothing if k < 3 or k == 200 else accel, nothing if k == 300 else field)
+        assert np.isfinite(out.q_nb).all()
+        assert abs(np.linalg.norm(out.q_nb) - 1) < 1e-12
+        if k % 400 == 50:
+            again = stream.update(t_ns, gyro, accel, field), stream.update(t_ns - 1000, nothing, nothing)
+            assert again == (out, out)
+    counts = stream.counts
+    assert (counts["n_bad_gyro"], counts["n_bad_accel"], counts["n_bad_mag"], counts["n_out_of_order"]) == (5, 4, 1, 4)
+    if name != "gyro":  # its whole run hangs on the first accelerometer sample, and that is noisy
+        apart = rotation(out.q_nb) * rotation(undisturbed.q_nb).inv()
+        assert np.rad2deg(apart.magnitude()) < 2
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_free_fall_and_a_missing_field_keep_the_attitude(name: str) -> None:
+    stream = Stream(name)
+    for k in range(1000):
+        falling, dead = 400 <= k < 420, 600 <= k < 650
+        out = stream.update(
+            k * 10_000_000,
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0) if falling else (0.0, 0.0, 9.81),
+            (0.0, 0.0, 0.0) if dead else (0.0, 20.0, -44.0),
+        )
+        assert np.rad2deg(rotation(out.q_nb).magnitude()) < 1e-5
+    if name != "gyro":  # it looks at the fields once
+        assert stream.counts["n_free_fall"] == 20
+        assert stream.counts["n_no_field"] == 50
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_without_a_magnetometer_only_the_tilt_is_corrected(name: str) -> None:
+    pose = resting(Rotation.from_euler("ZYX", [40, 10, -20], degrees=True))
+    with_field = record(pose, regular(20))
+    recording = Recording("6d", with_field.imu, info=Info(units_unchecked=True))
+    found = estimate(recording, name)
+    up_b = rotation(found.q_nb).inv().apply([0, 0, 1])
+    assert np.allclose(up_b, with_field.require_imu().accel_b_mps2 / 9.81, atol=1e-9)
+    assert np.ptp(found.q_nb, axis=0).max() < 1e-12
+    assert "arbitrary" in found.diagnostics["declination"]
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_the_declination_turns_every_estimator_to_true_north(name: str) -> None:
+    pose = resting(Rotation.from_euler("ZYX", [40, 10, -20], degrees=True))
+    plain = record(pose, regular(8))
+    east = Recording(
+        "tehran",
+        plain.imu,
+        mag=plain.mag,
+        info=Info(units_unchecked=True, date="2021-06-12", place_lat_lon_alt=(35.8, 51.49, 1600.0)),
+    )
+    magnetic, true = estimate(plain, name), estimate(east, name)
+    turned = rotation(true.q_nb) * rotation(magnetic.q_nb).inv()
+    # The magnetic needle points 4.9 deg east of true north there (NOAA), so the body's heading is that much further
+    # clockwise than the compass says.
+    assert np.rad2deg(turned.as_rotvec()[-1]) == pytest.approx([0, 0, -4.9], abs=0.05)
+    assert magnetic.diagnostics["declination_rad"] == 0.0
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_an_estimate_covers_every_sample_and_says_how_it_was_made(name: str) -> None:
+    recording = untidy()
+    found = estimate(recording, name)
+    assert (found.t_ns == recording.require_imu().t_ns).all()
+    assert found.name == name
+    assert found.recording == "untidy"
+    assert dict(found.params) == asdict(ESTIMATORS[name].params())
+    assert found.ns_per_sample > 0
+    assert (found.gyro_bias_b_radps is not None) == (name in ("cf", "vqf", "offline-vqf"))
+
+
+def test_one_sample_is_enough() -> None:
+    imu = Imu(np.array([5], dtype=np.int64), np.zeros((1, 3)), GRAVITY_N[None])
+    one = Recording("one", imu, info=Info(units_unchecked=True))
+    for name in ESTIMATORS:
+        assert estimate(one, name).q_nb.shape == (1, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "says"),
+    [
+        ("cff", None, "did you mean 'cf'"),
+        ("cf", {"omega_radps": 0.2}, "omega0_radps"),
+        ("cf", {"zeta": -1.0}, "0.01 to 100"),
+        ("cf", {"zeta": float("nan")}, "zeta"),
+        ("cf", {"levelled_by": "gyro"}, "acc, estimate"),
+        ("gyro", {"rule": "simpson"}, "rectangular, trapezoidal"),
+        ("acc-ma", {"window_s": "long"}, "window_s"),
+        ("vqf", {"magnetometer": 1}, "True, False"),
+    ],
+)
+def test_a_wrong_name_or_parameter_is_refused_in_one_line(name: str, params: dict | None, says: str) -> None:
+    with pytest.raises(BadParameter) as caught:
+        estimate(untidy(), name, params)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_parameters_of_another_estimator_are_refused() -> None:
+    with pytest.raises(BadParameter, match="not of this estimator"):
+        estimate(untidy(), "cf", ESTIMATORS["vqf"].params())
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_every_parameter_has_a_meaning_and_a_default_in_its_range(name: str) -> None:
+    for parameter, default, allowed, meaning in describe(ESTIMATORS[name].params):
+        assert len(meaning) > 10, parameter
+        assert allowed, parameter
+        assert default, parameter
+
+
+def test_quaternions_keep_length_1_over_a_million_samples() -> None:
+    t_ns = np.arange(1_000_000, dtype=np.int64) * 10_000_000
+    gyro = np.random.default_rng(0).normal(0, 3.0, (len(t_ns), 3))
+    long = Recording("long", Imu(t_ns, gyro, np.tile(GRAVITY_N, (len(t_ns), 1))), info=Info(units_unchecked=True))
+    found = estimate(long, "gyro")
+    assert np.abs(np.linalg.norm(found.q_nb[::1000], axis=1) - 1).max() < 1e-12

@@ -1,0 +1,122 @@
+"""Peers give what their own package gives, and on real data what they are known to give."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import vqf
+from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording, Truth
+from stillpoint.filters import ESTIMATORS, Stream, estimate
+from stillpoint.scoring import score
+
+PEERS = [name for name, entry in ESTIMATORS.items() if entry.is_peer]
+
+
+def moving(n: int = 3000, rate_hz: float = 100.0) -> Recording:
+    draw = np.random.default_rng(1)
+    t_s = np.arange(n) / rate_hz
+    rots = Rotation.from_rotvec(np.column_stack([np.sin(t_s), 0.5 * np.sin(2 * t_s), np.sin(0.5 * t_s)]))
+    gyro = np.vstack([np.zeros(3), (rots[:-1].inv() * rots[1:]).as_rotvec() * rate_hz])
+    return Recording.from_arrays(
+        "moving",
+        t_s,
+        gyro + 0.01 + draw.normal(0, 0.01, (n, 3)),
+        rots.inv().apply([0, 0, 9.81]) + draw.normal(0, 0.1, (n, 3)),
+        rots.inv().apply([0, 20, -44]) + draw.normal(0, 0.5, (n, 3)),
+        units_unchecked=True,
+    )
+
+
+def test_vqf_is_its_package_bit_for_bit() -> None:
+    recording = moving()
+    imu, mag = recording.require_imu(), recording.mag
+    assert mag is not None
+    own = vqf.VQF(0.01).updateBatch(*map(np.array, (imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut)))
+    found = estimate(recording, "vqf")
+    assert (found.q_nb == own["quat9D"]).all()
+    assert (found.gyro_bias_b_radps == own["bias"]).all()
+    six = estimate(recording, "vqf", {"magnetometer": False})
+    assert (six.q_nb == own["quat6D"]).all()
+    slow = estimate(recording, "vqf", {"tau_acc_s": 6.0})
+    assert (slow.q_nb != own["quat9D"]).any()
+
+
+def test_offline_vqf_is_its_package_bit_for_bit() -> None:
+    recording = moving()
+    imu, mag = recording.require_imu(), recording.mag
+    assert mag is not None
+    arrays = map(np.array, (imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut))
+    own = vqf.offlineVQF(*arrays, 0.01)
+    found = estimate(recording, "offline-vqf")
+    assert (found.q_nb == own["quat9D"]).all()
+    assert ESTIMATORS["offline-vqf"].offline
+    assert not ESTIMATORS["vqf"].offline
+
+
+def test_other_clocks_are_brought_to_one_rate_and_that_is_said() -> None:
+    regular = moving()
+    imu, mag = regular.require_imu(), regular.mag
+    assert mag is not None
+    late = Imu(imu.t_ns + np.arange(len(imu.t_ns)) % 2 * 3_000_000, imu.gyro_b_radps, imu.accel_b_mps2)
+    slow = Mag(mag.t_ns[5::8], mag.mag_b_ut[5::8])
+    recording = Recording("untidy", late, mag=slow, info=Info(units_unchecked=True))
+    found = estimate(recording, "vqf")
+    assert found.diagnostics["worst_clock_error_s"] == pytest.approx(0.003, rel=0.01)
+    assert found.diagnostics["worst_mag_age_s"] == pytest.approx(0.07)
+    assert found.diagnostics["n_before_first_mag"] == 5
+    assert found.diagnostics["interval_s"] == pytest.approx(0.01, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_takes_whole_recordings_in_its_own_precision(name: str) -> None:
+    with pytest.raises(BadParameter, match="whole recordings"):
+        Stream(name)
+    with pytest.raises(BadParameter, match="precision"):
+        estimate(moving(10), name, precision="single")
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_missing_package_is_one_line_with_the_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "vqf", None)
+    with pytest.raises(BadParameter, match=r"pip install 'stillpoint\[peers\]'"):
+        estimate(moving(10), name)
+
+
+def broad(folder: Path, number: str) -> Recording:
+    """A BROAD trial straight from its file: independent of the importer."""
+    path = next((folder / "broad").glob(f"{number}_*.mat"))
+    trial = loadmat(path, squeeze_me=True)
+    t_s = np.arange(len(trial["imu_gyr"])) / float(trial["sampling_rate"])
+    plain = Recording.from_arrays(
+        path.stem, t_s, trial["imu_gyr"], trial["imu_acc"], trial["imu_mag"], mag_uncalibrated=True
+    )
+    known = np.isfinite(trial["opt_quat"]).all(axis=1)
+    q_nb = trial["opt_quat"][known]
+    truth = Truth(
+        plain.require_imu().t_ns[known],
+        q_nb / np.linalg.norm(q_nb, axis=1)[:, None],
+        trial["movement"].astype(bool)[known],
+    )
+    return Recording(path.stem, plain.imu, mag=plain.mag, truth=truth, info=Info(mag_uncalibrated=True))
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("number", "total_deg"), [("02", 0.44), ("10", 0.44), ("33", 1.28)])
+def test_offline_vqf_on_broad_is_as_true_as_is_known(data_dir: Path, number: str, total_deg: float) -> None:
+    recording = broad(data_dir, number)
+    found = score(estimate(recording, "offline-vqf"), recording.truth, align="heading")
+    assert found.total_rmse_deg == pytest.approx(total_deg, abs=0.02)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "number", "total_deg"),
+    [("acc", "02", 8.7), ("gyro", "02", 22.1), ("cf", "02", 1.72), ("cf", "04", 1.98), ("cf", "24", 4.40)],
+)
+def test_papers_filters_on_broad_stay_where_they_were(data_dir: Path, name: str, number: str, total_deg: float) -> None:
+    """Golden numbers of the default parameters: a change of any is a change of the filter, to be explained."""
+    recording = broad(data_dir, number)
+    found = score(estimate(recording, name), recording.truth, align="heading")
+    assert found.total_rmse_deg == pytest.approx(total_deg, rel=0.01)
