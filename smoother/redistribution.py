@@ -5,14 +5,15 @@ in proportion to time. How that is done matters. In *body* axes, q exp(f d), a s
 with the body. The gyro's errors however pile up in the *earth* frame (de/dt = R_nb dw), where a share of the final
 error stays put, exp(f e) q: against optical truth that is 1.3 to 6 times better.
 
-The covariance is the second moment of what the spreading leaves, r(t) = e(t) - G(t) e(T) with G = f 1 (earth) or
-f R(t) R(T)' (body), under the drift model of :mod:`stillpoint.smoother.strapdown` and given the closing error e(T):
-with K = cov(e(t), e(T)) cov(e(T))^-1,
+The covariance is the second moment of what is left, r(t) = x(t) - G(t) c with G = f 1 (earth) or f R(t) R(T)' (body).
+x(t) = n0 + e(t) is the error before spreading, e the drift of :mod:`stillpoint.smoother.strapdown` with its size scaled
+by the closing errors that were seen, c = n0 + e(T) - n1 the closing error, n0 and n1 how far the sensor was from the
+base pose when it left and when it came back. With K = cov(x, c) cov(c)^-1,
 
-    cov(e(t)) - K cov(e(T), e(t)) + |(K - G) e(T)|^2 / 3,
+    cov(r | c) = cov(x) - K cov(c, x) + |(K - G) c|^2 / 3.
 
-whose drift is scaled by the closing errors that were seen, plus the repeatability of the base pose. It is relative to
-the base pose: an error of the base itself (accelerometer bias, field) is common to all samples and not in it.
+It is relative to the base pose: an error of the base itself (accelerometer bias, field) is common to all samples and
+not in it.
 """
 
 from dataclasses import dataclass, field
@@ -82,7 +83,7 @@ def redistributed(recording: Recording, params: RedistributionParams, axes: Axes
     cov_n = np.tile(repeat, (n, 1, 1))
     for path in returns.swings:
         q_nb[path.rows] = spread(path, base.q_nb, axes)
-        cov_n[path.rows] = repeat + spread_covariance(path, closure(path, base).as_rotvec(), scale, params, axes)
+        cov_n[path.rows] = spread_covariance(path, closure(path, base).as_rotvec(), scale, params, axes)
     for start, stop in ((base.start, 0), (returns.spans[-1][1], n - 1)):
         path = swing(imu, base.gyro_bias_b_radps, start, stop, base.q_nb, params.gyro)
         q_nb[path.rows] = path.q_nb
@@ -112,26 +113,27 @@ def spread(path: Swing, q_end_nb: Floats, axes: Axes) -> Floats:
     return quaternion(Rotation.from_rotvec(share[:, None] * error_n) * raw)
 
 
-def spread_covariance(path: Swing, error_n: Floats, scale: float, params: RedistributionParams, axes: Axes) -> Floats:
-    """Second moment (M, 3, 3), earth frame, of what the spreading leaves, given the closing error (3,) it spread.
+def spread_covariance(path: Swing, closing_n: Floats, scale: float, params: RedistributionParams, axes: Axes) -> Floats:
+    """Second moment (M, 3, 3), earth frame, of what spreading the closing error (3,) leaves.
 
     The expected miss enters by its size in all directions alike: to first order its direction is known too, but
     closing errors of 10-30 deg are beyond first order.
     """
     share = _share(path)
-    variance = scale * unknowns_variance(params.gyro)
-    walk_rad2 = scale * path.walk_rad2
+    eye = np.eye(3)
+    variance, walk_rad2 = scale * unknowns_variance(params.gyro), scale * path.walk_rad2
+    repeat_rad2 = params.returns.repeat_sd_rad**2
     end_matrix, back_to_end = last_drift_matrix(path), rotation(path.q_nb[-1]).as_matrix().T
-    end_cov = (end_matrix * variance) @ end_matrix.T + (walk_rad2[-1] + _closure_noise(params)) * np.eye(3)
+    closing_cov = (end_matrix * variance) @ end_matrix.T + (walk_rad2[-1] + 2 * repeat_rad2) * eye
     cov_n = np.empty((len(share), 3, 3))
     for rows, matrix in drift_matrices(path):
-        walk = walk_rad2[rows, None, None] * np.eye(3)
-        with_end = (matrix * variance) @ end_matrix.T + walk
-        expected = with_end @ np.linalg.inv(end_cov)
-        turn = np.eye(3) if axes == "earth" else rotation(path.q_nb[rows]).as_matrix() @ back_to_end
-        missed_n = (expected - share[rows, None, None] * turn) @ error_n
-        known = (matrix * variance) @ matrix.transpose(0, 2, 1) + walk - expected @ with_end.transpose(0, 2, 1)
-        cov_n[rows] = known + np.sum(missed_n**2, axis=1)[:, None, None] / 3 * np.eye(3)
+        new = (walk_rad2[rows, None, None] + repeat_rad2) * eye
+        with_closing = (matrix * variance) @ end_matrix.T + new
+        expected = with_closing @ np.linalg.inv(closing_cov)
+        turn = eye if axes == "earth" else rotation(path.q_nb[rows]).as_matrix() @ back_to_end
+        missed_n = (expected - share[rows, None, None] * turn) @ closing_n
+        cov_n[rows] = (matrix * variance) @ matrix.transpose(0, 2, 1) + new - expected @ with_closing.transpose(0, 2, 1)
+        cov_n[rows] += np.sum(missed_n**2, axis=1)[:, None, None] / 3 * eye
     return cov_n
 
 
@@ -158,17 +160,12 @@ def _share(path: Swing) -> Floats:
 
 def _drift_scale(returns: Returns, base: BasePose, params: RedistributionParams) -> float:
     """Factor on the drift's variance: the mean normalised square of the closing errors, held by the prior."""
-    repeat = _closure_noise(params) * np.eye(3)
+    repeat = 2 * params.returns.repeat_sd_rad**2 * np.eye(3)  # on leaving and on coming back
     squares = []
     for path in returns.swings:
         error_n = closure(path, base).as_rotvec()
         squares.append(float(error_n @ np.linalg.solve(drift_covariance(path, params.gyro) + repeat, error_n)))
     return (params.prior_returns + sum(squares) / 3) / (params.prior_returns + len(squares))
-
-
-def _closure_noise(params: RedistributionParams) -> float:
-    """Variance per axis of a closing error that the base pose itself makes: it is left once and entered once."""
-    return 2 * params.returns.repeat_sd_rad**2
 
 
 def _no_return(recording: Recording, returns: Returns) -> str:
