@@ -4,7 +4,7 @@ import json
 
 import pytest
 from stillpoint.datasets import read
-from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate import SIMULATIONS, simulate
 from stillpoint.scripts.main import main
 
 
@@ -46,6 +46,12 @@ def test_json_says_what_was_made(tmp_path, capsys, to_stdout):
     made = json.loads(printed if to_stdout else (tmp_path / "made.json").read_text())
     assert [row["file"] for row in made["rows"]] == [str(tmp_path / "phone-1-seed0.mcap")]
     assert made["rows"][0]["rates_hz"]["imu"] == pytest.approx(100.0)
+
+
+def test_the_help_names_every_simulation(capsys):
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert all(kind in text for kind in SIMULATIONS)
 
 
 @pytest.mark.parametrize(

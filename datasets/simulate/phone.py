@@ -126,13 +126,14 @@ def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     reach_s, jolt_s = partial(_reach_s, hand.peak_accel_mps2), partial(_reach_s, hand.jolt_accel_mps2)
     start = (0.0, np.zeros(3))
     turns, places, jolts = [start], [start], [start]
-    for swing, ((_, start_s), (end_s, _)) in enumerate(pairwise(rests)):
+    for swing, (rest, following) in enumerate(pairwise(rests)):
+        span_s = float(rest[1]), float(following[0])
         rng = draws(seed, f"{kind}/swing/{swing}")
         home_turn = np.deg2rad(rng.standard_normal(3) * hand.return_turn_deg)
         home_place = rng.standard_normal(3) * hand.return_reach_m * (reach_box > 0)
-        turns += _swing(start_s, end_s, turns[-1][1], home_turn, turn_box, turn_s, rng)
-        places += _swing(start_s, end_s, places[-1][1], home_place, reach_box, reach_s, rng)
-        jolts += _swing(start_s, end_s, np.zeros(3), np.zeros(3), np.asarray(hand.jolt_m), jolt_s, rng)
+        turns += _swing(span_s, turns[-1][1], home_turn, turn_box, turn_s, rng)
+        places += _swing(span_s, places[-1][1], home_place, reach_box, reach_s, rng)
+        jolts += _swing(span_s, np.zeros(3), np.zeros(3), np.asarray(hand.jolt_m), jolt_s, rng)
     for chain in (turns, places, jolts):
         chain.append((total_s, chain[-1][1]))
     base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
@@ -159,19 +160,19 @@ def protocol(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Flo
 
 
 def _swing(
-    start_s: float,
-    end_s: float,
+    span_s: tuple[float, float],
     value: Floats,
     home: Floats,
     box: Floats,
     stroke_s: Callable[[Floats, float], float],
     rng: np.random.Generator,
 ) -> list[tuple[float, Floats]]:
-    """Ends of the strokes of one swing, which leaves from ``value`` at the start and is ``home`` at the end.
+    """Ends of the strokes of one swing, which leaves from ``value`` and is ``home`` at the end of its span.
 
     ``stroke_s(way, speed)`` is how long a stroke takes; ``speed`` in [0, 1] is from the slowest to the fastest. Strokes
     follow one another until not even a fast one fits. The way home is slow, as a hand is that puts something down.
     """
+    start_s, end_s = span_s
     ends = [(start_s, value)]
     while True:
         target = rng.uniform(-1, 1, 3) * box
