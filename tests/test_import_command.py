@@ -1,12 +1,16 @@
 """The verbs import and info, through the command line."""
 
+import inspect
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 from stillpoint.datasets import Recording
+from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.store import read_recording, write
+from stillpoint.scripts.import_ import import_
 from stillpoint.scripts.main import main
 
 
@@ -104,3 +108,13 @@ def test_info_of_what_is_no_recording(tmp_path, capsys):
     (tmp_path / "x.mcap").write_bytes(b"nothing of the kind")
     assert run("info", tmp_path / "x.mcap") == 2
     assert "x.mcap" in capsys.readouterr().err
+
+
+def test_every_option_of_every_kind_is_a_flag_and_stands_in_the_document():
+    page = (Path(__file__).parents[1] / "docs" / "importing.md").read_text()
+    flags = inspect.signature(import_).parameters
+    for kind, importer in IMPORTERS.items():
+        assert f"\n## {kind}\n" in page
+        for field in fields(importer.options):
+            assert field.name in flags, f"{kind}: --{field.name}"
+            assert f"--{field.name.replace('_', '-')}" in page, f"{kind}: --{field.name}"

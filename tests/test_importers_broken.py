@@ -200,10 +200,10 @@ AXES = "time,seconds_elapsed,z,y,x\n1700000000000000000,0,9.8,0,0\n1700000000010
 
 def test_sensorlogger_says_what_to_log(tmp_path):
     (tmp_path / "Accelerometer.csv").write_text(AXES)
+    refused("sensorlogger", tmp_path, None, "no Gyroscope.csv")
+    (tmp_path / "Gyroscope.csv").write_text(AXES)
     refused("sensorlogger", tmp_path, None, "--platform ios or --platform android")
     android = PhoneOptions(platform="android")
-    refused("sensorlogger", tmp_path, android, "no Gyroscope.csv")
-    (tmp_path / "Gyroscope.csv").write_text(AXES)
     refused("sensorlogger", tmp_path, android, "without gravity", "Gravity.csv")
     (tmp_path / "Gravity.csv").write_text(
         AXES.replace("0000000000000,", "0000000000007,").replace("10000000,", "10000007,")

@@ -16,11 +16,14 @@ from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
 from stillpoint.datasets.importers.bundle import digests, existing
 from stillpoint.datasets.importers.clock import UNIX_FROM_NS, Log, Series, finite, merge, rising
+from stillpoint.datasets.importers.columns import quaternion_columns, split, vector
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.options import OwnOptions
-from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT, plain, scale
-from stillpoint.datasets.recording import Floats, Info, Mag, Recording, Times, Truth
+from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT
+from stillpoint.datasets.recording import Info, Mag, Recording, Times, Truth
 
+SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
+FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
 TIME_WORDS = ("time", "stamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms")
 
 
@@ -81,148 +84,118 @@ def _with_config(options: CsvOptions) -> CsvOptions:
 
 
 def _recording(file: Path, options: CsvOptions) -> Recording:
-    log = Log()
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         text = file.read_text(encoding="latin-1")
-    table = parse(text, str(file), options.delimiter)
-    t_ns, epoch = _clock(table, options, log)
-    gyro = _vector(table, options.gyro, "gyro", RATE, "rad/s", t_ns, options, log)
-    accel = _vector(table, options.accel, "accel", FORCE, "m/s^2", t_ns, options, log)
+    reading = Reading(parse(text, str(file), options.delimiter), options, Log())
+    t_ns = reading.clock()
+    gyro = reading.series("gyro", t_ns)
+    accel = reading.series("accel", t_ns)
     if gyro is None or accel is None:
         raise BadParameter(
             f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
-            f"the file has {table.listed}"
+            f"the file has {reading.table.listed}"
         )
-    mag = _vector(table, options.mag, "mag", FIELD, "uT", t_ns, options, log)
+    mag = reading.series("mag", t_ns)
+    imu = merge(gyro, accel, str(file), reading.log)
+    truth = reading.truth(t_ns)
+    unix = t_ns[0] >= UNIX_FROM_NS
     info = Info(
         source=f"delimited log {file.name}",
         licence=options.licence,
         citation=options.citation,
         sensor=options.sensor,
-        epoch=epoch,
-        date=datetime.fromtimestamp(t_ns[0] / 1e9, UTC).date().isoformat() if epoch == "unix" else "",
+        epoch="unix" if unix else "source",
+        date=datetime.fromtimestamp(t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
         mag_uncalibrated=options.mag_uncalibrated,
         units_unchecked=options.units_unchecked,
         sha256=digests([file], file.parent),
+        conversions=tuple(reading.log.conversions),
+        notes=tuple(reading.log.notes),
     )
-    imu = merge(gyro, accel, str(file), log)
-    truth = _truth(table, t_ns, options, log)
-    info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
     mag_stream = None if mag is None else Mag(mag.t_ns, mag.values)
     return Recording(file.stem, imu=imu, mag=mag_stream, truth=truth, info=info)
 
 
-def _clock(table: Table, options: CsvOptions, log: Log) -> tuple[Times, Literal["unix", "source"]]:
-    if options.time is not None and options.rate is not None:
-        raise BadParameter(f"{table.where}: has two clocks, --time and --rate; give one of them")
-    if options.rate is not None:
-        if not options.rate > 0:
-            raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
-        log.converted(f"stamps from the row number at {options.rate:g} Hz")
-        rows = np.arange(len(table.rows))
-        return np.asarray(np.round(rows * (1e9 / options.rate)), dtype=np.int64), "source"
-    if options.time is None:
-        likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
-        hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
-        raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
-    column, unit = _split(options.time, "s")
-    if unit not in TIME_EXPONENT:
-        raise BadParameter(f"--time: no unit {unit!r}; there are {', '.join(TIME_EXPONENT)}")
-    t_ns = table.times(column, TIME_EXPONENT[unit])
-    falls = np.flatnonzero(np.diff(t_ns) <= 0)
-    if len(falls) and not options.drop_disordered:
-        line = table.first_line + int(falls[0]) + 1
-        raise BadSource(
-            f"{table.where}, line {line}, column {column!r}: time does not rise ({len(falls)} such lines); "
-            "correct the log, or import it with --drop-disordered"
-        )
-    if t_ns.min() < 0:
-        log.converted(f"all times moved by {-t_ns.min() / 1e9:.9f} s so that none is negative")
-        t_ns = t_ns - t_ns.min()
-    log.converted(f"time {column!r} in {unit}")
-    return t_ns, "unix" if t_ns[0] >= UNIX_FROM_NS else "source"
+@dataclass(frozen=True)
+class Reading:
+    """One table, read as the options say."""
 
+    table: Table
+    options: CsvOptions
+    log: Log
 
-def _vector(
-    table: Table,
-    flag: str | None,
-    what: str,
-    units: dict[str, float],
-    target: str,
-    t_ns: Times,
-    options: CsvOptions,
-    log: Log,
-) -> Series | None:
-    """Three columns in SI; rows without any number in them are another sensor's and are left out, counted."""
-    if flag is None:
-        return None
-    values = _scaled(table, flag, f"--{what}", units, target, log)
-    series = finite(Series(t_ns, values), what, log)
-    if len(series.t_ns) == 0:
-        raise BadSource(f"{table.where}: no row has numbers in all columns of --{what}; check the columns")
-    return rising(series, what, log) if options.drop_disordered else series
+    def clock(self) -> Times:
+        """The stamp of every row; raises for no clock, two clocks, and a clock that does not rise."""
+        options, table = self.options, self.table
+        if options.time is not None and options.rate is not None:
+            raise BadParameter(f"{table.where}: has two clocks, --time and --rate; give one of them")
+        if options.rate is not None:
+            if not options.rate > 0:
+                raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
+            self.log.converted(f"stamps from the row number at {options.rate:g} Hz")
+            return np.asarray(np.round(np.arange(len(table.rows)) * (1e9 / options.rate)), dtype=np.int64)
+        if options.time is None:
+            likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
+            hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
+            raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
+        column, unit = split(options.time, "s")
+        if unit not in TIME_EXPONENT:
+            raise BadParameter(f"--time: no unit {unit!r}; there are {', '.join(TIME_EXPONENT)}")
+        t_ns = table.times(column, TIME_EXPONENT[unit])
+        falls = np.flatnonzero(np.diff(t_ns) <= 0)
+        if len(falls) and not options.drop_disordered:
+            line = table.first_line + int(falls[0]) + 1
+            raise BadSource(
+                f"{table.where}, line {line}, column {column!r}: time does not rise ({len(falls)} such lines); "
+                "correct the log, or import it with --drop-disordered"
+            )
+        self.log.converted(f"time {column!r} in {unit}")
+        if t_ns.min() < 0:
+            self.log.converted(f"all times moved by {-t_ns.min() / 1e9:.9f} s so that none is negative")
+            t_ns = t_ns - t_ns.min()
+        return t_ns
 
+    def series(self, what: str, t_ns: Times) -> Series | None:
+        """One sensor in SI on the stamps of its rows; a row without numbers for it is no sample of it."""
+        text = getattr(self.options, what)
+        if text is None:
+            return None
+        units, target = SENSORS[what]
+        columns = vector(text, f"--{what}", units)
+        series = finite(Series(t_ns, columns.values(self.table)), what, self.log)
+        if len(series.t_ns) == 0:
+            raise BadSource(f"{self.table.where}: no row has numbers in all columns of --{what}; check the columns")
+        self.log.converted(f"{what} {columns.written} {columns.unit.written} -> {target}{columns.flipped}")
+        return rising(series, what, self.log) if self.options.drop_disordered else series
 
-def _scaled(table: Table, flag: str, name: str, units: dict[str, float], target: str, log: Log) -> Floats:
-    columns, unit = _split(flag, "")
-    if not unit:
-        raise BadParameter(f"{name} {flag!r}: has no unit; write X,Y,Z:UNIT with one of {', '.join(units)}")
-    names, signs = _signed(columns, 3, name)
-    by = scale(unit, units, name)
-    log.converted(f"{name[2:]} {columns} {by.written} -> {target}{_flipped(signs)}")
-    return table.floats(names) * signs * by.factor
-
-
-def _truth(table: Table, t_ns: Times, options: CsvOptions, log: Log) -> Truth | None:
-    """Quaternions w, x, y, z that take the body to the local frame; empty rows are gaps."""
-    if options.truth is None:
-        return None
-    names, signs = _signed(options.truth, 4, "--truth")
-    values = table.floats(names) * signs
-    norm = np.linalg.norm(values, axis=1)
-    known = np.isfinite(norm) & (norm > 0.5)
-    if options.drop_disordered:
-        known &= np.diff(np.maximum.accumulate(t_ns), prepend=-1) > 0
-    if not known.all():
-        log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
-    if not known.any():
-        raise BadSource(f"{table.where}: no row has a quaternion in {options.truth}; check the columns of --truth")
-    if np.abs(norm[known] - 1).max() > 0.01:
-        row = table.first_line + int(np.flatnonzero(known)[np.abs(norm[known] - 1).argmax()])
-        raise BadSource(f"{table.where}, line {row}: the columns of --truth are no unit quaternion; check their order")
-    to_enu = local_from_enu(options.truth_frame).inv()
-    q_nb = quaternion(to_enu * rotation(values[known]))
-    log.converted(f"truth {options.truth} as w,x,y,z, body -> {options.truth_frame.upper()} -> East-North-Up")
-    moving = np.ones(int(known.sum()), dtype=np.bool_)
-    if options.moving is not None:
-        moving = table.floats((options.moving,))[known, 0] > 0
-    position = None
-    if options.position is not None:
-        local = _scaled(table, options.position, "--position", LENGTH, "m", log)[known]
-        position = local @ to_enu.as_matrix().T
-    return Truth(t_ns[known], q_nb, moving, position)
-
-
-def _split(text: str, default: str) -> tuple[str, str]:
-    """Columns and unit of ``COLUMNS:UNIT``."""
-    columns, colon, unit = text.rpartition(":")
-    return (columns.strip(), plain(unit)) if colon else (text.strip(), default)
-
-
-def _signed(columns: str, count: int, flag: str) -> tuple[tuple[str, ...], Floats]:
-    parts = [part.strip() for part in columns.split(",")]
-    if len(parts) != count or not all(part.lstrip("-") for part in parts):
-        raise BadParameter(f"{flag} {columns!r}: names {len(parts)} columns, not {count}; write them as A,B,C")
-    signs = np.array([-1.0 if part.startswith("-") else 1.0 for part in parts])
-    names = tuple(part[1:] if part.startswith("-") else part for part in parts)
-    doubled = next((name for name in names if names.count(name) > 1), None)
-    if doubled is not None:
-        raise BadParameter(f"{flag} {columns!r}: names the column {doubled!r} twice")
-    return names, signs
-
-
-def _flipped(signs: Floats) -> str:
-    axes = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]
-    return f", sign of {', '.join(axes)} flipped" if axes else ""
+    def truth(self, t_ns: Times) -> Truth | None:
+        """Quaternions w, x, y, z that take the body to the local frame; rows without one are gaps."""
+        options, table = self.options, self.table
+        if options.truth is None:
+            return None
+        values = quaternion_columns(options.truth, "--truth").values(table)
+        norm = np.linalg.norm(values, axis=1)
+        known = np.isfinite(norm) & (norm > 0.5)
+        if options.drop_disordered:
+            known &= np.diff(np.maximum.accumulate(t_ns), prepend=-1) > 0
+        if not known.all():
+            self.log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
+        if not known.any():
+            raise BadSource(f"{table.where}: no row has a quaternion in {options.truth}; check the columns of --truth")
+        off = np.where(known, np.abs(norm - 1), 0.0)
+        if off.max() > FARTHEST_NORM:
+            line = table.first_line + int(off.argmax())
+            raise BadSource(f"{table.where}, line {line}: {options.truth} is no unit quaternion; check the columns")
+        to_enu = local_from_enu(options.truth_frame).inv()
+        frame = options.truth_frame.upper()
+        self.log.converted(f"truth {options.truth} as w,x,y,z, body -> {frame} -> East-North-Up")
+        moving = np.ones(int(known.sum()), dtype=np.bool_)
+        if options.moving is not None:
+            moving = table.floats((options.moving,))[known, 0] > 0
+        position_n_m = None
+        if options.position is not None:
+            local_m = vector(options.position, "--position", LENGTH).values(table)[known]
+            position_n_m = local_m @ to_enu.as_matrix().T
+        return Truth(t_ns[known], quaternion(to_enu * rotation(values[known])), moving, position_n_m)

@@ -44,10 +44,12 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Recording
     """The one recording of a zip or folder. Raises :class:`BadSource`."""
     bundle = open_bundle(source)
     log = Log()
-    phone = _phone(bundle, options, log)
     gyro_file = bundle.find("GyroscopeUncalibrated.csv", "Gyroscope.csv")
     if gyro_file is None:
-        raise BadSource(f"{source}: has no Gyroscope.csv; log the gyroscope, or name another kind of source")
+        raise BadSource(
+            f"{source}: has no Gyroscope.csv; log the gyroscope, or name the zip or folder of one recording"
+        )
+    phone = _phone(bundle, options, log)
     gyro = _series(bundle, gyro_file, log)
     log.converted(f"gyro from {gyro_file}, rad/s")
     imu = merge(gyro, _force(bundle, phone, log), str(source), log)
