@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.progress import Progress
 from stillpoint.datasets.errors import BadParameter, StillpointError
 
+ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -29,12 +31,13 @@ def run_jobs(
 ) -> list[Outcome[Result]]:
     """``function`` of each item, in their order, with progress on stderr.
 
-    ``jobs`` processes (None: one per core); with 1 everything runs in this process. ``function`` and items must
+    ``jobs`` processes (None: one per core and per four inputs); with 1 everything runs in this process. ``function`` and items must
     pickle. A :class:`StillpointError`, and a worker that dies, become outcomes; any other exception is raised.
     """
     if jobs is not None and jobs < 1:
         raise BadParameter(f"--jobs {jobs}: give 1 or more")
-    workers = min(jobs or os.cpu_count() or 1, len(items))
+    worthwhile = min(os.cpu_count() or 1, -(-len(items) // ITEMS_PER_WORKER))
+    workers = min(jobs or worthwhile, len(items))
     outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
     with Progress(console=Console(stderr=True), transient=True, disable=len(items) < 2) as progress:
         task = progress.add_task(what, total=len(items))

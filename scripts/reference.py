@@ -59,7 +59,7 @@ def reference(
     set_
         A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them).
     jobs
-        Processes; by default one per core.
+        Processes; by default one per core, fewer for few recordings.
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """

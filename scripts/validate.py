@@ -54,7 +54,7 @@ def validate(
         Names of reference methods and of estimators with commas between; by default every reference method and every
         offline estimator.
     jobs
-        Processes; by default one per core.
+        Processes; by default one per core, fewer for few recordings.
     json
         Also write the rows as JSON to this file; - is the standard output.
     """

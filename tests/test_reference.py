@@ -1,0 +1,150 @@
+"""``reference`` by name, its settings, and the verb that writes references."""
+
+import json
+
+import numpy as np
+import pytest
+from stillpoint.datasets import BadParameter, Imu, Recording, read, write
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.store import sha256
+from stillpoint.scripts.main import main
+from stillpoint.smoother import METHODS, reference
+from stillpoint.smoother.params import names_of
+from stillpoint.smoother.redistribution import RedistributionParams
+from stillpoint.smoother.rest import RestParams
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate("phone-3", seed=2, minutes=1.6)
+
+
+@pytest.fixture
+def folder(tmp_path, recording):
+    write(tmp_path / "good.mcap", recording)
+    return tmp_path
+
+
+def run(*tokens):
+    with pytest.raises(SystemExit) as stopped:
+        main([str(token) for token in tokens])
+    return stopped.value.code
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_says_which_it_is_and_with_what_settings(recording, method):
+    made = reference(recording, method)
+    assert made.method == method
+    assert made.name == recording.name
+    assert made.params["rest"]["window_s"] == RestParams().window_s
+    np.testing.assert_array_equal(made.t_ns, recording.imu.t_ns)
+    json.dumps([made.params, made.diagnostics])
+
+
+def test_a_mapping_and_the_settings_object_give_the_same(recording):
+    by_name = reference(recording, params={"rest.min_rest_s": "2.5", "prior_returns": 3})
+    by_object = reference(recording, params=RedistributionParams(rest=RestParams(min_rest_s=2.5), prior_returns=3.0))
+    np.testing.assert_array_equal(by_name.q_nb, by_object.q_nb)
+    np.testing.assert_array_equal(by_name.cov_b_rad2, by_object.cov_b_rad2)
+    assert by_name.params == by_object.params
+
+
+def test_the_same_recording_gives_the_same_bits(recording):
+    one, two = reference(recording), reference(recording)
+    np.testing.assert_array_equal(one.q_nb, two.q_nb)
+    np.testing.assert_array_equal(one.cov_b_rad2, two.cov_b_rad2)
+
+
+@pytest.mark.parametrize("name", names_of(RedistributionParams()))
+def test_every_setting_can_be_changed_by_its_name(name):
+    *path, last = name.split(".")
+    station = RedistributionParams()
+    for part in path:
+        station = getattr(station, part)
+    with pytest.raises(BadParameter, match=last):
+        reference(None, params={name: "1e9"})  # out of every range, so that the setting is known to be reached
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "said"),
+    [
+        ("redistributoin", None, "did you mean 'redistribution'"),
+        ("magic", None, "there are redistribution"),
+        ("redistribution", {"rest.windows": 1}, "did you mean 'rest.window_s'"),
+        ("redistribution", {"tilt_gate_rad": 1}, "did you mean 'returns.tilt_gate_rad'"),
+        ("redistribution", {"rest": 1}, "no setting 'rest'"),
+        ("redistribution", {"rest.window_s": "long"}, "give a number"),
+        ("redistribution", {"rest.window_s": 1000}, "give 0.3 to 10"),
+        ("redistribution", RestParams(), "give a RedistributionParams"),
+    ],
+)
+def test_wrong_names_and_values_are_refused_with_the_nearest(recording, method, params, said):
+    with pytest.raises(BadParameter, match=said):
+        reference(recording, method, params)
+
+
+def test_the_verb_writes_what_reference_gives(folder, recording, capsys):
+    assert run("reference", folder, "-o", folder / "out", "--json", folder / "r.json") == 0
+    made = read(folder / "out" / "good.reference.mcap")
+    np.testing.assert_array_equal(made.q_nb, reference(recording).q_nb)
+    assert made.made_from == {"good.mcap": sha256(folder / "good.mcap")}
+    (row,) = json.loads((folder / "r.json").read_text())["rows"]
+    assert row["error"] is None
+    assert sum(one["accepted"] for one in row["returns"]) == row["diagnostics"]["returns_accepted"] > 0
+    assert "good" in capsys.readouterr().out
+
+
+def test_the_verb_with_several_methods_and_settings(folder):
+    names = ",".join(METHODS)
+    code = run("reference", folder / "good.mcap", "-o", folder, "--method", names, "--set", "rest.min_rest_s=2")
+    assert code == 0
+    for name in METHODS:
+        made = read(folder / f"good.{name}.reference.mcap")
+        assert made.method == name
+        assert made.params["rest"]["min_rest_s"] == 2.0
+
+
+def restless():
+    t_ns = np.arange(2000) * 10_000_000
+    gyro = np.random.default_rng(0).normal(0, 1, (2000, 3))
+    return Recording("restless", imu=Imu(t_ns, gyro, gyro + np.array([0, 0, 9.81])))
+
+
+def test_a_refused_recording_is_named_and_the_others_are_made(folder, capsys):
+    write(folder / "restless.mcap", restless())
+    assert run("reference", folder, "-o", folder / "out", "--json", "-", "--jobs", 1) == 2
+    rows = {row["recording"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows["good"]["error"] is None
+    assert "no rest" in rows["restless"]["error"]
+    assert [path.name for path in (folder / "out").iterdir()] == ["good.reference.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("tokens", "said"),
+    [
+        (["--method", "nope"], "no reference method 'nope'"),
+        (["--set", "rest.window_s"], "write NAME=VALUE"),
+        (["--set", "rest.window=2"], "did you mean 'rest.window_s'"),
+        (["--jobs", "0"], "give 1 or more"),
+    ],
+)
+def test_errors_of_the_verb_are_one_line(folder, capsys, tokens, said):
+    assert run("reference", folder / "good.mcap", "-o", folder / "out", *tokens) == 2
+    message = capsys.readouterr().err.strip()
+    assert said in message
+    assert "\n" not in message
+
+
+def test_one_refused_recording_is_one_line(tmp_path, capsys):
+    write(tmp_path / "restless.mcap", restless())
+    assert run("reference", tmp_path / "restless.mcap", "-o", tmp_path) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("stillpoint: restless: no rest")
+
+
+def test_two_recordings_of_one_name_do_not_overwrite_each_other(folder, recording, capsys):
+    (folder / "more").mkdir()
+    write(folder / "more" / "good.mcap", recording)
+    assert run("reference", folder, "-o", folder / "out") == 2
+    assert "two recordings have this name" in capsys.readouterr().err
