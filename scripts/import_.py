@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 from stillpoint.datasets.errors import BadParameter, BadSource
@@ -14,15 +14,11 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.store import write
+from stillpoint.scripts.import_flags import Flags
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
 
-OWN = Group("Own recordings (csv, sensorlogger, phyphox, ros)", sort_key=1)
-PHONES = Group("Phones (tyrex, sensorlogger)", sort_key=2)
-CSV = Group("Delimited logs (csv)", sort_key=3)
-ROS = Group("ROS (ros)", sort_key=4)
-FLAG = Annotated[bool, Parameter(negative="")]
-COLUMNS = Parameter(group=CSV, allow_leading_hyphen=True)
+NO_FLAGS = Flags()
 STREAMS = ("imu", "mag", "gps", "truth")  # that importers make, in the order of the table
 
 
@@ -40,31 +36,9 @@ def import_(
     /,
     *sources: Path,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    repair: FLAG = False,
-    units_unchecked: FLAG = False,
+    repair: Annotated[bool, Parameter(negative="")] = False,
     json: JsonTarget = None,
-    licence: Annotated[str | None, Parameter(group=OWN)] = None,
-    citation: Annotated[str | None, Parameter(group=OWN)] = None,
-    sensor: Annotated[str | None, Parameter(group=OWN)] = None,
-    mag_uncalibrated: Annotated[bool, Parameter(group=OWN, negative="")] = False,
-    mag: Annotated[str | None, Parameter(group=[PHONES, CSV], allow_leading_hyphen=True)] = None,
-    platform: Annotated[str | None, Parameter(group=PHONES)] = None,
-    config: Annotated[Path | None, Parameter(group=CSV)] = None,
-    time: Annotated[str | None, Parameter(group=CSV)] = None,
-    rate: Annotated[float | None, Parameter(group=CSV)] = None,
-    gyro: Annotated[str | None, COLUMNS] = None,
-    accel: Annotated[str | None, COLUMNS] = None,
-    truth: Annotated[str | None, COLUMNS] = None,
-    truth_frame: Annotated[str | None, Parameter(group=CSV)] = None,
-    position: Annotated[str | None, COLUMNS] = None,
-    moving: Annotated[str | None, Parameter(group=CSV)] = None,
-    delimiter: Annotated[str | None, Parameter(group=CSV)] = None,
-    drop_disordered: Annotated[bool, Parameter(group=CSV, negative="")] = False,
-    imu_topic: Annotated[str | None, Parameter(group=ROS)] = None,
-    mag_topic: Annotated[str | None, Parameter(group=ROS)] = None,
-    gps_topic: Annotated[str | None, Parameter(group=ROS)] = None,
-    truth_topic: Annotated[str | None, Parameter(group=ROS)] = None,
-    truth_child: Annotated[str | None, Parameter(group=ROS)] = None,
+    flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
 ) -> None:
     """Turn recordings of other formats into MCAP files, one NAME.mcap each, and say what was converted.
 
@@ -80,59 +54,13 @@ def import_(
         Folder to write into; made when it is not there.
     repair
         Apply the doctor's remedies; each is recorded in the file.
-    units_unchecked
-        Keep a recording whose sizes are implausible, for the doctor to look at.
     json
         Also write what was imported as JSON to this file; - is the standard output.
-    licence
-        Licence of the recording, kept in the file.
-    citation
-        How to cite it.
-    sensor
-        Model of the sensor.
-    mag_uncalibrated
-        The size of the field says nothing (hard iron, raw counts).
-    mag
-        tyrex, sensorlogger: raw (the default) or calibrated by the phone. csv: columns and unit, mx,my,mz:uT.
-    platform
-        sensorlogger: ios or android, where no Metadata.csv says it.
-    config
-        A TOML file with the settings of this group, as gyro = "gx,gy,gz:deg/s".
-    time
-        The column of time and its unit, t:ms (s, ms, us, ns).
-    rate
-        Samples per second, where the log has no time.
-    gyro
-        Columns and unit of the gyro, gx,gy,gz:deg/s; a leading - turns a sign, 0.061*deg/s is a unit per count.
-    accel
-        Columns and unit of the accelerometer, ax,ay,az:g.
-    truth
-        Columns of a quaternion that takes the body to the local frame, qw,qx,qy,qz.
-    truth_frame
-        The local frame of the truth: enu (the default), nwu or ned.
-    position
-        Columns and unit of the truth's position, x,y,z:m.
-    moving
-        A column that is 0 where the truth is not to be scored.
-    delimiter
-        What separates the columns, where it is not found by itself.
-    drop_disordered
-        Sort by time and drop equal stamps, counted, where time does not rise.
-    imu_topic
-        The topic of gyro and accelerometer, where there are several.
-    mag_topic
-        The topic of the magnetometer.
-    gps_topic
-        The topic of the satellite fixes.
-    truth_topic
-        The topic of the true pose (PoseStamped, Odometry, TransformStamped, QuaternionStamped or TF).
-    truth_child
-        The child frame to take from a TF topic.
+    flags
+        What may be set about the import.
     """
-    given = {
-        name: value for name, value in locals().items() if name not in ("kind", "sources", "out", "repair", "json")
-    }
-    importer, options = _importer(kind, {name: value for name, value in given.items() if value not in (None, False)})
+    given = {name: value for name, value in vars(flags).items() if value is not None and value is not False}
+    importer, options = _importer(kind, given)
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     folder = output_dir(out)

@@ -1,0 +1,99 @@
+"""The flags of ``stillpoint import``, by the kinds that take them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+
+ALL = Group("All kinds", sort_key=1)
+OWN = Group("Own recordings: csv, sensorlogger, phyphox, ros", sort_key=2)
+PHONES = Group("Phones: tyrex, sensorlogger", sort_key=3)
+CSV = Group("Delimited logs: csv", sort_key=4)
+ROS = Group("Bags: ros", sort_key=5)
+
+AnyKind = Annotated[bool, Parameter(group=ALL, negative="")]
+Own = Annotated[str | None, Parameter(group=OWN)]
+Phone = Annotated[str | None, Parameter(group=PHONES)]
+Setting = Annotated[str | None, Parameter(group=CSV)]
+Columns = Annotated[str | None, Parameter(group=CSV, allow_leading_hyphen=True)]
+TopicName = Annotated[str | None, Parameter(group=ROS)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flags:
+    """What may be set about an import; each name is that of a field of some kind's options.
+
+    Parameters
+    ----------
+    units_unchecked
+        Keep a recording whose sizes are implausible, for the doctor to look at.
+    licence
+        Licence of the recording, kept in the file.
+    citation
+        How to cite it.
+    sensor
+        Model of the sensor.
+    mag_uncalibrated
+        The size of the field says nothing (hard iron, raw counts).
+    mag
+        tyrex, sensorlogger: raw (the default) or calibrated by the phone. csv: columns and unit, mx,my,mz:uT.
+    platform
+        sensorlogger: ios or android, where no Metadata.csv says it.
+    config
+        A TOML file with the settings of this group, as gyro = "gx,gy,gz:deg/s".
+    time
+        The column of time and its unit, t:ms (s, ms, us, ns).
+    rate
+        Samples per second, where the log has no time.
+    gyro
+        Columns and unit of the gyro, gx,gy,gz:deg/s; a leading - turns a sign, 0.061*deg/s is a unit per count.
+    accel
+        Columns and unit of the accelerometer, ax,ay,az:g.
+    truth
+        Columns of a quaternion that takes the body to the local frame, qw,qx,qy,qz.
+    truth_frame
+        The local frame of the truth: enu (the default), nwu or ned.
+    position
+        Columns and unit of the truth's position, x,y,z:m.
+    moving
+        A column that is 0 where the truth is not to be scored.
+    delimiter
+        What separates the columns, where it is not found by itself.
+    drop_disordered
+        Sort by time and drop equal stamps, counted, where time does not rise.
+    imu_topic
+        The topic of gyro and accelerometer, where there are several.
+    mag_topic
+        The topic of the magnetometer.
+    gps_topic
+        The topic of the satellite fixes.
+    truth_topic
+        The topic of the true pose (PoseStamped, Odometry, TransformStamped, QuaternionStamped or TF).
+    truth_child
+        The child frame to take from a TF topic.
+    """
+
+    units_unchecked: AnyKind = False
+    licence: Own = None
+    citation: Own = None
+    sensor: Own = None
+    mag_uncalibrated: Annotated[bool, Parameter(group=OWN, negative="")] = False
+    mag: Annotated[str | None, Parameter(group=[PHONES, CSV], allow_leading_hyphen=True)] = None
+    platform: Phone = None
+    config: Annotated[Path | None, Parameter(group=CSV)] = None
+    time: Setting = None
+    rate: Annotated[float | None, Parameter(group=CSV)] = None
+    gyro: Columns = None
+    accel: Columns = None
+    truth: Columns = None
+    truth_frame: Setting = None
+    position: Columns = None
+    moving: Setting = None
+    delimiter: Setting = None
+    drop_disordered: Annotated[bool, Parameter(group=CSV, negative="")] = False
+    imu_topic: TopicName = None
+    mag_topic: TopicName = None
+    gps_topic: TopicName = None
+    truth_topic: TopicName = None
+    truth_child: TopicName = None
