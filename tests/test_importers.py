@@ -431,6 +431,21 @@ def test_phyphox_puts_the_pauses_back_into_the_time(known, tmp_path):
     assert t_ns[200] == 112_500_000_000
 
 
+def test_phyphox_location(known, tmp_path):
+    names = (*axes("Gyroscope", "rad/s"), *axes("Acceleration", "m/s^2"))
+    values = np.column_stack([known.gyro_b_radps, known.accel_b_mps2])
+    (tmp_path / "Raw Data.csv").write_text(phyphox_csv(known, names, values, ",", False))
+    (tmp_path / "Location.csv").write_text(
+        '"Time (s)","Latitude (°)","Longitude (°)","Height (m)","Velocity (m/s)","Direction (°)",'
+        '"Horizontal Accuracy (m)","Vertical Accuracy (m)"\n0.5,NaN,NaN,NaN,NaN,NaN,NaN,NaN\n'
+        "1.5,52.5,13.3,80,2,45,4,6\n"
+    )
+    gps = only("phyphox", tmp_path).gps
+    assert gps.t_ns.tolist() == [1_500_000_000]
+    assert (gps.lat_deg[0], gps.lon_deg[0], gps.alt_m[0], gps.speed_mps[0]) == (52.5, 13.3, 80, 2)
+    assert gps.course_rad[0] == pytest.approx(np.pi / 4)
+
+
 # --- ROS
 
 

@@ -172,4 +172,6 @@ def _gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
             series = Series(_clock(table, starts), values)
             keep = finite_rows(series.values[:, :2])
             return fixes(series.where(keep), log) if keep.any() else None
+        if any(column.endswith("(°)") for column in table.columns):
+            log.noted(f"{Path(table.where).name}: a location in other words than English is not imported")
     return None
