@@ -150,9 +150,10 @@ class _Gather:
         self.columns = columns
         self.refusal = ""
         self.count = 0
-        self.t_ns: list[NDArray[np.int64]] = []
-        self.pieces: dict[Any, list[tuple[NDArray[np.int64], dict[str, NDArray[Any]]]]] = {}
-        self.layouts: dict[int, cdr.Layout] = {}  # by length: the one that fitted last
+        self.t_ns = _Growing()
+        self.rows: dict[Any, _Growing] = {}  # by the leaves and shapes that the messages agree in
+        self.found: dict[Any, dict[str, _Growing]] = {}
+        self.views: dict[int, _View] = {}  # by length of the record: the one that fitted last
         if channel.message_encoding != "cdr":
             self.refusal = f"its messages are {channel.message_encoding or 'of unnamed encoding'}, not cdr"
             return
@@ -170,11 +171,11 @@ class _Gather:
         self.count += len(offsets)
         if self.refusal:
             return
-        heads = windows(block.data, MESSAGE_HEAD.itemsize)[offsets].view(MESSAGE_HEAD)
+        heads = block.heads[channel]
         if (heads["log_time"] > np.iinfo(np.int64).max).any():
             self.refusal = "a log time lies beyond 2^63 ns"
             return
-        self.t_ns.append(heads["log_time"].astype(np.int64))
+        self.t_ns.add(len(heads), np.dtype(np.int64))[:] = heads["log_time"]
         try:
             left = np.ones(len(offsets), np.bool_)
             while left.any():
@@ -184,58 +185,62 @@ class _Gather:
                 left &= ~same
         except cdr.Undecodable as error:
             self.refusal = str(error)
-            self.pieces.clear()
+            self.found.clear()
 
     def _take_equal(self, data: bytes, offsets: NDArray[np.int64], rows: NDArray[np.int64], size: int) -> None:
         """Messages of equal length: those that one layout fits go together, then the next layout takes the rest."""
         records = windows(data, size)[offsets]
-        layout = self.layouts.get(size)
+        view = self.views.get(size)
         while len(rows):
-            if layout is None:
-                layout = cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :])
-            raw = records.view(np.uint8).reshape(len(rows), size)[:, MESSAGE_HEAD.itemsize :]
-            fits = np.ones(len(rows), np.bool_)
-            for at, word in layout.words:
-                fits &= (raw[:, at : at + len(word)] == np.frombuffer(word, np.uint8)).all(axis=1)
+            if view is None:
+                view = _View(cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :]))
+            fits = view.fits(records)
+            if fits.all():
+                self.views[size] = view
+                self._keep(rows, records.view(view.dtype)["body"])
+                return
             if fits.any():
-                self.layouts[size] = layout
-                some = fits if not fits.all() else slice(None)
-                self._keep(rows[some], records[some].view(_record(layout))["body"])
+                self._keep(rows[fits], records[fits].view(view.dtype)["body"])
                 records, rows = records[~fits], rows[~fits]
-            layout = None
+            view = None
 
     def _keep(self, rows: NDArray[np.int64], body: NDArray[np.void]) -> None:
-        leaves = body.dtype.names or ()
+        """Copy the wanted leaves of messages that one layout fits."""
+        leaves: Any = body.dtype.fields or {}
         wanted = {leaf: (leaf,) for leaf in leaves} if self.columns is None else self.columns
-        taken: dict[str, NDArray[Any]] = {}
+        forms = {}
         for name, parts in wanted.items():
             if not all(part in leaves for part in parts):
                 raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
-            if len(parts) == 1:
-                taken[name] = _native(body[parts[0]])
+            base, shape = leaves[parts[0]][0].base, leaves[parts[0]][0].shape
+            forms[name] = (base, shape) if len(parts) == 1 else (np.dtype(np.float64), (len(parts),))
+        key = tuple((name, base.kind, shape) for name, (base, shape) in forms.items())
+        if key not in self.found:
+            self.rows[key] = _Growing()
+            self.found[key] = {name: _Growing() for name in forms}
+        self.rows[key].add(len(rows), rows.dtype)[:] = rows
+        for name, (base, shape) in forms.items():
+            room = self.found[key][name].add(len(rows), base, shape)
+            if len(wanted[name]) == 1:
+                room[...] = body[wanted[name][0]]
             else:
-                taken[name] = np.empty((len(rows), len(parts)), np.float64)
-                for k, part in enumerate(parts):
-                    taken[name][:, k] = body[part]
-        shape = tuple((name, column.dtype.kind, column.shape[1:]) for name, column in taken.items())
-        self.pieces.setdefault(shape, []).append((rows, taken))
+                for k, part in enumerate(wanted[name]):
+                    room[:, k] = body[part]
 
     def topic(self, path: Path, name: str, type_name: str) -> Topic:
         """All that was collected, by time."""
-        t_ns = np.concatenate(self.t_ns) if self.t_ns else np.empty(0, np.int64)
-        order = None
+        t_ns = self.t_ns.whole()
+        place = None
         if (np.diff(t_ns) < 0).any():
             order = np.argsort(t_ns, kind="stable")
+            t_ns = t_ns[order]
             place = np.empty_like(order)
             place[order] = np.arange(len(order))
-            t_ns = t_ns[order]
         parts = []
-        for pieces in self.pieces.values():
-            rows = np.concatenate([rows for rows, _ in pieces])
-            columns = {}
-            for column in list(pieces[0][1]):  # one column at a time, so that little is held twice
-                columns[column] = np.concatenate([taken.pop(column) for _, taken in pieces])
-            if order is not None:
+        for shape, found in self.found.items():
+            rows = self.rows[shape].whole()
+            columns = {column: grown.whole() for column, grown in found.items()}
+            if place is not None:
                 rows = place[rows]
             if (np.diff(rows) < 0).any():
                 by_row = np.argsort(rows)
@@ -245,10 +250,49 @@ class _Gather:
         return Topic(path, name, type_name, t_ns, tuple(parts))
 
 
-def _record(layout: cdr.Layout) -> np.dtype[Any]:
-    return np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
+class _View:
+    """A layout as it looks at whole records."""
+
+    def __init__(self, layout: cdr.Layout) -> None:
+        self.dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
+        self.words = [(MESSAGE_HEAD.itemsize + at, f"<u{len(word)}", word) for at, word in layout.words]
+
+    def fits(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Which records have the lengths of the message that the layout was made from."""
+        fits = np.ones(len(records), np.bool_)
+        for at, form, word in self.words:
+            column: NDArray[Any] = np.ndarray((len(records),), form, records, at, (records.itemsize,))
+            fits &= column == int.from_bytes(word, "little")
+        return fits
 
 
-def _native(column: NDArray[Any]) -> NDArray[Any]:
-    """A contiguous copy in the byte order of this machine."""
-    return column.astype(column.dtype.newbyteorder("="), copy=True)
+class _Growing:
+    """An array that grows at its end, in the byte order of this machine.
+
+    It doubles its room when that is full; room that was never written to takes no memory, so that a file is held once
+    and not twice, as pieces and as their sum.
+    """
+
+    def __init__(self) -> None:
+        self.array: NDArray[Any] = np.empty(0, np.int64)
+        self.count = 0
+
+    def add(self, n: int, dtype: np.dtype[Any], shape: tuple[int, ...] = ()) -> NDArray[Any]:
+        """Room for n more rows, to be filled; of strings, the wider ones widen all."""
+        end = self.count + n
+        dtype = dtype.newbyteorder("=")
+        if self.count:
+            dtype = np.promote_types(dtype, self.array.dtype)
+        if end > len(self.array) or dtype != self.array.dtype:
+            array = np.empty((max(end, 2 * len(self.array)), *shape), dtype)
+            if self.count:
+                array[: self.count] = self.array[: self.count]
+            self.array = array
+        room = self.array[self.count : end]
+        self.count = end
+        return room
+
+    def whole(self) -> NDArray[Any]:
+        """All rows, without the room that is left."""
+        self.array.resize((self.count, *self.array.shape[1:]), refcheck=False)
+        return self.array

@@ -36,10 +36,11 @@ class _Damaged(Exception):
 
 @dataclass(frozen=True)
 class Block:
-    """The bytes of some message records, and where they start, by channel id, in the order of the file."""
+    """The bytes of some message records, and by channel id where they start and their heads, in the file's order."""
 
     data: bytes
     offsets: dict[int, NDArray[np.int64]]
+    heads: dict[int, NDArray[np.void]]  # MESSAGE_HEAD
 
 
 class Scan:
@@ -137,15 +138,16 @@ class Scan:
         offsets, others = _records_of(data, np.concatenate(listed) if listed else np.empty(0, np.int64))
         for opcode, begin, end in others:
             self._fact(opcode, data[begin:end])
-        at = offsets + MESSAGE_HEAD.fields["channel"][1]  # type: ignore[index]
-        ids = windows(data, 2)[at].view("<u2")
-        by_channel = {}
-        for channel in np.flatnonzero(np.bincount(ids)).tolist():
+        block = Block(data, {}, {})
+        heads = windows(data, MESSAGE_HEAD.itemsize)[offsets]
+        channels = heads.view(MESSAGE_HEAD)["channel"]
+        for channel in np.flatnonzero(np.bincount(channels)).tolist():
             if channel not in self.channels:
                 raise _Damaged(f"a message belongs to channel {channel}, which is not declared")
-            by_channel[channel] = offsets[ids == channel]
-            self.counts[channel] = self.counts.get(channel, 0) + len(by_channel[channel])
-        return Block(data, by_channel)
+            own = np.flatnonzero(channels == channel)
+            block.offsets[channel], block.heads[channel] = offsets[own], heads[own].view(MESSAGE_HEAD)
+            self.counts[channel] = self.counts.get(channel, 0) + len(block.offsets[channel])
+        return block
 
     def _summary(self, rest: bytes) -> None:
         """Test what follows the data: the summary, its checksum and its count of messages, the end magic."""

@@ -1,0 +1,53 @@
+"""``stillpoint bench``: time a part of stillpoint beside its peers."""
+
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.tables import print_table
+
+# name -> a function from the number of runs to a list of Timing
+BENCHES = {
+    "mcap": "stillpoint.scripts.bench_mcap:bench_mcap",
+}
+COLUMNS = ("what", "against", "median, s", "min", "max", "runs", "per sample, ns", "ratio")
+
+
+def bench(
+    name: str,
+    /,
+    *,
+    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 5,
+    json: JsonTarget = None,
+) -> None:
+    """Time a part of stillpoint beside its peers, run by run in turn, so that a busy machine slows all alike.
+
+    Parameters
+    ----------
+    name
+        What to time: mcap (writing and reading an hour of a phone's sensors).
+    runs
+        Runs of each row; the table gives their median, least and most.
+    json
+        Also write the rows as JSON to this file; - is the standard output.
+    """
+    if name not in BENCHES:
+        near = get_close_matches(name, BENCHES, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(BENCHES)}"
+        raise BadParameter(f"no bench {name!r}; {hint}")
+    module, function = BENCHES[name].split(":")
+    timings = getattr(import_module(module), function)(runs)
+    rows = [timing.row() for timing in timings]
+    if json != STDOUT:
+        print_table(f"bench {name}", COLUMNS, [[_cells(row) for row in rows]])
+    write_json(json, rows)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    times = [f"{row[key]:.3f}" for key in ("median_s", "min_s", "max_s")]
+    ratio = "" if row["ratio"] is None else f"{row['ratio']:.1f}"
+    return [row["name"], row["against"] or "", *times, str(row["runs"]), f"{row['per_sample_ns']:.0f}", ratio]
