@@ -20,9 +20,20 @@ from typing import Literal, NamedTuple
 
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.fields import Fields, Fresh, low_pass, no_fields, turn_to_north, uprighting
+from stillpoint.filters.fields import Fields, Fresh, levelled, low_pass, no_fields, tilt_of, turn_to_north, uprighting
 from stillpoint.filters.parameters import Parameters, parameter
-from stillpoint.filters.rotation import Quaternion, Vector, about_up, add, conjugate, multiply, normalise, rotate, scale
+from stillpoint.filters.rotation import (
+    Quaternion,
+    Vector,
+    about_up,
+    add,
+    conjugate,
+    multiply,
+    norm,
+    normalise,
+    rotate,
+    scale,
+)
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 # One field stands for at most that long: after a pause of the magnetometer, a single sample is not taken at its word.
@@ -124,7 +135,7 @@ def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, c: Coefficients) -> tu
     """The attitude of the fields; without a field the heading that there was, and False."""
     q_nb = normalise(multiply(uprighting(q_nb, fields.accel), q_nb))
     if fresh.mag:
-        turn, found = turn_to_north(q_nb, fields.mag, c.declination_rad)
+        turn, found = turn_to_north(rotate(q_nb, fields.mag), c.declination_rad)
         if found:
             return multiply(about_up(turn), q_nb), True
     return q_nb, False
@@ -134,15 +145,16 @@ def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, c: Coefficients) -> tu
 def pull(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> tuple[Quaternion, Vector, bool, int]:
     """Turn the predicted attitude towards the fields: attitude, b, is there a heading, fields without one."""
     q_nb, is_headed, n_no_north = state.q_nb, state.is_headed, state.n_no_north
-    upright = uprighting(q_nb, state.fields.accel)
-    tilt_x, tilt_y, turn = rotation.log(upright)
+    up_n = rotate(q_nb, scale(state.fields.accel, like(dt_s, 1.0) / norm(state.fields.accel)))
+    tilt_x, tilt_y = tilt_of(up_n)
+    turn = like(dt_s, 0.0)
     bx, by, bz = rotate(q_nb, state.b_radps)
     rows = transition(dt_s, c)
     tilt_x, bx = correct(tilt_x, bx, dt_s, rows)
     tilt_y, by = correct(tilt_y, by, dt_s, rows)
     if fresh.mag:
-        q_level = multiply(upright, q_nb) if c.level_by_acc else q_nb
-        error, found = turn_to_north(q_level, state.fields.mag, c.declination_rad)
+        field_n = rotate(q_nb, state.fields.mag)
+        error, found = turn_to_north(levelled(field_n, up_n) if c.level_by_acc else field_n, c.declination_rad)
         if not found:
             n_no_north += 1
         elif is_headed:

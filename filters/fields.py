@@ -1,6 +1,6 @@
 """Gravity and the magnetic field as they come from the sensors: low pass, tilt and heading (paper 002, eqs (4)-(9))."""
 
-from math import atan2, pi
+from math import atan2, pi, sqrt
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled, like
@@ -22,6 +22,8 @@ from stillpoint.filters.sample import GAP_S, Sample
 FREE_FALL_MPS2 = 1.0
 # A field whose horizontal part is a smaller share than that points nowhere: at the poles, or shaken along the field.
 LEAST_HORIZONTAL = 0.01
+# Up this close to straight down: the smallest turn to the true up has no axis of its own, and the one about x is taken.
+UPSIDE_DOWN = -1 + 1e-6
 
 
 class Fields(NamedTuple):
@@ -108,12 +110,32 @@ def uprighting(q_nb: Quaternion, accel: Vector) -> Quaternion:
 
 
 @compiled
-def turn_to_north(q_nb: Quaternion, mag: Vector, declination_rad: float) -> tuple[float, bool]:
-    """Eqs (5)-(8): the turn about up, in (-pi, pi], after which the field points to magnetic north in n.
+def tilt_of(up_n: Vector) -> tuple[float, float]:
+    """The same turn as a rotation vector, whose third component is 0; ``up_n`` is the measured up, of any length."""
+    flat = sqrt(up_n[0] * up_n[0] + up_n[1] * up_n[1])
+    if flat == 0:
+        return like(flat, 0.0) if up_n[2] > 0 else like(flat, pi), flat
+    share = atan2(flat, up_n[2]) / flat
+    return up_n[1] * share, -up_n[0] * share
 
-    ``q_nb`` levels the field, (5). The declination is east of true north. False where the field has no horizontal part.
+
+@compiled
+def levelled(v_n: Vector, up_n: Vector) -> Vector:
+    """Eq (5): ``v_n`` after that turn (Rodrigues' formula); ``up_n`` is of length 1."""
+    one, along = like(v_n[0], 1.0), up_n[0] * v_n[0] + up_n[1] * v_n[1]
+    if up_n[2] < like(one, UPSIDE_DOWN):
+        return v_n[0], -v_n[1], -v_n[2]
+    share = v_n[2] + along / (one + up_n[2])
+    return v_n[0] - up_n[0] * share, v_n[1] - up_n[1] * share, along + up_n[2] * v_n[2]
+
+
+@compiled
+def turn_to_north(field_n: Vector, declination_rad: float) -> tuple[float, bool]:
+    """Eqs (6)-(8): the turn about up, in (-pi, pi], after which a levelled field points to magnetic north.
+
+    The declination is east of true north. False where the field has no horizontal part.
     """
-    east, north, up = rotate(q_nb, mag)
+    east, north, up = field_n
     flat, least = east * east + north * north, like(east, LEAST_HORIZONTAL * LEAST_HORIZONTAL)
     turn = atan2(east, north) - declination_rad
     whole, half = like(turn, 2 * pi), like(turn, pi)

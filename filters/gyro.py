@@ -11,7 +11,7 @@ from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
 from stillpoint.filters.parameters import Parameters, parameter
-from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, scale
+from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 
@@ -68,7 +68,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         if fresh.accel and not is_level:
             q_nb, is_level = multiply(uprighting(q_nb, fields.accel), q_nb), True
         if fresh.mag and is_level:
-            turn, is_headed = turn_to_north(q_nb, fields.mag, c.declination_rad)
+            turn, is_headed = turn_to_north(rotate(q_nb, fields.mag), c.declination_rad)
             q_nb = multiply(about_up(turn), q_nb) if is_headed else q_nb
     state = State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps)
     return state, Output(q_nb, None, None, None, is_level)

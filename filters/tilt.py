@@ -10,7 +10,7 @@ from typing import NamedTuple
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, level, low_pass, no_fields, turn_to_north
 from stillpoint.filters.parameters import Parameters, parameter
-from stillpoint.filters.rotation import Quaternion, about_up, multiply
+from stillpoint.filters.rotation import Quaternion, about_up, multiply, rotate
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 
@@ -56,7 +56,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if fields.has_accel:
         q_level = level(fields.accel)
         if fields.has_mag:
-            turn, found = turn_to_north(q_level, fields.mag, c.declination_rad)
+            turn, found = turn_to_north(rotate(q_level, fields.mag), c.declination_rad)
             if found:
                 q_nb = multiply(about_up(turn), q_level)
             else:
