@@ -1,0 +1,122 @@
+"""Clocks: rate, gaps, lost samples, bursts and jitter of each stream, and whether the streams overlap."""
+
+import numpy as np
+from stillpoint.datasets.doctor.finding import Finding, Remedy
+from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
+from stillpoint.datasets.recording import Floats, Recording, Times
+
+GAP_STEPS = 5.0  # medians; a longer step is a gap
+GAP_S = 0.05  # ... if it is also longer than this
+BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
+JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
+LOST_SHARE = 0.01  # of the samples
+OVERLAP_SHARE = 0.9  # of the IMU's time that a magnetometer should cover
+SAMPLED = ("imu", "mag", "spin")  # evenly sampled sensors; truth, gps and encoder may pause
+
+
+def check_clocks(recording: Recording) -> list[Finding]:
+    """One fact per stream, and what is wrong with its stamps."""
+    findings = []
+    for name, t_ns in recording.streams():
+        if len(t_ns) < 10:
+            findings.append(
+                Finding(f"{name}-short", "warning", f"{name}: has {len(t_ns)} samples only; nothing can be told of it")
+            )
+            continue
+        findings += _check_stream(name, t_ns)
+    return findings + _check_overlap(recording)
+
+
+def _check_stream(name: str, t_ns: Times) -> list[Finding]:
+    steps_s = np.diff(t_ns) / 1e9
+    median = float(np.median(steps_s))
+    mean = float(np.mean(steps_s[steps_s < LONGEST_BURST_S])) if (steps_s < LONGEST_BURST_S).any() else median
+    bursts = name in SAMPLED and median < BURST_SHARE * mean
+    limit = LONGEST_BURST_S if bursts else max(GAP_STEPS * median, GAP_S)
+    gaps = steps_s > limit
+    findings = [_rate(name, t_ns, mean if bursts else median)]
+    if gaps.any():
+        findings.append(_gaps(name, t_ns, steps_s, gaps))
+    if bursts:
+        findings.append(_bursts(name, median, mean, float(steps_s[~gaps].max())))
+    elif name in SAMPLED:
+        findings += _regularity(name, steps_s[~gaps], median)
+    return findings
+
+
+def _rate(name: str, t_ns: Times, step_s: float) -> Finding:
+    seconds = float(t_ns[-1] - t_ns[0]) / 1e9
+    message = f"{name}: {1 / step_s:.2f} Hz, {len(t_ns)} samples in {seconds:.1f} s"
+    return Finding(f"{name}-rate", "fact", message, values={"rate_hz": 1 / step_s, "duration_s": seconds})
+
+
+def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
+    longest = int(np.argmax(steps_s))
+    at_s = float(t_ns[longest] - t_ns[0]) / 1e9
+    message = (
+        f"{name}: {int(gaps.sum())} gaps, {steps_s[gaps].sum():.2f} s in all; the longest lasts {steps_s[longest]:.3f} s, "
+        f"{at_s:.2f} s after the start"
+    )
+    values = {"gaps": float(gaps.sum()), "longest_s": float(steps_s[longest]), "at_s": at_s}
+    if name not in SAMPLED:
+        return Finding(f"{name}-gap", "fact", message, values=values)
+    advice = "; nothing can fill it: cut the recording there, or trust no attitude across it"
+    return Finding(f"{name}-gap", "warning", message + advice, values=values)
+
+
+def _bursts(name: str, median: float, mean: float, longest: float) -> Finding:
+    remedy = Remedy("line", name, f"{name}: evenly spaced stamps by a line through the receipt times")
+    message = (
+        f"{name}: stamps come in bursts (median step {1e3 * median:.2f} ms, mean {1e3 * mean:.2f} ms, "
+        f"longest {1e3 * longest:.0f} ms): they are times of receipt; put a line through them"
+    )
+    return Finding(f"{name}-bursts", "warning", message, remedy, {"median_s": median, "mean_s": mean})
+
+
+def _regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
+    """Lost samples leave steps at whole multiples of the median, jitter leaves them anywhere."""
+    ratio = steps_s / median
+    whole = (ratio > 1.5) & (np.abs(ratio - np.round(ratio)) < 0.2)
+    jitter_s = float(steps_s[~whole].std()) if (~whole).any() else 0.0
+    lost = int((np.round(ratio[whole]) - 1).sum())
+    findings = []
+    if jitter_s > JITTER_SHARE * median:
+        remedy = Remedy("line", name, f"{name}: evenly spaced stamps by a line through the jittered ones")
+        message = (
+            f"{name}: steps vary by {1e3 * jitter_s:.2f} ms (sd) about {1e3 * median:.2f} ms: the stamps are not the "
+            "sampling instants; put a line through them"
+        )
+        return [Finding(f"{name}-jitter", "warning", message, remedy, {"jitter_s": jitter_s})]
+    message = f"{name}: steps vary by {1e3 * jitter_s:.3f} ms (sd) about {1e3 * median:.3f} ms"
+    findings.append(Finding(f"{name}-steps", "fact", message, values={"jitter_s": jitter_s}))
+    if lost:
+        many = lost > LOST_SHARE * (len(steps_s) + lost)
+        message = f"{name}: {lost} samples are missing one by one"
+        advice = "; look for what loses them when recording" if many else ""
+        findings.append(
+            Finding(f"{name}-lost", "warning" if many else "fact", message + advice, values={"lost": float(lost)})
+        )
+    return findings
+
+
+def _check_overlap(recording: Recording) -> list[Finding]:
+    if recording.imu is None:
+        return []
+    imu_ns = recording.imu.t_ns
+    findings = []
+    for name, t_ns in recording.streams():
+        if name == "imu" or len(t_ns) < 2:
+            continue
+        common = float(min(imu_ns[-1], t_ns[-1]) - max(imu_ns[0], t_ns[0])) / 1e9
+        whole = float(imu_ns[-1] - imu_ns[0]) / 1e9
+        values = {"common_s": max(common, 0.0), "imu_s": whole}
+        if common <= 0:
+            message = (
+                f"{name}: shares no time with the IMU (it is {-common:.1f} s apart): the clocks have different zeros; "
+                "shift one of them, or import again with one zero"
+            )
+            findings.append(Finding(f"{name}-apart", "error", message, values=values))
+        elif name == "mag" and common < OVERLAP_SHARE * whole:
+            message = f"{name}: covers {common:.1f} of the IMU's {whole:.1f} s; outside there is no heading from it"
+            findings.append(Finding(f"{name}-overlap", "warning", message, values=values))
+    return findings

@@ -1,0 +1,87 @@
+"""Noise and bias at rest, per sensor; without a rest, the gyro's bias by what the other sensors say."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from stillpoint.datasets.doctor.finding import Finding, Remedy
+from stillpoint.datasets.doctor.still import calm_seconds, inside
+from stillpoint.datasets.doctor.witness import Witness
+from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
+
+BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
+# White noise per sqrt(Hz) above which a MEMS sensor is not at its best: ten times what data sheets promise.
+NOISE = {"gyro": np.deg2rad(0.1), "accel": 0.02, "mag": 1.0}
+UNITS = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
+FEWEST_SAMPLES = 50
+
+
+def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
+    """White noise of each sensor in the calm stretches, and the gyro's bias."""
+    imu = recording.require_imu()
+    spans = rests_ns if len(rests_ns) else calm_seconds(imu)
+    where = f"in {len(rests_ns)} rests" if len(rests_ns) else f"in {len(spans)} calm seconds"
+    columns = [("gyro", imu.t_ns, imu.gyro_b_radps), ("accel", imu.t_ns, imu.accel_b_mps2)]
+    if recording.mag is not None:
+        columns.append(("mag", recording.mag.t_ns, recording.mag.mag_b_ut))
+    findings = []
+    for name, t_ns, values in columns:
+        still = inside(t_ns, spans)
+        if still.sum() >= FEWEST_SAMPLES:
+            findings.append(_noise(name, values, still, rate_hz(t_ns), where))
+    if not findings:
+        findings.append(Finding("noise-not-tested", "fact", "noise: not tested, as nothing rests"))
+    return findings + _bias(recording, rests_ns, witnesses)
+
+
+def white_noise(values: Floats, still: np.ndarray) -> Floats:
+    """Standard deviation of white noise per column, from differences between neighbouring still samples.
+
+    Third differences, so that slow turning does not count; robust against single jolts.
+    """
+    run = still[3:] & still[2:-1] & still[1:-2] & still[:-3]
+    third = values[3:] - 3 * values[2:-1] + 3 * values[1:-2] - values[:-3]
+    if not run.any():
+        return np.full(values.shape[1], np.nan)
+    return np.asarray(1.4826 * np.median(np.abs(third[run]), axis=0) / np.sqrt(20.0))
+
+
+def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:
+    sd = white_noise(values, still)
+    density = float(np.max(sd) / np.sqrt(rate))
+    factor, unit = UNITS[name]
+    message = (
+        f"{name}: white noise {factor * float(np.max(sd)):.3g} {unit} a sample on the worst axis, "
+        f"{factor * density:.2g} {unit}/sqrt(Hz), {where}"
+    )
+    noisy = np.isfinite(density) and density > NOISE[name]
+    values_out = {"density": density, "sd": float(np.max(sd))}
+    if noisy:
+        advice = "; look for vibration, or a damaged or wrongly set sensor"
+        return Finding(f"{name}-noise", "warning", message + advice, values=values_out)
+    return Finding(f"{name}-noise", "fact", message, values=values_out)
+
+
+def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
+    imu = recording.require_imu()
+    still = inside(imu.t_ns, rests_ns)
+    how, bias = "at rest", None
+    if still.sum() >= FEWEST_SAMPLES:
+        bias = imu.gyro_b_radps[still].mean(axis=0)
+    else:
+        for name, words in (("truth", "by the truth"), ("mag", "by the magnetometer")):
+            found = [w.gyro_bias_b_radps for w in witnesses if w.name == name and w.gyro_bias_b_radps is not None]
+            if bias is None and found:
+                how, bias = words, found[0]
+    if bias is None:
+        return [Finding("gyro-bias", "fact", "gyro: bias not tested, as nothing rests and no other sensor shows it")]
+    size = float(np.linalg.norm(bias))
+    shown = ", ".join(f"{b:.2f}" for b in np.rad2deg(bias))
+    values = {"bias_radps": size}
+    message = f"gyro: bias ({shown}) deg/s {how}"
+    if size <= BIAS_RADPS:
+        return [Finding("gyro-bias", "fact", message, values=values)]
+    if how == "by the magnetometer":
+        advice = ", known to a few deg/s only; let the sensor rest at the start of a recording"
+        return [Finding("gyro-bias", "warning", message + advice, values=values)]
+    remedy = Remedy("offset", "gyro", f"gyro less bias ({shown}) deg/s", tuple(float(b) for b in bias))
+    return [Finding("gyro-bias", "warning", message + "; subtract it", remedy, values)]

@@ -1,0 +1,189 @@
+"""Apply remedies: each kind is one small function from a recording to a recording. Nothing changes in silence."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from stillpoint.datasets.doctor.finding import Remedy
+from stillpoint.datasets.errors import BadParameter, BadRecording
+from stillpoint.datasets.frames import from_xyzw, quaternion, rotation
+from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
+
+SENSORS = {"gyro": "gyro_b_radps", "accel": "accel_b_mps2"}
+LONGEST_BURST_S = 1.0  # a longer step between stamps is a gap, not the wait for the next burst
+
+
+def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
+    """The recording with the remedies applied in order; each is recorded in ``info.conversions``.
+
+    When the sizes then fit their units, ``info.units_unchecked`` is taken back. Raises :class:`BadParameter` for a
+    remedy that is not one of :class:`Remedy`'s table, or whose stream is missing.
+    """
+    for remedy in remedies:
+        changed, said = _change(recording, remedy)
+        line = f"doctor: {remedy.text}" + (f" ({said})" if said else "")
+        info = replace(changed.info, units_unchecked=True, conversions=(*changed.info.conversions, line))
+        recording = replace(changed, info=info)
+    try:
+        return replace(recording, info=replace(recording.info, units_unchecked=False))
+    except BadRecording:
+        return recording
+
+
+def line_through(t_ns: Times) -> Times:
+    """Evenly spaced stamps by a least-squares line through each stretch without a gap."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t_ns) > LONGEST_BURST_S * 1e9) + 1, [len(t_ns)]])
+    even = t_ns.astype(np.int64).copy()
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        if last - first > 2:
+            count = np.arange(last - first, dtype=np.float64)
+            since_ns = (t_ns[first:last] - t_ns[first]).astype(np.float64)
+            slope, start = np.polyfit(count, since_ns, 1)
+            even[first:last] = t_ns[first] + np.round(start + slope * count).astype(np.int64)
+    return even
+
+
+def repeats(values: Floats) -> np.ndarray:
+    """True for rows that equal the row before, (N,)."""
+    return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+
+
+def _change(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    if remedy.kind not in _KINDS:
+        raise BadParameter(f"no remedy {remedy.kind!r}; there are {', '.join(_KINDS)}")
+    stream = "imu" if remedy.target in SENSORS else remedy.target
+    if getattr(recording, stream, None) is None:
+        raise BadParameter(f"{recording.name}: remedy {remedy.text!r} needs the stream {stream}, which is missing")
+    return _KINDS[remedy.kind](recording, remedy)
+
+
+def _values(recording: Recording, target: str) -> Floats:
+    if target == "mag":
+        assert recording.mag is not None
+        return recording.mag.mag_b_ut
+    if target not in SENSORS:
+        raise BadParameter(f"a remedy for {target!r} cannot change vectors; name gyro, accel or mag")
+    return np.asarray(getattr(recording.require_imu(), SENSORS[target]))
+
+
+def _with_values(recording: Recording, target: str, values: Floats) -> Recording:
+    if target == "mag":
+        assert recording.mag is not None
+        return replace(recording, mag=replace(recording.mag, mag_b_ut=values))
+    return replace(recording, imu=replace(recording.require_imu(), **{SENSORS[target]: values}))
+
+
+def _matrix(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    matrix = np.reshape(remedy.values, (3, 3))
+    if remedy.target == "truth":
+        assert recording.truth is not None
+        turned = rotation(recording.truth.q_nb) * Rotation.from_matrix(matrix.T)
+        return replace(recording, truth=replace(recording.truth, q_nb=quaternion(turned))), ""
+    return _with_values(recording, remedy.target, _values(recording, remedy.target) @ matrix.T), ""
+
+
+def _offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    values = _values(recording, remedy.target) - np.asarray(remedy.values)
+    return _with_values(recording, remedy.target, values), ""
+
+
+def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    by_ns = round(remedy.values[0] * 1e9)
+    if remedy.target in SENSORS:
+        return _shift_within_imu(recording, remedy.target, by_ns)
+    stream = getattr(recording, remedy.target)
+    keep = stream.t_ns + by_ns >= 0
+    lost = len(keep) - int(keep.sum())
+    said = f"{lost} samples before time 0 dropped" if lost else ""
+    return replace(recording, **{remedy.target: _rows(stream, keep, stream.t_ns + by_ns)}), said
+
+
+def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Recording, str]:
+    """Gyro and accelerometer share a clock, so one of them is interpolated at the other's stamps."""
+    imu = recording.require_imu()
+    source_ns = imu.t_ns - by_ns
+    keep = (source_ns >= imu.t_ns[0]) & (source_ns <= imu.t_ns[-1])
+    seconds, at = (imu.t_ns - imu.t_ns[0]) / 1e9, (source_ns[keep] - imu.t_ns[0]) / 1e9
+    moved = {
+        name: np.stack([np.interp(at, seconds, column) for column in getattr(imu, name).T], axis=1)
+        if name == SENSORS[sensor]
+        else getattr(imu, name)[keep]
+        for name in SENSORS.values()
+    }
+    said = f"interpolated at the other sensor's stamps, {len(keep) - int(keep.sum())} samples at the ends dropped"
+    return replace(recording, imu=Imu(imu.t_ns[keep], **moved)), said
+
+
+def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    stream = getattr(recording, remedy.target)
+    even = line_through(stream.t_ns)
+    said = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
+    even = even - min(int(even[0]), 0)  # a line may start a little before time 0
+    return replace(recording, **{remedy.target: replace(stream, t_ns=even)}), said
+
+
+def _drop(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    stream = getattr(recording, remedy.target)
+    keep = np.ones(len(stream.t_ns), dtype=np.bool_)
+    for first, last in np.reshape(remedy.values, (-1, 2)):
+        keep &= (stream.t_ns < first) | (stream.t_ns > last)
+    return _keep(recording, remedy.target, keep)
+
+
+def _drop_repeats(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    if remedy.target == "imu":
+        imu = recording.require_imu()
+        same = repeats(np.hstack([imu.gyro_b_radps, imu.accel_b_mps2]))
+    else:
+        same = repeats(_values(recording, remedy.target))
+    return _keep(recording, remedy.target, ~same)
+
+
+def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recording, str]:
+    if not keep.any():
+        raise BadParameter(f"{recording.name}: the remedy would drop every sample of {target}")
+    said = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
+    stream = getattr(recording, target)
+    return replace(recording, **{target: _rows(stream, keep, stream.t_ns)}), said
+
+
+def _rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
+    columns = {name: value[keep] for name, value in vars(stream).items() if isinstance(value, np.ndarray)}
+    return replace(stream, **(columns | {"t_ns": t_ns[keep]}))
+
+
+def _interpolate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    imu, values = recording.require_imu(), _values(recording, remedy.target)
+    held = repeats(values)
+    seconds = (imu.t_ns - imu.t_ns[0]) / 1e9
+    filled = np.stack([np.interp(seconds, seconds[~held], column[~held]) for column in values.T], axis=1)
+    return _with_values(recording, remedy.target, filled), f"{int(held.sum())} samples interpolated"
+
+
+def _drop_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    return replace(recording, **{remedy.target: None}), ""
+
+
+def _conjugate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    assert recording.truth is not None
+    return replace(recording, truth=replace(recording.truth, q_nb=recording.truth.q_nb * [1.0, -1.0, -1.0, -1.0])), ""
+
+
+def _reorder(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    assert recording.truth is not None
+    return replace(recording, truth=replace(recording.truth, q_nb=from_xyzw(recording.truth.q_nb))), ""
+
+
+_KINDS: dict[str, Callable[[Recording, Remedy], tuple[Recording, str]]] = {
+    "matrix": _matrix,
+    "offset": _offset,
+    "shift": _shift,
+    "line": _line,
+    "drop": _drop,
+    "drop-repeats": _drop_repeats,
+    "interpolate": _interpolate,
+    "drop-stream": _drop_stream,
+    "conjugate": _conjugate,
+    "reorder": _reorder,
+}

@@ -1,0 +1,82 @@
+"""Units by size: gravity at rest, and the field of the Earth once the hard iron is taken off."""
+
+import numpy as np
+from stillpoint.datasets.doctor.finding import Finding, Remedy
+from stillpoint.datasets.doctor.still import calm_seconds, inside
+from stillpoint.datasets.doctor.witness import sphere_centre
+from stillpoint.datasets.plausible import FIELD_RANGE_UT
+from stillpoint.datasets.recording import Floats, Recording, Times
+
+GRAVITY_MPS2 = 9.80665
+UNITS_OF_FORCE = {"g": GRAVITY_MPS2, "milli-g": GRAVITY_MPS2 / 1000, "cm/s^2": 0.01, "g twice": 1 / GRAVITY_MPS2}
+UNITS_OF_FIELD = {"tesla": 1e6, "gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3}
+GRAVITY_FACT, GRAVITY_UNIT = 0.03, 0.15  # relative: below the first a fact, above the second another unit
+MOVING_UNIT = 0.5  # without rest: the median size in motion may be off by this
+FIELD_UNIT_UT = (12.0, 120.0)  # outside, another unit is looked for: half and twice what the Earth has
+
+
+def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
+    """Size of the specific force at rest, or of its median where nothing rests."""
+    imu = recording.require_imu()
+    still = inside(imu.t_ns, rests_ns if len(rests_ns) else calm_seconds(imu))
+    at_rest = bool(still.sum() >= 20)
+    norm = np.linalg.norm(imu.accel_b_mps2[still] if at_rest else imu.accel_b_mps2, axis=1)
+    size = float(np.median(norm))
+    where = "at rest" if at_rest else "in the median, as nothing rests,"
+    values = {"size_mps2": size}
+    tolerance = GRAVITY_UNIT if at_rest else MOVING_UNIT
+    off = size / GRAVITY_MPS2 - 1
+    if -tolerance / (1 + tolerance) <= off <= tolerance:
+        message = f"accel: {size:.4g} m/s^2 {where} ({100 * off:+.1f} % of 9.807)"
+        if not at_rest or abs(off) <= GRAVITY_FACT:
+            return [Finding("gravity-size", "fact", message, values=values)]
+        advice = ": a scale or a bias error; calibrate the accelerometer in six poses"
+        return [Finding("gravity-size", "warning", message + advice, values=values)]
+    for unit, factor in UNITS_OF_FORCE.items():
+        if abs(np.log(size * factor / GRAVITY_MPS2)) < np.log(1 + tolerance):
+            remedy = Remedy("matrix", "accel", f"accel * {factor:.6g} ({unit} -> m/s^2)", _scaling(factor))
+            message = f"accel: {size:.4g} {where}, not 9.8 m/s^2: it is in {unit}; multiply by {factor:.6g}"
+            return [Finding("accel-units", "error", message, remedy, values)]
+    message = f"accel: {size:.4g} {where}, not 9.8 m/s^2, and no unit explains it; find out its unit"
+    return [Finding("accel-units", "error", message, None, values)]
+
+
+def check_field_unit(recording: Recording) -> list[Finding]:
+    """Is the field of the Earth's size? By the sphere through the samples, so that a hard iron does not count."""
+    assert recording.mag is not None
+    size, how = field_size(recording.mag.mag_b_ut)
+    raw = float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1)))
+    values = {"size_ut": size}
+    if size <= 0:
+        message = "mag: every sample is zero or the same; leave the magnetometer out"
+        return [Finding("mag-stuck", "error", message, Remedy("drop-stream", "mag", "magnetometer dropped: no field"))]
+    plausible = FIELD_UNIT_UT[0] <= size <= FIELD_UNIT_UT[1]
+    if plausible or FIELD_RANGE_UT[0] <= raw <= FIELD_RANGE_UT[1]:
+        return []
+    for unit, factor in UNITS_OF_FIELD.items():
+        if FIELD_UNIT_UT[0] <= size * factor <= FIELD_UNIT_UT[1]:
+            remedy = Remedy("matrix", "mag", f"mag * {factor:g} ({unit} -> uT)", _scaling(factor))
+            message = f"mag: the field is {size:.4g} {how}, not 20-70 uT: it is in {unit}; multiply by {factor:g}"
+            return [Finding("mag-units", "error", message, remedy, values)]
+    if recording.info.mag_uncalibrated:
+        message = f"mag: the field is {size:.4g} {how}, not 20-70 uT, and no unit explains it: it is not calibrated"
+        return [Finding("field-size", "fact", message, values=values)]
+    message = (
+        f"mag: the field is {size:.4g} {how}, not 20-70 uT, and no unit explains it; "
+        "calibrate it, or look for magnets near the sensor"
+    )
+    return [Finding("field-size", "warning", message, None, values)]
+
+
+def field_size(mag_b_ut: Floats) -> tuple[float, str]:
+    """Radius of the sphere through the samples where they span one, else their median length; and which it is."""
+    middle = mag_b_ut.mean(axis=0)
+    spans = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov((mag_b_ut - middle).T)), 0))
+    radius = float(np.median(np.linalg.norm(mag_b_ut - sphere_centre(mag_b_ut), axis=1)))
+    if spans[0] > 0.2 * radius:
+        return radius, "about its centre"
+    return float(np.median(np.linalg.norm(mag_b_ut, axis=1))), "in the median"
+
+
+def _scaling(factor: float) -> tuple[float, ...]:
+    return (factor, 0.0, 0.0, 0.0, factor, 0.0, 0.0, 0.0, factor)

@@ -1,0 +1,210 @@
+"""Values that no working sensor gives: a stuck axis, clipping, held or frozen samples, coarse steps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from stillpoint.datasets.doctor.finding import Finding, Remedy
+from stillpoint.datasets.doctor.remedy import repeats
+from stillpoint.datasets.doctor.turning import stands_out
+from stillpoint.datasets.recording import Floats, Recording, Times
+
+CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
+CLIPPED_SPAN = 0.1  # of the column's range: as many samples as half of those so near below must lie on the extreme
+CLIPPED_STEPS = 20.0  # the extreme is further than so many steps of the converter from the median
+HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
+FROZEN_S, FROZEN_SAMPLES = 0.3, 10  # a run of equal samples in motion, longer than both
+COARSE = {"gyro": np.deg2rad(0.5), "accel": 0.05, "mag": 1.0}  # steps above these hide slow motion
+TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """One sensor's columns, and which samples fall into motion that the other sensors see."""
+
+    name: str
+    stream: str
+    t_ns: Times
+    values: Floats  # (N, k)
+    moving: NDArray[np.bool_]
+
+    @property
+    def axes(self) -> list[str]:
+        """Names of the columns."""
+        return ["x", "y", "z"] if self.name in TO_SHOW else [f"{k + 1}" for k in range(self.values.shape[1])]
+
+    def show(self, value: float) -> str:
+        """A value with its unit."""
+        factor, unit = TO_SHOW.get(self.name, (1.0, "m/s^2" if "accel" in self.name else "rad/s"))
+        return f"{factor * value:.4g} {unit}"
+
+
+def check_values(recording: Recording) -> list[Finding]:
+    """What is wrong with the values of each sensor, whatever their unit."""
+    findings: list[Finding] = []
+    for sensor in _sensors(recording):
+        if len(sensor.t_ns) < 10:
+            continue
+        stuck = _stuck(sensor)
+        findings += stuck
+        if stuck:
+            continue
+        findings += _clipped(sensor)
+        frozen = _frozen(sensor)
+        findings += frozen or _held(sensor, recording)
+        findings += _coarse(sensor)
+    return _merge_imu(findings)
+
+
+def _sensors(recording: Recording) -> list[Sensor]:
+    sensors = []
+    if recording.imu is not None:
+        imu = recording.imu
+        turning = stands_out(np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1))
+        norm = np.linalg.norm(imu.accel_b_mps2, axis=1)
+        shaken = np.abs(norm - np.median(norm)) > 0.03 * np.median(norm)
+        sensors.append(Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _near(turning | shaken)))
+        sensors.append(Sensor("accel", "imu", imu.t_ns, imu.accel_b_mps2, _near(turning | shaken)))
+        if recording.mag is not None:
+            mag = recording.mag
+            at = np.clip(np.searchsorted(imu.t_ns, mag.t_ns), 0, len(imu.t_ns) - 1)
+            sensors.append(Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
+    if recording.spin is not None:
+        spin = recording.spin
+        all_of = np.ones(len(spin.t_ns), dtype=np.bool_)
+        sensors.append(Sensor("spin-accel", "spin", spin.t_ns, spin.accel_mps2, all_of))
+        if spin.gyro_radps.shape[1]:
+            sensors.append(Sensor("spin-gyro", "spin", spin.t_ns, spin.gyro_radps, all_of))
+    return sensors
+
+
+def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples with at least half of their 21 neighbours in the mask."""
+    return np.asarray(np.convolve(mask, np.ones(21) / 21, mode="same") > 0.5)
+
+
+def _stuck(sensor: Sensor) -> list[Finding]:
+    still = [k for k in range(sensor.values.shape[1]) if (sensor.values[:, k] == sensor.values[0, k]).all()]
+    if not still:
+        return []
+    names = ", ".join(sensor.axes[k] for k in still)
+    levels = ", ".join(sensor.show(sensor.values[0, k]) for k in still)
+    missing = "missing" if not sensor.values[:, still].any() else "stuck"
+    message = f"{sensor.name} {names}: {missing}, every sample reads {levels}"
+    code = f"{sensor.name}-stuck"
+    if sensor.name == "mag":
+        remedy = Remedy("drop-stream", "mag", f"magnetometer dropped: {names} {missing}")
+        return [Finding(code, "error", message + "; leave the magnetometer out", remedy)]
+    return [Finding(code, "error", message + "; no attitude can be had without it: record or import again")]
+
+
+def _clipped(sensor: Sensor) -> list[Finding]:
+    findings = []
+    for k, name in enumerate(sensor.axes):
+        column = sensor.values[:, k]
+        step, span = smallest_step(column), float(np.ptp(column))
+        for sign in (1.0, -1.0):
+            toward = sign * column
+            extreme = float(toward.max())
+            at = int((toward == extreme).sum())
+            below = int(((toward < extreme) & (toward > extreme - CLIPPED_SPAN * span)).sum())
+            far = extreme - np.median(toward) > CLIPPED_STEPS * step
+            together = bool(((toward[1:] == extreme) & (toward[:-1] == extreme)).any())
+            if at >= CLIPPED_SAMPLES and at > 0.5 * below and far and together:
+                message = (
+                    f"{sensor.name} {name}: {at} samples lie on {sensor.show(sign * extreme)}, the end of the range: "
+                    "the motion was larger; set a larger range, and trust no attitude after them"
+                )
+                values = {"samples": float(at), "level": sign * extreme}
+                findings.append(Finding(f"{sensor.name}-clipped", "warning", message, values=values))
+    return findings
+
+
+def _frozen(sensor: Sensor) -> list[Finding]:
+    same = repeats(sensor.values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
+    seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
+    moving = np.array([sensor.moving[a : b + 1].mean() > 0.5 for a, b in zip(first, last, strict=True)], dtype=np.bool_)
+    frozen = moving & (seconds >= FROZEN_S) & (last - first + 1 >= FROZEN_SAMPLES)
+    if not frozen.any() or frozen.sum() > 100:
+        return []
+    first, last = first[frozen], last[frozen]
+    spans = tuple(int(t) for pair in zip(sensor.t_ns[first], sensor.t_ns[last], strict=True) for t in pair)
+    at_s = (sensor.t_ns[first[0]] - sensor.t_ns[0]) / 1e9
+    message = (
+        f"{sensor.name}: frozen in motion for {seconds[frozen].sum():.2f} s in {len(first)} stretches, the first "
+        f"{at_s:.2f} s after the start; drop these samples"
+    )
+    remedy = Remedy("drop", sensor.stream, f"{sensor.stream}: frozen samples dropped", spans)
+    values = {"frozen_s": float(seconds[frozen].sum()), "at_s": float(at_s)}
+    return [Finding(f"{sensor.name}-frozen", "error", message, remedy if sensor.stream != "spin" else None, values)]
+
+
+def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
+    if sensor.stream == "spin" or sensor.moving.sum() < 20:
+        return []
+    same = repeats(sensor.values)
+    share = float(same[sensor.moving].mean())
+    # A stretch of doubled samples is a fault as well, however short beside the recording.
+    pairs = same & sensor.moving
+    stretch = np.convolve(pairs, np.ones(40) / 40, mode="same") > 0.4
+    if share < HELD_SHARE and not stretch.any():
+        return []
+    if sensor.stream == "mag":
+        remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
+    elif (repeats(_other(sensor.name, recording))[pairs]).mean() > 0.9:
+        remedy = Remedy("drop-repeats", "imu", "imu: of equal neighbouring samples the first kept")
+    else:
+        remedy = Remedy("interpolate", sensor.name, f"{sensor.name}: held samples interpolated")
+    message = (
+        f"{sensor.name}: {100 * share:.0f} % of the samples in motion repeat the one before "
+        f"({int(pairs.sum())} samples): the sensor is slower than its stamps; {remedy.text.split(': ', 1)[1]}"
+    )
+    return [Finding(f"{sensor.name}-held", "warning", message, remedy, {"share": share})]
+
+
+def _other(sensor: str, recording: Recording) -> Floats:
+    imu = recording.require_imu()
+    return imu.accel_b_mps2 if sensor == "gyro" else imu.gyro_b_radps
+
+
+def _coarse(sensor: Sensor) -> list[Finding]:
+    if sensor.name not in COARSE:
+        return []
+    steps = [smallest_step(column) for column in sensor.values.T]
+    step = max(steps)
+    if step <= COARSE[sensor.name]:
+        return []
+    message = (
+        f"{sensor.name}: values come in steps of {sensor.show(step)}: slower changes are invisible; "
+        "set a smaller range, or keep more digits when recording"
+    )
+    return [Finding(f"{sensor.name}-coarse", "warning", message, values={"step": step})]
+
+
+def smallest_step(column: Floats) -> float:
+    """The step of the converter: the smallest difference between values that all differ by whole steps, else 0."""
+    levels = np.unique(column)
+    if len(levels) < 2 or len(levels) > 0.5 * len(column):
+        return 0.0
+    gaps = np.diff(levels)
+    step = float(gaps[gaps > 1e-9 * np.abs(levels).max()].min(initial=np.inf))
+    if not np.isfinite(step):
+        return 0.0
+    off = np.abs(gaps / step - np.round(gaps / step))
+    return step if np.median(off) < 0.05 else 0.0
+
+
+def _merge_imu(findings: list[Finding]) -> list[Finding]:
+    """Gyro and accelerometer share their rows: what both ask for is done once."""
+    seen: set[tuple[str, str]] = set()
+    merged = []
+    for finding in findings:
+        remedy = finding.remedy
+        if remedy is not None and remedy.kind == "drop-repeats":
+            if (remedy.kind, remedy.target) in seen:
+                finding = Finding(finding.code, finding.severity, finding.message, None, finding.values)
+            seen.add((remedy.kind, remedy.target))
+        merged.append(finding)
+    return merged
