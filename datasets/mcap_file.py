@@ -5,7 +5,7 @@ a file has millions, go through the dtypes below as whole columns.
 """
 
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,30 +33,24 @@ def windows(buffer: Any, size: int) -> NDArray[np.void]:
 @contextmanager
 def atomic(path: Path) -> Iterator[IO[bytes]]:
     """A binary file that appears under its name whole, on disk, or not at all. Raises :class:`BadFile`."""
-    folder = path.resolve().parent
+    target = path.resolve()
+    if target.exists() and not target.is_file():
+        raise BadFile(f"{path}: is there already and is no ordinary file; name another")
+    temporary = target.with_name(f"{target.name}.{secrets.token_hex(4)}.part")
     try:
-        handle, temporary = tempfile.mkstemp(dir=folder, prefix=path.name + ".", suffix=".part")
-    except OSError as error:
-        raise BadFile(f"{path}: cannot be written ({error.strerror}); check the folder {folder}") from error
-    try:
-        with os.fdopen(handle, "wb", buffering=1 << 20) as file:
+        with open(temporary, "xb", buffering=1 << 20) as file:
             yield file
             file.flush()
-            os.fchmod(file.fileno(), 0o666 & ~_umask())  # mkstemp's 0600 would keep colleagues out
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise BadFile(f"{path}: cannot be written ({error.strerror}); check the disk and the folder") from error
+            raise BadFile(
+                f"{path}: cannot be written ({error.strerror}); check the disk and the folder {target.parent}"
+            ) from error
         raise
-    _sync_folder(folder)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    _sync_folder(target.parent)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -78,8 +78,8 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
             return _recording(log, facts, samples, absent, units_unchecked)
         return _trajectory(log, kind, facts, absent)
     except BadRecording as error:
-        raise BadFile(f"{path}: {error}") from error
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise BadFile(f"{path}: {f'{log.lost}; ' if log.lost else ''}{error}") from error
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise BadFile(
             f"{path}: its facts do not fit stillpoint {version('stillpoint')} ({type(error).__name__}: {error}); "
             f"stillpoint {log.metadata[RECORD].get('version', '?')} wrote it"

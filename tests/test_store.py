@@ -28,6 +28,7 @@ from stillpoint.datasets import (
     store,
     write,
 )
+from stillpoint.datasets.mcap_writer import write_mcap
 
 ANY = {"allow_nan": False, "allow_infinity": False, "width": 64}
 FAR = {"min_value": -1e12, "max_value": 1e12, **ANY}
@@ -391,6 +392,42 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert [p.name for p in tmp_path.iterdir()] == ["x.mcap"]
     with pytest.raises(BadFile, match="cannot be written"):
         write(tmp_path / "no" / "x.mcap", phone())
+
+
+def test_a_device_or_a_folder_is_never_replaced(tmp_path):
+    (tmp_path / "folder.mcap").mkdir()
+    for path in ("/dev/null", tmp_path / "folder.mcap"):
+        with pytest.raises(BadFile, match="no ordinary file"):
+            write(path, reference_of())
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "real.mcap")
+    write(tmp_path / "link.mcap", reference_of())
+    assert (tmp_path / "link.mcap").is_symlink()
+    assert_same(read(tmp_path / "real.mcap"), reference_of())
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        "nonsense",
+        "[]",
+        "{}",
+        '{"samples": 3, "absent": []}',
+        '{"samples": {}, "absent": []}',
+        '{"samples": {}, "absent": [], "name": "x", "base_pose": 3, "info": {"colour": "red"}}',
+        "[" * 100_000,
+    ],
+)
+def test_facts_that_make_no_sense_are_one_line(tmp_path, facts):
+    record = {"kind": "recording", "format": "1", "version": "0", "facts": facts}
+    write_mcap(tmp_path / "x.mcap", [], {"stillpoint": record}, {})
+    with pytest.raises(BadFile, match="its facts"):
+        read(tmp_path / "x.mcap")
+
+
+def test_a_file_of_a_later_format_asks_for_a_newer_stillpoint(tmp_path):
+    write_mcap(tmp_path / "x.mcap", [], {"stillpoint": {"kind": "recording", "format": "2", "version": "9.0"}}, {})
+    with pytest.raises(BadFile, match=r"written by stillpoint 9\.0; .*install the newer one"):
+        read(tmp_path / "x.mcap")
 
 
 def test_a_written_file_has_the_mode_of_any_new_file(tmp_path):
