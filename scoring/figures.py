@@ -58,11 +58,11 @@ class View:
         return replace(self, span_ns=(int(t[start]), int(t[end[start]])))
 
 
-def view_of(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame) -> View:
+def view_of(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int) -> View:
     """The whole run. A truth's rests are the stretches that it does not count as moving."""
     rests_ns = truth.rests_ns if isinstance(truth, Reference) else _still_stretches(truth)
     first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
-    return View(tuple(comparisons), truth, rests_ns, frame, first, (first, last))
+    return View(tuple(comparisons), truth, rests_ns, frame, zero_ns, (first, last))
 
 
 def draw_angles(axes: Sequence[Axes], view: View) -> None:

@@ -96,7 +96,8 @@ def _section(verdict: Verdict) -> dict[str, Any]:
 def _pictures(verdicts: tuple[Verdict, ...]) -> list[Picture]:
     """Angles and errors against the first judge, then errors with their stated bands where there are covariances."""
     first = verdicts[0]
-    view = view_of(first.comparisons, first.truth, first.scores[0].frame)
+    zero_ns = min(int(verdict.truth.t_ns[0]) for verdict in verdicts)
+    view = view_of(first.comparisons, first.truth, first.scores[0].frame, zero_ns)
     close = view.busiest(BUSY_S)
     against = name_of(first.truth)
     frame = view.frame.upper()
@@ -122,12 +123,12 @@ def _pictures(verdicts: tuple[Verdict, ...]) -> list[Picture]:
     stated = {
         c.estimated: (verdict, c) for verdict in verdicts for c in verdict.comparisons if c.cov_b_rad2 is not None
     }
-    shown += [_band(verdict, comparison) for verdict, comparison in stated.values()]
+    shown += [_band(verdict, comparison, zero_ns) for verdict, comparison in stated.values()]
     return shown
 
 
-def _band(verdict: Verdict, comparison: Comparison) -> Picture:
-    view: View = view_of([comparison], verdict.truth, verdict.scores[0].frame)
+def _band(verdict: Verdict, comparison: Comparison, zero_ns: int) -> Picture:
+    view: View = view_of([comparison], verdict.truth, verdict.scores[0].frame, zero_ns)
     return picture(
         f"{comparison.estimated} against the {comparison.against}",
         "Error about each axis within the band of three standard deviations that its own covariance states.",

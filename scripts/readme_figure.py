@@ -40,7 +40,9 @@ def _draw(verdict: Verdict) -> Figure:
     grid = figure.add_gridspec(3, 2, width_ratios=(1.7, 1))
     first: Axes = figure.add_subplot(grid[0, 0])
     angles = [first, *(figure.add_subplot(grid[row, 0], sharex=first) for row in (1, 2))]
-    draw_angles(angles, view_of(verdict.comparisons, verdict.truth, "nwu").busiest(CLOSE_UP_S))
+    draw_angles(
+        angles, view_of(verdict.comparisons, verdict.truth, "nwu", int(verdict.truth.t_ns[0])).busiest(CLOSE_UP_S)
+    )
     for ax in angles[:2]:
         ax.tick_params(labelbottom=False)
     angles[-1].set_xlabel("time (s)")

@@ -178,7 +178,7 @@ def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
     drawn = {}
     for frame in ("nwu", "enu"):
         axes = Figure().subplots(3, 1)
-        draw_angles(axes, view_of(verdict.comparisons, verdict.truth, frame))
+        draw_angles(axes, view_of(verdict.comparisons, verdict.truth, frame, 0))
         (line,) = [line for line in axes[2].lines if line.get_label() == "truth"]
         assert line.zorder == max(other.zorder for other in axes[2].lines)
         drawn[frame] = line.get_ydata()[0]
@@ -187,7 +187,7 @@ def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
 
 def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
     verdict = judge(material)[0]
-    view = view_of(verdict.comparisons, verdict.truth, "nwu")
+    view = view_of(verdict.comparisons, verdict.truth, "nwu", 0)
     axes = Figure().subplots(2, 1)
     draw_errors(axes, view)
     for ax, s in zip(axes, verdict.scores, strict=True):
@@ -199,7 +199,7 @@ def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
 
 
 def test_busiest_stretch_is_where_the_truth_turns(material):
-    view = view_of(judge(material)[0].comparisons, judge(material)[0].truth, "nwu").busiest(4.0)
+    view = view_of(judge(material)[0].comparisons, judge(material)[0].truth, "nwu", 0).busiest(4.0)
     first, last = (np.array(view.span_ns) - view.zero_ns) / 1e9
     assert last - first == pytest.approx(4.0, abs=0.011)
     assert 5 <= first <= 31
