@@ -19,11 +19,19 @@ STAMP = "stillpoint-filters.sha256"
 def compiled(function: Function) -> Function:
     """Compile at the first call for the argument types at hand, and keep the machine code on disk.
 
-    The code lies beside the package, or in numba's user cache where the package cannot be written.
+    It lies beside the package, or in numba's user cache where the package cannot be written; where neither can, every
+    process compiles anew.
     """
-    dispatcher = njit(cache=True, error_model="numpy", nogil=True)(function)
-    drop_stale(Path(str(dispatcher.stats.cache_path)))
+    try:
+        dispatcher = _with_numba(function, cache=True)
+    except RuntimeError:  # numba found no folder to write to
+        return cast(Function, _with_numba(function, cache=False))
+    drop_stale(Path(dispatcher.stats.cache_path))
     return cast(Function, dispatcher)
+
+
+def _with_numba(function: Callable[..., Any], cache: bool) -> Any:
+    return njit(cache=cache, error_model="numpy", nogil=True)(function)
 
 
 def drop_stale(cache: Path) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from math import isfinite
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
@@ -12,6 +11,8 @@ from stillpoint.filters.sample import Output, Sample, counts
 from stillpoint.filters.table import Estimator, find
 
 NO_VECTOR = (0.0, 0.0, 0.0)
+# No sensor reads as much, in rad/s, m/s^2 or uT: such a number is a broken one.
+LARGEST = 1e6
 
 
 class Saved(NamedTuple):
@@ -19,7 +20,7 @@ class Saved(NamedTuple):
 
     name: str  # of the estimator
     t_ns: int  # of the last sample
-    gyro_b_radps: tuple[float, float, float]  # the last finite one
+    gyro_b_radps: tuple[float, float, float]  # the last good one
     output: Output
     state: Any
     counts: dict[str, int]
@@ -75,25 +76,26 @@ class Stream:
     ) -> Output:
         """The output after one sample; ``mag_b_ut`` is given when there is a field that was not given before.
 
-        A stamp that does not rise is left out, and the output before is returned. A gyro vector that is not finite is
-        replaced by the last finite one; such an accelerometer or field vector is left out. All are counted.
+        A stamp that does not rise is left out, and the output before is returned. A gyro vector that is not
+        finite, or absurdly large, is replaced by the last good one; such an accelerometer or field vector is left
+        out. All are counted.
         """
         if t_ns <= self._t_ns:
             self._counts["n_out_of_order"] += 1
             return self._output
         dt_s = (t_ns - self._t_ns) / 1e9 if self._t_ns >= 0 else 0.0
         gyro, accel, mag = _vector(gyro_b_radps), _vector(accel_b_mps2), NO_VECTOR
-        if not _finite(gyro):
+        if not _usable(gyro):
             gyro = self._gyro
             self._counts["n_bad_gyro"] += 1
-        has_accel = _finite(accel)
+        has_accel = _usable(accel)
         if not has_accel:
             accel = NO_VECTOR
             self._counts["n_bad_accel"] += 1
         has_mag = mag_b_ut is not None
         if mag_b_ut is not None:
             mag = _vector(mag_b_ut)
-            if not _finite(mag):
+            if not _usable(mag):
                 mag, has_mag = NO_VECTOR, False
                 self._counts["n_bad_mag"] += 1
         sample = Sample(dt_s, gyro, accel, mag, has_accel, has_mag)
@@ -120,5 +122,6 @@ def _vector(values: Sequence[float]) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _finite(v: tuple[float, float, float]) -> bool:
-    return isfinite(v[0]) and isfinite(v[1]) and isfinite(v[2])
+def _usable(v: tuple[float, float, float]) -> bool:
+    """False for NaN too: it is not less than anything."""
+    return abs(v[0]) < LARGEST and abs(v[1]) < LARGEST and abs(v[2]) < LARGEST

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from stillpoint.filters import rotation
-from stillpoint.filters.compiled import STAMP, drop_stale
+from stillpoint.filters import compiled, rotation
 
 number = st.floats(-10, 10, allow_subnormal=False)
 vectors = st.tuples(number, number, number)
@@ -104,11 +103,23 @@ def test_single_precision_stays_single_in_every_function() -> None:
 
 
 def test_machine_code_of_other_sources_is_forgotten_once(tmp_path) -> None:
-    (tmp_path / STAMP).write_text("of another version")
+    (tmp_path / compiled.STAMP).write_text("of another version")
     old = tmp_path / "complementary.step-1.py311.nbi"
     old.write_bytes(b"index")
-    drop_stale(tmp_path)
+    compiled.drop_stale(tmp_path)
     assert not old.exists()
     old.write_bytes(b"written by these sources")
-    drop_stale(tmp_path)
+    compiled.drop_stale(tmp_path)
     assert old.exists()
+
+
+def test_where_nothing_can_be_written_it_compiles_without_a_cache(monkeypatch) -> None:
+    njit = compiled.njit
+
+    def nowhere(cache: bool = False, **options: object):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(**options)
+
+    monkeypatch.setattr(compiled, "njit", nowhere)
+    assert compiled.compiled(lambda x: x + 1)(2.0) == 3.0
