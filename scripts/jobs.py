@@ -31,8 +31,9 @@ def run_jobs(
 ) -> list[Outcome[Result]]:
     """``function`` of each item, in their order, with progress on stderr.
 
-    ``jobs`` processes (None: one per core and per four inputs); with 1 everything runs in this process. ``function`` and items must
-    pickle. A :class:`StillpointError`, and a worker that dies, become outcomes; any other exception is raised.
+    ``jobs`` processes (None: one per core and per four inputs); with 1 everything runs in this process. ``function``
+    and items must pickle. A :class:`StillpointError`, and a worker that dies, become outcomes; any other exception is
+    raised.
     """
     if jobs is not None and jobs < 1:
         raise BadParameter(f"--jobs {jobs}: give 1 or more")

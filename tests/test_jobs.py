@@ -19,7 +19,7 @@ def test_results_and_errors_come_in_the_order_of_the_inputs(jobs):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_defect_is_raised(jobs):
-    with pytest.raises(ValueError, match="domain|nonnegative"):
+    with pytest.raises(ValueError, match=r"domain|nonnegative"):
         run_jobs(math.sqrt, [4.0, -1.0], jobs, "roots")
 
 

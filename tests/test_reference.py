@@ -1,6 +1,7 @@
 """``reference`` by name, its settings, and the verb that writes references."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,3 +149,16 @@ def test_two_recordings_of_one_name_do_not_overwrite_each_other(folder, recordin
     write(folder / "more" / "good.mcap", recording)
     assert run("reference", folder, "-o", folder / "out") == 2
     assert "two recordings have this name" in capsys.readouterr().err
+
+
+def test_the_document_lists_every_setting_with_its_default():
+    text = (Path(__file__).parents[1] / "docs" / "method.md").read_text(encoding="utf-8")
+    settings = RedistributionParams()
+    for name in names_of(settings):
+        value = settings
+        for part in name.split("."):
+            value = getattr(value, part)
+        in_degrees = name.endswith(("_rad", "_radps", "_rad_rts"))
+        assert f"| `{name}` | {np.rad2deg(value) if in_degrees else value:g}" in text
+    for method in METHODS:
+        assert f"| `{method}` |" in text
