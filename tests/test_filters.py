@@ -186,6 +186,23 @@ def test_the_gyro_bridges_a_gap_with_the_rate_at_its_end() -> None:
     assert errors_deg(found.q_nb, recording, turned).max() < 1e-5
 
 
+def test_the_trapezoidal_rule_is_exact_for_instant_samples_of_a_ramp() -> None:
+    t_s = regular(10)
+    rate_radps = 0.3 * t_s  # at the instant of the stamp; the angle is 0.15 t^2
+    gyro = np.column_stack([np.zeros_like(t_s), np.zeros_like(t_s), rate_radps])
+    imu = Imu(np.round(t_s * 1e9).astype(np.int64), gyro, np.tile(GRAVITY_N, (len(t_s), 1)))
+    ramp = Recording("ramp", imu, info=Info(units_unchecked=True))
+
+    def turned_rad(rule: str) -> float:
+        q_nb = rotation(estimate(ramp, "gyro", {"rule": rule}).q_nb)
+        return float((q_nb[-1] * q_nb[0].inv()).as_rotvec()[2] % (2 * np.pi))
+
+    exact = 0.15 * t_s[-1] ** 2 % (2 * np.pi)
+    assert turned_rad("trapezoidal") == pytest.approx(exact, abs=1e-9)
+    late_by_half_a_step = 0.5 * 0.3 * t_s[-1] * 0.01
+    assert turned_rad("rectangular") - exact == pytest.approx(late_by_half_a_step, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", FILTERS)
 def test_streaming_and_batch_agree_bit_for_bit(name: str) -> None:
     recording = untidy()
