@@ -117,3 +117,36 @@ def test_every_option_of_every_kind_is_a_flag_and_stands_in_the_document():
         for field in fields(importer.options):
             assert field.name in flags, f"{kind}: --{field.name}"
             assert f"--{field.name.replace('_', '-')}" in page, f"{kind}: --{field.name}"
+
+
+def noisy(tmp_path: Path, size: float) -> Path:
+    """20 s of rest with little noise; the accelerometer reads ``size`` upwards."""
+    rng = np.random.default_rng(3)
+    gyro, accel = rng.normal(0, 0.01, (2000, 3)), rng.normal([0, 0, size], 1e-3 * size, (2000, 3))
+    file = tmp_path / "rest.csv"
+    rows = np.column_stack([np.arange(2000) * 10, gyro, accel])
+    np.savetxt(file, rows, delimiter=",", header="t,gx,gy,gz,ax,ay,az", comments="", fmt="%.9g")
+    return file
+
+
+UNITS_OF_THE_VOCABULARY = ("--time", "t:ms", "--gyro", "gx,gy,gz:rad/s", "--accel", "ax,ay,az:m/s^2")
+
+
+def test_repair_mends_what_would_be_refused_and_records_it(tmp_path, capsys):
+    file = noisy(tmp_path, 1.0)
+    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY) == 2
+    assert "looks in g" in capsys.readouterr().err
+    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 0
+    recording = read_recording(tmp_path / "rest.mcap")
+    assert recording.imu.accel_b_mps2[:, 2].mean() == pytest.approx(9.80665, rel=1e-3)
+    assert any(line.startswith("doctor: accel") for line in recording.info.conversions)
+    assert not recording.info.units_unchecked
+
+
+def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(tmp_path, capsys):
+    file = noisy(tmp_path, 4.0)
+    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 2
+    assert "at rest" in capsys.readouterr().err
+    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--units-unchecked") == 0
+    assert run("info", tmp_path / "rest.mcap", "--units-unchecked") == 0
+    assert "units_unchecked" in capsys.readouterr().out
