@@ -11,7 +11,8 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 from stillpoint.datasets import Recording, write
-from stillpoint.datasets.recording import rate_hz
+from stillpoint.datasets.doctor import Diagnosis, diagnose
+from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
 from stillpoint.filters import ESTIMATORS, estimate
@@ -49,7 +50,10 @@ def demo(
         recording = simulate(KIND, seed=seed, minutes=minutes)
         path = folder / f"{recording.name}.mcap"
         write(path, recording)
-    _say(recording)
+    with _step("doctor"):
+        rests_ns = find_rests(recording.require_imu())
+        diagnosis = diagnose(recording, rests_ns)
+    _say(recording, rests_ns, diagnosis)
     made_from = {path.name: sha256(path)}
     with _step(f"reference by {DEFAULT_METHOD}"):
         made = replace(reference(recording), made_from=made_from)
@@ -77,10 +81,12 @@ def _step(name: str) -> Iterator[None]:
     console.print(f"{perf_counter() - begun:6.1f} s  {name}")
 
 
-def _say(recording: Recording) -> None:
-    """What a user would ask first: length, rates, rests."""
-    imu = recording.require_imu()
-    rests_s = np.diff(find_rests(imu), axis=1)[:, 0] / 1e9
+def _say(recording: Recording, rests_ns: Times, diagnosis: Diagnosis) -> None:
+    """What a user would ask first: length, rates, rests, and whether anything is wrong."""
     streams = ", ".join(f"{name} {rate_hz(t_ns):.1f} Hz" for name, t_ns in recording.streams())
-    rests = ", ".join(f"{rest_s:.0f}" for rest_s in rests_s)
-    print(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_s)} rests of {rests} s")
+    rests = ", ".join(f"{rest_s:.0f}" for rest_s in np.diff(rests_ns, axis=1)[:, 0] / 1e9)
+    print(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_ns)} rests of {rests} s")
+    print(f"doctor: {len(diagnosis.codes('fact'))} facts, " + ("no fault" if diagnosis.clean else "faults:"))
+    for finding in diagnosis.findings:
+        if finding.severity != "fact":
+            print(f"  {finding.severity} {finding.code}: {finding.message}")

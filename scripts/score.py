@@ -21,7 +21,8 @@ from stillpoint.scripts.beside import files_of, neighbours, recording_name, requ
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
-COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw", "aligned by")
+COLUMNS = ("recording", "estimate", "found", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw")
+WIDE = 130  # columns of a terminal that shows the angles, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +93,16 @@ def print_scores(scores: Sequence[Score]) -> None:
     for against, same in groupby(sorted(ordered, key=lambda s: s.against), key=lambda s: s.against):
         judged = list(same)
         sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
-        whose, first = ("", 0) if len(sections) > 1 else (f"{judged[0].recording} ", 1)
-        title = (
-            f"{whose}against the {against}: RMSE in deg; roll, pitch, yaw in {judged[0].frame.upper()}: RMSE / MaxAE"
+        shown = _columns_that_fit(whole_name=len(sections) > 1)
+        whose = "" if len(sections) > 1 else f"{judged[0].recording} "
+        title = f"{whose}against the {against}, aligned: {judged[0].alignment.kind}; RMSE in deg"
+        print_table(
+            title,
+            [COLUMNS[k] for k in shown],
+            [[[cells[k] for k in shown] for cells in rows] for rows in sections],
         )
-        print_table(title, COLUMNS[first:], [[cells[first:] for cells in rows] for rows in sections])
+        if shown[-1] == len(COLUMNS) - 1:
+            print(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
         for note in _notes(judged):
             print(note)
 
@@ -148,9 +154,16 @@ def _beside(file: Path, thing: Estimate | Reference) -> Path:
     )
 
 
+def _columns_that_fit(whole_name: bool) -> list[int]:
+    """The first column only for several recordings; on a narrow terminal without the angles, which the JSON has."""
+    console = Console()
+    last = len(COLUMNS) if not console.is_terminal or console.width >= WIDE else len(COLUMNS) - 3
+    return list(range(0 if whole_name else 1, last))
+
+
 def _cells(s: Score) -> list[str]:
     found: Mapping[str, Any] = s.alignment.found()
-    parts = [f"{found['heading_deg']:+.2f}°"] if s.alignment.kind != "none" else ["nothing"]
+    parts = [f"{found['heading_deg']:+.2f}°"] if s.alignment.kind != "none" else ["-"]
     if "mounting" in s.alignment.kind:
         parts.append(f"mounting {found['mounting_deg']:.2f}°")
     if "time" in s.alignment.kind:
@@ -159,6 +172,7 @@ def _cells(s: Score) -> list[str]:
     return [
         s.recording,
         s.estimated,
+        ", ".join(parts),
         f"{mark}{s.total_rmse_deg:.2f}",
         f"{s.heading_rmse_deg:.2f}",
         f"{s.inclination_rmse_deg:.2f}",
@@ -167,7 +181,6 @@ def _cells(s: Score) -> list[str]:
         f"{s.roll_rmse_deg:.2f} / {s.roll_maxae_deg:.1f}",
         f"{s.pitch_rmse_deg:.2f} / {s.pitch_maxae_deg:.1f}",
         f"{s.yaw_rmse_deg:.2f} / {s.yaw_maxae_deg:.1f}",
-        ", ".join(parts),
     ]
 
 
