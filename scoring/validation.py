@@ -11,7 +11,7 @@ from time import perf_counter
 
 import numpy as np
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
-from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.recording import Recording, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.scoring.align import AlignKind
@@ -72,18 +72,17 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
             raise Unobservable(f"{recording.name}: has no independent truth; validate needs one")
     except StillpointError as error:
         return [replace(row, error=str(error)) for row in rows]
-    return [_validated(recording, row, align) for row in rows]
+    return [_validated(recording, recording.truth, row, align) for row in rows]
 
 
-def _validated(recording: Recording, row: ValidationRow, align: AlignKind) -> ValidationRow:
+def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: AlignKind) -> ValidationRow:
     try:
         begun = perf_counter()
         made: Reference | Estimate = (
             reference(recording, row.method) if row.method in METHODS else estimate(recording, row.method)
         )
         seconds = perf_counter() - begun
-        assert recording.truth is not None
-        scored = score(made, recording.truth, align)
+        scored = score(made, truth, align)
     except StillpointError as error:
         return replace(row, error=str(error))
     return replace(

@@ -83,8 +83,12 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -
         for row in means
     ]
     print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below])
-    for message in dict.fromkeys(f"{row.method}: {row.error}" for row in rows if row.error is not None):
-        print(f"not scored: {message}")
+    refused: dict[str, list[str]] = {}
+    for row in rows:
+        if row.error is not None:
+            refused.setdefault(row.error, []).append(row.method)
+    for message, methods in refused.items():
+        print(f"not scored ({', '.join(dict.fromkeys(methods))}): {message}")
 
 
 def _figures(row: dict[str, Any]) -> list[str]:
