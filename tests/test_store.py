@@ -28,6 +28,7 @@ from stillpoint.datasets import (
     store,
     write,
 )
+from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.mcap_writer import write_mcap
 
 ANY = {"allow_nan": False, "allow_infinity": False, "width": 64}
@@ -242,6 +243,13 @@ def phone(n=600, seed=1, **changes):
 def reference_of(n=50):
     t = np.arange(n, dtype=np.int64) * 10_000_000
     return Reference(t, np.tile([1.0, 0, 0, 0], (n, 1)), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), method="m")
+
+
+def test_a_real_recording_comes_back_bit_for_bit(data_dir, tmp_path):
+    """An optical trial of BROAD: unquantised truth with gaps, a field in microtesla from a float32 sensor."""
+    (recording,) = IMPORTERS["broad"](data_dir / "broad" / "10_undisturbed_slow_translation_A.mat")
+    write(tmp_path / "x.mcap", recording)
+    assert_same(recording, read(tmp_path / "x.mcap"))
 
 
 def test_the_same_input_gives_the_same_bytes(tmp_path):
