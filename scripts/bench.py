@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from cyclopts.validators import Number
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
 # name -> a function from the number of runs to a list of Timing
@@ -22,7 +22,7 @@ def bench(
     /,
     *,
     runs: Annotated[int, Parameter(validator=Number(gte=1))] = 5,
-    json: JsonTarget = None,
+    json: JsonFile = None,
 ) -> None:
     """Time a part of stillpoint beside its peers, run by run in turn, so that a busy machine slows all alike.
 

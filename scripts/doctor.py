@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 from stillpoint.datasets.doctor import Diagnosis, apply, diagnose
@@ -11,7 +12,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.store import read_recording, write
 from stillpoint.scripts.inputs import output_dir, recordings
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.smoother.rest import find_rests
 
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
@@ -22,7 +23,7 @@ def doctor(
     repair: Annotated[bool, Parameter(name="--apply", negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     strict: Annotated[bool, Parameter(negative="")] = False,
-    json: JsonTarget = None,
+    json: JsonFile = None,
 ) -> int:
     """Test recordings by physics and say what to do.
 
@@ -65,10 +66,14 @@ def doctor(
 def examine(recording: Recording) -> Diagnosis:
     """Find the rests and diagnose; once more when remedies were needed before rests could be seen."""
     if recording.imu is None:
-        return diagnose(recording, _no_rests())
-    rests_ns = find_rests(recording.imu)
-    diagnosis = diagnose(recording, rests_ns)
-    return diagnosis
+        return diagnose(recording, np.empty((0, 2), dtype=np.int64))
+    diagnosis = diagnose(recording, find_rests(recording.imu))
+    units = [
+        one.remedy for one in diagnosis.findings if one.code in ("gyro-units", "accel-units") and one.remedy is not None
+    ]
+    if not units:
+        return diagnosis
+    return diagnose(recording, find_rests(apply(recording, units).require_imu()))
 
 
 def _repair(path: Path, recording: Recording, diagnosis: Diagnosis, folder: Path) -> Path:

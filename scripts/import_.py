@@ -16,7 +16,7 @@ from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.store import write
 from stillpoint.scripts.import_flags import Flags
 from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 
 NO_FLAGS = Flags()
 STREAMS = ("imu", "mag", "gps", "truth")  # that importers make, in the order of the table
@@ -37,7 +37,7 @@ def import_(
     *sources: Path,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
     repair: Annotated[bool, Parameter(negative="")] = False,
-    json: JsonTarget = None,
+    json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
 ) -> None:
     """Turn recordings of other formats into MCAP files, one NAME.mcap each, and say what was converted.

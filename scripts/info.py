@@ -11,7 +11,7 @@ from stillpoint.datasets.recording import Recording, Times, rate_hz
 from stillpoint.datasets.store import read
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
 from stillpoint.scripts.inputs import mcap_files
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.smoother.rest import find_rests
 
 GAP_STEPS = 3.0  # a step longer than three median ones is a gap
@@ -20,7 +20,7 @@ GAP_STEPS = 3.0  # a step longer than three median ones is a gap
 def info(
     *files: Path,
     units_unchecked: Annotated[bool, Parameter(negative="")] = False,
-    json: JsonTarget = None,
+    json: JsonFile = None,
 ) -> None:
     """Say what is in a file: streams, rates, gaps, duration, rests, provenance.
 

@@ -15,7 +15,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import Outcome, run_jobs
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
@@ -40,7 +40,7 @@ def reference(
     method: str = DEFAULT_METHOD,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
     jobs: int | None = None,
-    json: JsonTarget = None,
+    json: JsonFile = None,
 ) -> int:
     """Make the reference trajectory of recordings.
 

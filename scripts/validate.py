@@ -12,7 +12,7 @@ from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods,
 from stillpoint.scoring.validation import validate as validate_recording
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.outputs import STDOUT, JsonTarget, write_json
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
 COLUMNS = (
@@ -37,7 +37,7 @@ def validate(
     align: AlignKind = "heading",
     methods: str | None = None,
     jobs: int | None = None,
-    json: JsonTarget = None,
+    json: JsonFile = None,
 ) -> int:
     """Score references against independent truth: one row per recording and method, then mean and median.
 
