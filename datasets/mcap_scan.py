@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.mcap_file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
@@ -27,7 +27,7 @@ from stillpoint.datasets.mcap_file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSA
 LARGEST_CHUNK = 1 << 30  # bytes, unpacked: writers make 1-4 MiB; a larger claim is damage or malice
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
 _HEAD = struct.Struct("<BQ")
-Record = TypeVar("Record", Header, Schema, Channel, Chunk, Metadata, Attachment, DataEnd, Footer, Statistics)
+Record = TypeVar("Record", Schema, Channel, Chunk, Metadata, Attachment, DataEnd, Footer, Statistics)
 
 
 class _Damaged(Exception):
@@ -48,7 +48,6 @@ class Scan:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
@@ -116,9 +115,7 @@ class Scan:
 
     def _fact(self, opcode: int, body: bytes) -> None:
         """Take in a record that is no message."""
-        if opcode == Opcode.HEADER:
-            self.profile = _parse(Header, body).profile
-        elif opcode == Opcode.SCHEMA:
+        if opcode == Opcode.SCHEMA:
             schema = _parse(Schema, body)
             self.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:

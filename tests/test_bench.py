@@ -45,9 +45,9 @@ def test_the_peer_writes_and_reads_the_same_numbers(tmp_path):
 
 
 def test_the_measured_process_reads_what_was_written(tmp_path):
-    bench_mcap.write(tmp_path / "x.mcap", bench_mcap.phone(20_000))
+    bench_mcap.write(tmp_path / "x.mcap", bench_mcap.phone(100_000))
     measured = bench_mcap._measure(tmp_path / "x.mcap")
-    assert measured["bytes"] > bench_mcap._size(read(tmp_path / "x.mcap"))
+    assert measured["bytes"] > 0.8 * bench_mcap._size(read(tmp_path / "x.mcap"))
 
 
 def test_a_missing_peer_is_named_with_the_remedy(monkeypatch):
