@@ -8,7 +8,7 @@ the witnesses vote: those that agree with the gyro clear it. Without a second wi
 from collections.abc import Sequence
 
 import numpy as np
-from stillpoint.datasets.doctor.candidates import complexity, describe
+from stillpoint.datasets.doctor.candidates import TIE_NATS, complexity, describe, index_of
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import apply
 from stillpoint.datasets.doctor.truth import ask_truth
@@ -17,6 +17,7 @@ from stillpoint.datasets.recording import Floats, Recording
 
 SCALE_LIMIT = 0.1  # relative: more is no calibration error of a working gyro
 ACCEL_ALONE, MAG_ALONE = 0.2, 0.6  # ... when one witness alone says so, which translation or a short turn may fool
+TRUTH_GAIN = 1.0  # nats per window that another reading of the truth's quaternions must bring
 AGREEMENT = 0.1  # two witnesses of the scale that differ by less agree
 DEG_PER_RAD = 180 / np.pi
 NAMES = {"accel": "accelerometer", "mag": "magnetometer", "truth": "truth"}
@@ -27,7 +28,7 @@ def find_truth_fault(recording: Recording, witness: Witness) -> Finding | None:
     """A truth that was stored as its inverse, or with its components in another order."""
     if recording.truth is None or (witness.choice is not None and _is_identity(witness.choice.matrix)):
         return None
-    best = 0.0 if witness.choice is None else witness.choice.gain
+    needed = TRUTH_GAIN + (0.0 if witness.choice is None else witness.choice.gain)
     fix: Remedy | None = None
     turned = (
         Remedy("conjugate", "truth", "truth: q -> inverse of q"),
@@ -37,8 +38,8 @@ def find_truth_fault(recording: Recording, witness: Witness) -> Finding | None:
         changed = apply(recording, [remedy])
         assert changed.truth is not None
         other = ask_truth(recording.require_imu(), changed.truth)
-        if other.choice is not None and other.choice.gain > best + 1.0:
-            best, fix = other.choice.gain, remedy
+        if other.choice is not None and _is_identity(other.choice.matrix) and other.choice.gain > needed:
+            needed, fix = other.choice.gain, remedy
     if fix is None:
         return None
     what = "takes n to the body (it is the inverse)" if fix.kind == "conjugate" else "has its components as x, y, z, w"
@@ -60,8 +61,8 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
         remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _flat(factor * IDENTITY))
         return Finding("gyro-units", "error", message, remedy, {"scale": scale})
     message = (
-        f"gyro: rates must be multiplied by {scale:.4g} to fit the {said}: a wrong range or unit of the gyro, or a time "
-        f"base that is wrong by this factor; multiply by {scale:.4g}, or the steps of time by it if the rate is wrong"
+        f"gyro: rates must be multiplied by {scale:.4g} to fit the {said}: a wrong range or unit of the gyro, or a "
+        f"time base that is wrong by this factor; multiply by {scale:.4g}, or the steps of time if the rate is wrong"
     )
     remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", _flat(scale * IDENTITY))
     return Finding("gyro-scale", "error", message, remedy, {"scale": scale})
@@ -99,7 +100,8 @@ def find_axes_fault(witnesses: Sequence[Witness], accel_by_truth: Floats | None)
         if agree or rest or np.linalg.det(wrong[first]) < 0:
             return _gyro_axes(wrong[first], [first, *rest] if agree else [first])
         sensor = _simplest(wrong[first])
-        if complexity(wrong[first]) <= complexity(sensor):
+        favour = _favour(witnesses, wrong[first])
+        if favour > TIE_NATS or (favour > -TIE_NATS and complexity(wrong[first]) <= complexity(sensor)):
             return _gyro_axes(wrong[first], [first])
         return _sensor_axes(first, sensor, f"or the gyro's: {describe('gyro', wrong[first])}")
     if "accel" in vectors and accel_by_truth is not None and not _is_identity(accel_by_truth):
@@ -182,6 +184,12 @@ def _mismatch(name: str, matrix: Floats) -> Finding:
         f"the {NAMES[name]}'s own axes does it; look at its columns one by one"
     )
     return Finding(f"{name}-mismatch", "error", message)
+
+
+def _favour(witnesses: Sequence[Witness], matrix: Floats) -> float:
+    """How much better a gyro corrected so fits a witness that is not sure of itself, in nats."""
+    doubtful = [one.losses for one in witnesses if one.choice is None and one.losses is not None]
+    return sum(float(losses[index_of(IDENTITY)] - losses[index_of(matrix)]) for losses in doubtful)
 
 
 def _simplest(rotation_of_gyro: Floats) -> Floats:

@@ -54,8 +54,8 @@ def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
     longest = int(np.argmax(steps_s))
     at_s = float(t_ns[longest] - t_ns[0]) / 1e9
     message = (
-        f"{name}: {int(gaps.sum())} gaps, {steps_s[gaps].sum():.2f} s in all; the longest lasts {steps_s[longest]:.3f} s, "
-        f"{at_s:.2f} s after the start"
+        f"{name}: {int(gaps.sum())} gaps, {steps_s[gaps].sum():.2f} s in all; the longest lasts "
+        f"{steps_s[longest]:.3f} s, {at_s:.2f} s after the start"
     )
     values = {"gaps": float(gaps.sum()), "longest_s": float(steps_s[longest]), "at_s": at_s}
     if name not in SAMPLED:

@@ -1,6 +1,7 @@
 """The tests in their order. What a test finds is put right before the next one, so that one fault gives one finding."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from stillpoint.datasets.doctor.axes import find_axes_fault, find_scale_fault, find_truth_fault, report_axes
@@ -13,7 +14,7 @@ from stillpoint.datasets.doctor.noise import check_noise
 from stillpoint.datasets.doctor.remedy import apply
 from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity
 from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
-from stillpoint.datasets.doctor.values import check_values
+from stillpoint.datasets.doctor.values import check_steps, check_values
 from stillpoint.datasets.doctor.witness import Witness, ask_accel, ask_mag
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 
@@ -36,15 +37,19 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
         case.found([Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")])
         return case.diagnosis()
     case.run(lambda now: check_gravity(now, case.rests_ns))
-    if case.now.mag is not None:
-        case.run(check_field_unit)
     witnesses, accel_lag = _settle_axes(case)
+    mag = next((one for one in witnesses if one.name == "mag" and one.choice is not None), None)
+    if case.now.mag is not None:
+        iron = mag.hard_iron_b_ut if mag is not None and mag.choice is not None and all(mag.choice.tested) else None
+        unit = check_field_unit(case.now, iron)
+        case.found(unit)
+        mag = _in_new_unit(mag, unit)
     case.found(report_axes(witnesses))
     case.found(check_lags(case.now, witnesses, accel_lag))
     case.run(lambda now: check_gravity_sign(now, case.rests_ns))
     if case.now.mag is not None:
-        mag = next((one for one in witnesses if one.name == "mag"), None)
         case.run(lambda now: check_field(now, mag))
+    case.run(check_steps)
     case.run(lambda now: check_noise(now, case.rests_ns, witnesses))
     return case.diagnosis()
 
@@ -82,6 +87,15 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
         if fault.remedy is None:
             break
     return witnesses, accel_lag
+
+
+def _in_new_unit(mag: Witness | None, findings: list[Finding]) -> Witness | None:
+    """The hard iron was found in the unit before the remedy."""
+    for finding in findings:
+        if finding.remedy is not None and finding.remedy.kind == "matrix" and mag is not None:
+            if mag.hard_iron_b_ut is not None:
+                mag = replace(mag, hard_iron_b_ut=finding.remedy.values[0] * mag.hard_iron_b_ut)
+    return mag
 
 
 def _ask(recording: Recording, rests_ns: Times) -> tuple[list[Witness], Floats | None, Lag | None]:

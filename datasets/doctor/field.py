@@ -67,7 +67,7 @@ def _size(field: Floats, size: float) -> Finding:
     off = np.abs(np.linalg.norm(field, axis=1) / size - 1) > DISTURBED
     share = float(off.mean())
     message = (
-        f"mag: field of {size:.1f} uT, off by more than {100 * DISTURBED:.0f} % for {100 * share:.0f} % of the time"
+        f"mag: field of {size:.1f} uT; {100 * share:.0f} % of the samples are off by more than {100 * DISTURBED:.0f} %"
     )
     values = {"field_ut": size, "disturbed_share": share}
     if not FIELD_RANGE_UT[0] <= size <= FIELD_RANGE_UT[1]:

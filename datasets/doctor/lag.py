@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from stillpoint.datasets.recording import Floats
@@ -48,7 +49,7 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
             return None
         total = table.sum(axis=1)
     bounds = np.linspace(0, table.shape[1], BLOCKS + 1).astype(int)
-    blocks = np.stack([table[:, a:b].sum(axis=1) for a, b in zip(bounds[:-1], bounds[1:], strict=True)], axis=1)
+    blocks = np.stack([table[:, a:b].sum(axis=1) for a, b in pairwise(bounds)], axis=1)
     best = _bottom(grid, total)
     without = np.array([_bottom(grid, total - block) for block in blocks.T])
     sd = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))

@@ -39,8 +39,8 @@ def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
     half_s = 0.5 / rate_hz(recording.require_imu().t_ns)
     values = {"lag_s": lag.lag_s + half_s, "sd_s": lag.sd_s, "half_step_s": half_s, "shift_s": lag.lag_s}
     message = (
-        f"gyro: stamps are {_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; half a step "
-        f"({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
+        f"gyro: stamps are {_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; "
+        f"half a step ({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
     )
     if abs(lag.lag_s) < TRUTH_S + SIGMAS * lag.sd_s:
         return Finding("gyro-truth-lag", "fact", message + ", which leaves nothing to mend", None, values)

@@ -12,6 +12,7 @@ BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in thr
 # White noise per sqrt(Hz) above which a MEMS sensor is not at its best: ten times what data sheets promise.
 NOISE = {"gyro": np.deg2rad(0.1), "accel": 0.02, "mag": 1.0}
 UNITS = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
+MAG_BIAS_RADPS, MAG_GAIN = np.deg2rad(3.0), 1.5  # by the magnetometer alone only above these is a warning given
 FEWEST_SAMPLES = 50
 
 
@@ -65,6 +66,7 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
     imu = recording.require_imu()
     still = inside(imu.t_ns, rests_ns)
     how, bias = "at rest", None
+    sure = any(one.name == "mag" and one.choice is not None and one.choice.gain > MAG_GAIN for one in witnesses)
     if still.sum() >= FEWEST_SAMPLES:
         bias = imu.gyro_b_radps[still].mean(axis=0)
     else:
@@ -81,6 +83,8 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
     if size <= BIAS_RADPS:
         return [Finding("gyro-bias", "fact", message, values=values)]
     if how == "by the magnetometer":
+        if not sure or size <= MAG_BIAS_RADPS:
+            return [Finding("gyro-bias", "fact", message + ", roughly", values=values)]
         advice = ", known to a few deg/s only; let the sensor rest at the start of a recording"
         return [Finding("gyro-bias", "warning", message + advice, values=values)]
     remedy = Remedy("offset", "gyro", f"gyro less bias ({shown}) deg/s", tuple(float(b) for b in bias))

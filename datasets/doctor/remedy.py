@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,10 +22,11 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
     When the sizes then fit their units, ``info.units_unchecked`` is taken back. Raises :class:`BadParameter` for a
     remedy that is not one of :class:`Remedy`'s table, or whose stream is missing.
     """
+    recording = replace(recording, info=replace(recording.info, units_unchecked=True))
     for remedy in remedies:
         changed, said = _change(recording, remedy)
         line = f"doctor: {remedy.text}" + (f" ({said})" if said else "")
-        info = replace(changed.info, units_unchecked=True, conversions=(*changed.info.conversions, line))
+        info = replace(changed.info, conversions=(*changed.info.conversions, line))
         recording = replace(changed, info=info)
     try:
         return replace(recording, info=replace(recording.info, units_unchecked=False))
@@ -35,7 +38,7 @@ def line_through(t_ns: Times) -> Times:
     """Evenly spaced stamps by a least-squares line through each stretch without a gap."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(t_ns) > LONGEST_BURST_S * 1e9) + 1, [len(t_ns)]])
     even = t_ns.astype(np.int64).copy()
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         if last - first > 2:
             count = np.arange(last - first, dtype=np.float64)
             since_ns = (t_ns[first:last] - t_ns[first]).astype(np.float64)
@@ -47,6 +50,11 @@ def line_through(t_ns: Times) -> Times:
 def repeats(values: Floats) -> np.ndarray:
     """True for rows that equal the row before, (N,)."""
     return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+
+
+def _with(recording: Recording, stream: str, value: Imu | Mag | Truth | None) -> Recording:
+    changed: dict[str, Any] = {stream: value}
+    return replace(recording, **changed)
 
 
 def _change(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -96,7 +104,7 @@ def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     keep = stream.t_ns + by_ns >= 0
     lost = len(keep) - int(keep.sum())
     said = f"{lost} samples before time 0 dropped" if lost else ""
-    return replace(recording, **{remedy.target: _rows(stream, keep, stream.t_ns + by_ns)}), said
+    return _with(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), said
 
 
 def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Recording, str]:
@@ -112,7 +120,7 @@ def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Re
         for name in SENSORS.values()
     }
     said = f"interpolated at the other sensor's stamps, {len(keep) - int(keep.sum())} samples at the ends dropped"
-    return replace(recording, imu=Imu(imu.t_ns[keep], **moved)), said
+    return replace(recording, imu=Imu(imu.t_ns[keep], moved["gyro_b_radps"], moved["accel_b_mps2"])), said
 
 
 def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -120,7 +128,7 @@ def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     even = line_through(stream.t_ns)
     said = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
     even = even - min(int(even[0]), 0)  # a line may start a little before time 0
-    return replace(recording, **{remedy.target: replace(stream, t_ns=even)}), said
+    return _with(recording, remedy.target, replace(stream, t_ns=even)), said
 
 
 def _drop(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -145,7 +153,7 @@ def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recordin
         raise BadParameter(f"{recording.name}: the remedy would drop every sample of {target}")
     said = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
     stream = getattr(recording, target)
-    return replace(recording, **{target: _rows(stream, keep, stream.t_ns)}), said
+    return _with(recording, target, _rows(stream, keep, stream.t_ns)), said
 
 
 def _rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
@@ -162,7 +170,7 @@ def _interpolate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
 
 
 def _drop_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
-    return replace(recording, **{remedy.target: None}), ""
+    return _with(recording, remedy.target, None), ""
 
 
 def _conjugate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:

@@ -3,7 +3,7 @@
 import numpy as np
 from stillpoint.datasets.doctor.candidates import CANDIDATES, choose, index_of
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
-from stillpoint.datasets.doctor.turning import gyro_series, stands_out, vector_series
+from stillpoint.datasets.doctor.turning import gyro_series, solve, stands_out, vector_series
 from stillpoint.datasets.doctor.witness import Witness
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Truth
@@ -76,28 +76,30 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
     """
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
-    at_s, expected = truth_forces(truth, origin)
+    at_s, expected, swing = truth_forces(truth, origin)
     half = FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
     inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
-    at_s, expected = at_s[inside], expected[inside]
+    at_s, expected, swing = at_s[inside], expected[inside], swing[inside]
     if len(at_s) < FEWEST:
         return None, None
 
     def measured(lag_s: float) -> Floats:
         return force.between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
 
-    known = np.hstack([expected, np.ones((len(expected), 1))])
     usual = 0.1 * GRAVITY_MPS2
+    # The accelerometer's axes (9), the arm from the tracked point to it (3), its bias (3).
+    eye = np.broadcast_to(np.eye(3), (len(at_s), 3, 3))
+    axes = np.einsum("ki,nj->nkij", np.eye(3), expected).reshape(-1, 3, 9)
+    columns = np.concatenate([axes, swing, eye], axis=2)
 
     def loss(lag_s: float) -> Floats:
         felt = measured(lag_s)
-        weight = np.ones((len(felt), 1))
+        weight = np.ones(len(felt))
         for _ in range(2):
-            fit = np.linalg.lstsq(known * weight, felt * weight, rcond=None)[0]
-            residual = ((felt - known @ fit) ** 2).sum(axis=1)
-            weight = 1 / (1 + residual / usual**2)[:, None]
-        return np.asarray(np.log1p(residual / usual**2))
+            _, residual = solve(columns, felt, weight)
+            weight = 1 / (1 + (residual / usual) ** 2) ** 2
+        return np.asarray(np.log1p((residual / usual) ** 2))
 
     lag = find_lag(loss) if truth.position_n_m is not None else None
     felt = measured(lag.lag_s if lag else 0.0)
@@ -111,23 +113,25 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
     return CANDIDATES[best], lag
 
 
-def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats]:
-    """Times in s and specific force in body axes (n, 3): gravity, and the second difference of the positions."""
+def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
+    """Times in s, specific force in body axes (n, 3), and what one metre of arm adds to it, (n, 3, 3).
+
+    The force is gravity and the second difference of the positions; the arm's is that of the attitudes.
+    """
     t_s = (truth.t_ns - origin_ns) / 1e9
     if len(t_s) < FEWEST:
-        return np.zeros(0), np.zeros((0, 3))
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
     step = float(np.median(np.diff(t_s)))
     reach = max(1, round(FORCE_WINDOW_S / 2 / step))
     middle = np.arange(reach, len(t_s) - reach, max(1, reach))
-    even = np.abs(t_s[middle + reach] - t_s[middle - reach] - 2 * reach * step) < 0.5 * step
-    middle = middle[even]
-    force_n = np.tile([0.0, 0.0, GRAVITY_MPS2], (len(middle), 1))
-    if truth.position_n_m is not None:
-        at = truth.position_n_m
-        second = at[middle + reach] - 2 * at[middle] + at[middle - reach]
-        force_n = force_n + second / (reach * step) ** 2
-        known = np.isfinite(force_n).all(axis=1)
-        middle, force_n = middle[known], force_n[known]
+    middle = middle[np.abs(t_s[middle + reach] - t_s[middle - reach] - 2 * reach * step) < 0.5 * step]
+    position = np.zeros((len(t_s), 3)) if truth.position_n_m is None else truth.position_n_m
+    middle = middle[np.isfinite(position[middle - reach] + position[middle] + position[middle + reach]).all(axis=1)]
     if len(middle) == 0:
-        return np.zeros(0), np.zeros((0, 3))
-    return t_s[middle], rotation(truth.q_nb[middle]).inv().apply(force_n)
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
+    squared = (reach * step) ** 2
+    force_n = (position[middle + reach] - 2 * position[middle] + position[middle - reach]) / squared
+    force_n[:, 2] += GRAVITY_MPS2
+    before, now, after = (rotation(truth.q_nb[middle + k * reach]).as_matrix() for k in (-1, 0, 1))
+    swing = np.einsum("nji,njk->nik", now, (after - 2 * now + before) / squared)
+    return t_s[middle], np.einsum("nji,nj->ni", now, force_n), swing

@@ -13,6 +13,7 @@ CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
 CLIPPED_SPAN = 0.1  # of the column's range: as many samples as half of those so near below must lie on the extreme
 CLIPPED_STEPS = 20.0  # the extreme is further than so many steps of the converter from the median
 HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
+HELD_STEPS = 3.0  # ... while the others move on by more than so many steps of the converter
 FROZEN_S, FROZEN_SAMPLES = 0.3, 10  # a run of equal samples in motion, longer than both
 COARSE = {"gyro": np.deg2rad(0.5), "accel": 0.05, "mag": 1.0}  # steps above these hide slow motion
 TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
@@ -52,8 +53,12 @@ def check_values(recording: Recording) -> list[Finding]:
         findings += _clipped(sensor)
         frozen = _frozen(sensor)
         findings += frozen or _held(sensor, recording)
-        findings += _coarse(sensor)
     return _merge_imu(findings)
+
+
+def check_steps(recording: Recording) -> list[Finding]:
+    """Values in steps so coarse that slow motion hides between them; for a recording whose units are right."""
+    return [finding for sensor in _sensors(recording) for finding in _coarse(sensor)]
 
 
 def _sensors(recording: Recording) -> list[Sensor]:
@@ -127,7 +132,7 @@ def _frozen(sensor: Sensor) -> list[Finding]:
     seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
     moving = np.array([sensor.moving[a : b + 1].mean() > 0.5 for a, b in zip(first, last, strict=True)], dtype=np.bool_)
     frozen = moving & (seconds >= FROZEN_S) & (last - first + 1 >= FROZEN_SAMPLES)
-    if not frozen.any() or frozen.sum() > 100:
+    if not frozen.any() or _slow_for_its_steps(sensor, same):
         return []
     first, last = first[frozen], last[frozen]
     spans = tuple(int(t) for pair in zip(sensor.t_ns[first], sensor.t_ns[last], strict=True) for t in pair)
@@ -149,7 +154,7 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
     # A stretch of doubled samples is a fault as well, however short beside the recording.
     pairs = same & sensor.moving
     stretch = np.convolve(pairs, np.ones(40) / 40, mode="same") > 0.4
-    if share < HELD_SHARE and not stretch.any():
+    if (share < HELD_SHARE and not stretch.any()) or _slow_for_its_steps(sensor, same):
         return []
     if sensor.stream == "mag":
         remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
@@ -162,6 +167,15 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
         f"({int(pairs.sum())} samples): the sensor is slower than its stamps; {remedy.text.split(': ', 1)[1]}"
     )
     return [Finding(f"{sensor.name}-held", "warning", message, remedy, {"share": share})]
+
+
+def _slow_for_its_steps(sensor: Sensor, same: NDArray[np.bool_]) -> bool:
+    """Do values repeat because the converter's steps are larger than what happens between samples?"""
+    step = np.array([smallest_step(column) for column in sensor.values.T])
+    changes = np.abs(np.diff(sensor.values, axis=0))[(sensor.moving & ~same)[1:]]
+    if len(changes) == 0 or not step.any():
+        return False
+    return bool(np.median((changes / np.where(step > 0, step, np.inf)).max(axis=1)) < HELD_STEPS)
 
 
 def _other(sensor: str, recording: Recording) -> Floats:

@@ -27,6 +27,7 @@ from stillpoint.datasets.recording import Floats, Imu, Mag
 OVERLAP = 3.0  # windows start every third of their length
 UNIT_SCALES = np.array([1.0, np.pi / 180])
 STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
+FEWEST_SWINGS = 6
 HAND_TREMOR_M = 0.02  # displacements below this tell nothing
 
 
@@ -40,6 +41,7 @@ class Witness:
     lag: Lag | None = None  # of this sensor's stamps against the gyro's (truth: of the gyro's against the truth's)
     gyro_bias_b_radps: Floats | None = None  # in the axes of the measured rate
     hard_iron_b_ut: Floats | None = None
+    losses: Floats | None = None  # (48,) of the candidates, in nats, also when none of them is chosen
 
 
 def ask_mag(imu: Imu, mag: Mag) -> Witness:
@@ -78,7 +80,7 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
-    if len(swings) < FEWEST_WINDOWS:
+    if len(swings) < FEWEST_SWINGS:
         return Witness("accel", None)
     seen = swings.at_lag(0.0)
     floor = HAND_TREMOR_M**2
@@ -86,8 +88,9 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     unit = int(np.argmin([loss.mean(axis=1).min() for loss in by_unit]))
     nothing = np.log(displacement(seen, np.zeros((1, 3, 3)))[0] + floor)
     choice = choose(by_unit[unit], nothing, overlap=1.0)
+    losses = by_unit[unit].sum(axis=1)
     if choice is None:
-        return Witness("accel", None)
+        return Witness("accel", None, losses=losses)
     scale = UNIT_SCALES[unit]
     for factors in (STEPS_OF_SCALE, STEPS_OF_SCALE**0.1):
         loss = np.log(displacement(seen, (scale * factors)[:, None, None] * choice.matrix) + floor).sum(axis=1)
@@ -95,7 +98,7 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     matrix = scale * choice.matrix
     usual = float(np.median(displacement_about_pivot(seen, matrix))) + 1e-300
     lag = find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), matrix) / usual))
-    return Witness("accel", choice, scale, lag)
+    return Witness("accel", choice, scale, lag, losses=losses)
 
 
 def sphere_centre(vectors: Floats) -> Floats:
