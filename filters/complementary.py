@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from math import cos, exp, sin, sqrt
 from typing import Literal, NamedTuple
 
+from stillpoint.datasets.settings import Settings, choice, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, Fresh, levelled, low_pass, no_fields, tilt_of, turn_to_north, uprighting
-from stillpoint.filters.parameters import Parameters, parameter
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
@@ -41,13 +41,13 @@ LONGEST_HOLD_S = 1.0
 
 
 @dataclass(frozen=True)
-class Params(Parameters):
+class Params(Settings):
     """Parameters of ``cf``."""
 
-    omega0_radps: float = parameter(0.25, "natural frequency w0 of (11), rad/s", 1e-4, 100.0)
-    zeta: float = parameter(3.0, "damping ratio of (11)", 0.01, 100.0)
-    kappa: float = parameter(0.7, "share of the newest raw sample in the low pass (9); 1 = no low pass", 0.0, 1.0)
-    levelled_by: Literal["acc", "estimate"] = parameter(
+    omega0_radps: float = number(0.25, 1e-4, 100.0, "natural frequency w0 of (11), rad/s")
+    zeta: float = number(3.0, 0.01, 100.0, "damping ratio of (11)")
+    kappa: float = number(0.7, 0.0, 1.0, "share of the newest raw sample in the low pass (9); 1 = no low pass")
+    levelled_by: Literal["acc", "estimate"] = choice(
         "acc", "tilt by which (5) levels the field: the accelerometer's, as the paper has it, or the estimate's"
     )
 

@@ -7,19 +7,19 @@ accelerometer sample sets the tilt, the first field the heading; across a gap th
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from stillpoint.datasets.settings import Settings, choice
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
-from stillpoint.filters.parameters import Parameters, parameter
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 
 @dataclass(frozen=True)
-class Params(Parameters):
+class Params(Settings):
     """Parameters of ``gyro``."""
 
-    rule: Literal["rectangular", "trapezoidal"] = parameter(
+    rule: Literal["rectangular", "trapezoidal"] = choice(
         "rectangular", "rate over an interval: of the sample that ends it, or the mean of both ends (paper 004)"
     )
 

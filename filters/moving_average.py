@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import tilt
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.parameters import Parameters, parameter
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
@@ -20,14 +20,12 @@ LEAST_SUM = 0.01
 
 
 @dataclass(frozen=True)
-class Params(Parameters):
+class Params(Settings):
     """Parameters of ``acc-ma``."""
 
-    window_s: float = parameter(7.0, "length of the moving average, s", 0.0, 600.0)
-    kappa: float = parameter(0.7, "share of the newest raw sample in the low pass (9); 1 = no low pass", 0.0, 1.0)
-    room_hz: float = parameter(
-        1000.0, "fastest rate that the window has room for (faster: shorter window), Hz", 1.0, 1e4
-    )
+    window_s: float = number(7.0, 0.0, 600.0, "length of the moving average, s")
+    kappa: float = number(0.7, 0.0, 1.0, "share of the newest raw sample in the low pass (9); 1 = no low pass")
+    room_hz: float = number(1000.0, 1.0, 1e4, "fastest rate that the window has room for (faster: shorter window), Hz")
 
 
 class Coefficients(NamedTuple):

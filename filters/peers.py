@@ -10,18 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets import BadParameter, Recording
-from stillpoint.filters.parameters import Parameters, parameter
+from stillpoint.datasets.settings import Settings, choice, number
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class VqfParams(Parameters):
+class VqfParams(Settings):
     """Parameters of ``vqf`` and ``offline-vqf``, as their package names them; all others keep its defaults."""
 
-    tau_acc_s: float = parameter(3.0, "tauAcc: time constant of the accelerometer's low pass, s", 1e-3, 1e4)
-    tau_mag_s: float = parameter(9.0, "tauMag: time constant of the magnetometer's correction, s", 1e-3, 1e4)
-    magnetometer: bool = parameter(True, "use the magnetometer where there is one (9D)")
+    tau_acc_s: float = number(3.0, 1e-3, 1e4, "tauAcc: time constant of the accelerometer's low pass, s")
+    tau_mag_s: float = number(9.0, 1e-3, 1e4, "tauMag: time constant of the magnetometer's correction, s")
+    magnetometer: bool = choice(True, "use the magnetometer where there is one (9D)")
 
 
 class PeerInput(NamedTuple):

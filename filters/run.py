@@ -9,8 +9,8 @@ import numpy as np
 from stillpoint.datasets import BadParameter, Estimate, Recording
 from stillpoint.datasets.earth import declination_rad
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters import peers
-from stillpoint.filters.parameters import Parameters, make
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import GAP_S, Floats, Log, Track, counts
 from stillpoint.filters.table import Estimator, Peer, find
@@ -19,7 +19,7 @@ from stillpoint.filters.table import Estimator, Peer, find
 def estimate(
     recording: Recording,
     name: str,
-    params: Parameters | Mapping[str, Any] | None = None,
+    params: Settings | Mapping[str, Any] | None = None,
     precision: Precision = "double",
 ) -> Estimate:
     """What the estimator ``name`` of :data:`ESTIMATORS` says at every IMU sample of ``recording``.
@@ -47,7 +47,7 @@ def estimate(
         No IMU.
     """
     entry = find(name)
-    chosen = make(entry.params, params)
+    settings = chosen(entry.params(), params, name)
     imu = recording.require_imu()
     declination, source = local_declination(recording)
     if isinstance(entry, Peer):
@@ -55,18 +55,18 @@ def estimate(
             raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
         data, facts = peers.at_constant_rate(recording)
         begun = perf_counter_ns()
-        found = entry.batch(data, chosen)
+        found = entry.batch(data, settings)
         elapsed_ns = perf_counter_ns() - begun
         columns = found._replace(q_nb=to_true_north(found.q_nb, declination))._asdict()
     else:
         log, facts = as_log(recording)
-        columns, counted, elapsed_ns = _run(entry, log, chosen, declination, precision)
+        columns, counted, elapsed_ns = _run(entry, log, settings, declination, precision)
         facts |= counted | {"precision": precision}
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
         recording=recording.name,
-        params=asdict(chosen),
+        params=asdict(settings),
         diagnostics=facts | {"declination_rad": declination, "declination": source},
         ns_per_sample=elapsed_ns / len(imu.t_ns),
         **columns,
@@ -111,7 +111,7 @@ def to_true_north(q_nb: Floats, declination: float) -> Floats:
 
 
 def _run(
-    entry: Estimator, log: Log, params: Parameters, declination: float, precision: Precision
+    entry: Estimator, log: Log, params: Settings, declination: float, precision: Precision
 ) -> tuple[dict[str, Any], dict[str, int], int]:
     """Columns of the estimate, counts, and the time of the compiled run in ns."""
     c = in_precision(entry.coefficients(params, declination), precision)

@@ -5,7 +5,7 @@ from copy import deepcopy
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.filters.parameters import Parameters, make
+from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import Output, Sample, counts
 from stillpoint.filters.table import Estimator, find
@@ -46,7 +46,7 @@ class Stream:
     def __init__(
         self,
         name: str,
-        params: Parameters | Mapping[str, Any] | None = None,
+        params: Settings | Mapping[str, Any] | None = None,
         declination_rad: float = 0.0,
         precision: Precision = "double",
         saved: Saved | None = None,
@@ -57,7 +57,7 @@ class Stream:
         if saved is not None and saved.name != name:
             raise BadParameter(f"{name}: the saved state is of {saved.name}; go on with that one")
         self._name, self._step, self._precision = name, entry.step, precision
-        self._c = in_precision(entry.coefficients(make(entry.params, params), declination_rad), precision)
+        self._c = in_precision(entry.coefficients(chosen(entry.params(), params, name), declination_rad), precision)
         self._t_ns = -1
         self._gyro = NO_VECTOR
         self._output = Output((1.0, 0.0, 0.0, 0.0), None, None, None, False)

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.settings import Settings
 from stillpoint.filters import complementary, gyro, moving_average, peers, tilt
-from stillpoint.filters.parameters import Parameters, nearest
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Estimator:
     """One estimator of ours: see :mod:`stillpoint.filters.sample` for what its functions take and give."""
 
     summary: str
-    params: type[Parameters]
+    params: type[Settings]
     coefficients: Callable[[Any, float], Any]  # (params, declination_rad)
     start: Callable[[Any], Any]
     step: Callable[[Any, Any, Any], Any]
@@ -31,7 +31,7 @@ class Peer:
     """An estimator of another project, over a whole recording at a time."""
 
     summary: str
-    params: type[Parameters]
+    params: type[Settings]
     batch: Callable[[peers.PeerInput, Any], peers.PeerTrack]
     is_peer: bool = True
     offline: bool = False
@@ -55,6 +55,5 @@ ESTIMATORS: dict[str, Estimator | Peer] = {
 
 def find(name: str) -> Estimator | Peer:
     """The entry of this name; raises :class:`BadParameter` with the nearest one."""
-    if name not in ESTIMATORS:
-        raise BadParameter(f"no estimator {name!r}; " + nearest(name, list(ESTIMATORS)))
+    require_known(name, ESTIMATORS, "estimator")
     return ESTIMATORS[name]

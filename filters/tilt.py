@@ -7,18 +7,18 @@ over north). True only where the sensor is not accelerated.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, level, low_pass, no_fields, turn_to_north
-from stillpoint.filters.parameters import Parameters, parameter
 from stillpoint.filters.rotation import Quaternion, about_up, multiply, rotate
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 
 @dataclass(frozen=True)
-class Params(Parameters):
+class Params(Settings):
     """Parameters of ``acc``."""
 
-    kappa: float = parameter(0.7, "share of the newest raw sample in the low pass (9); 1 = no low pass", 0.0, 1.0)
+    kappa: float = number(0.7, 0.0, 1.0, "share of the newest raw sample in the low pass (9); 1 = no low pass")
 
 
 class Coefficients(NamedTuple):

@@ -5,12 +5,12 @@ The one module of scoring that runs the smoother and the filters.
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from difflib import get_close_matches
 from statistics import mean, median
 from time import perf_counter
 
 import numpy as np
-from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
+from stillpoint.datasets.errors import StillpointError, Unobservable
+from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import ESTIMATORS, estimate
@@ -56,10 +56,7 @@ def check_methods(names: Sequence[str]) -> list[str]:
     """The names, each once; raises :class:`BadParameter` for one that is neither a method nor an estimator."""
     known = [*METHODS, *ESTIMATORS]
     for name in names:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
-            raise BadParameter(f"no reference method or estimator {name!r}; {hint}")
+        require_known(name, known, "reference method or estimator")
     return list(dict.fromkeys(names))
 
 

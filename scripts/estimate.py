@@ -1,6 +1,5 @@
 """``stillpoint estimate``: run streaming estimators over recordings."""
 
-from ast import literal_eval
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +9,10 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.settings import chosen
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
-from stillpoint.filters.parameters import make
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import Peer, find
 from stillpoint.scripts import inputs
@@ -95,18 +94,10 @@ def _settings(pairs: Sequence[str], names: Sequence[str]) -> dict[str, dict[str,
             raise BadParameter(f"--set {pair}: write ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3")
         if estimator not in settings:
             raise BadParameter(f"--set {pair}: {estimator} is not among the estimators {', '.join(names)}")
-        settings[estimator][name] = _value(value.strip())
+        settings[estimator][name] = value.strip()
     for estimator, values in settings.items():
-        make(find(estimator).params, values)
+        chosen(find(estimator).params(), values, estimator)
     return settings
-
-
-def _value(text: str) -> Any:
-    """A number or truth value as such, anything else as the text it is."""
-    try:
-        return literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
 
 
 def _jobs(sources: Sequence[Path], settings: dict[str, dict[str, Any]], folder: Path, single: bool) -> list[_Job]:

@@ -12,6 +12,7 @@ from rich.table import Table
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
+from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.store import write
 from stillpoint.scripts.import_flags import Flags
@@ -83,8 +84,7 @@ def import_(
 
 def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
     """The importer and its options; an option that the kind does not take is refused."""
-    if kind not in IMPORTERS:
-        raise BadParameter(f"no kind {kind!r}; there are {', '.join(IMPORTERS)}")
+    require_known(kind, IMPORTERS, "kind")
     importer = IMPORTERS[kind]
     known = {field.name: field.type for field in fields(importer.options)}
     for name, value in given.items():

@@ -6,7 +6,6 @@ Verbs are imported when they are called, so that ``stillpoint --help`` loads nei
 
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import metadata
 from typing import NoReturn
 
@@ -46,8 +45,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the console script; never returns normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
     if tokens and not tokens[0].startswith("-") and tokens[0] not in VERBS:
-        near = get_close_matches(tokens[0], VERBS, n=1)
-        _stop(f"no verb {tokens[0]!r}; " + (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}"))
+        from stillpoint.datasets.nearest import nearest
+
+        _stop(f"no verb {tokens[0]!r}; {nearest(tokens[0], VERBS)}")
     try:
         code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:

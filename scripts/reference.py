@@ -12,6 +12,7 @@ import numpy as np
 from cyclopts import Parameter
 from stillpoint.datasets import Reference, write
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.settings import Settings
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import Outcome, run_jobs
@@ -19,7 +20,6 @@ from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
-from stillpoint.smoother.params import Settings
 from stillpoint.smoother.reference import settings_of
 
 COLUMNS = ("recording", "method", "rests", "returns", "closing error, deg", "sd median, deg", "sd max, deg", "s")

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import track
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import SENSORS, SIMULATIONS
 from stillpoint.datasets.simulate import simulate as make
@@ -54,11 +55,10 @@ def simulate(
     """
     if seeds < 1:
         raise BadParameter(f"--seeds {seeds}: give 1 or more")
-    if sensor is not None and sensor not in SENSORS:
-        raise BadParameter(f"no sensor {sensor!r}; there are {', '.join(SENSORS)}")
+    if sensor is not None:
+        require_known(sensor, SENSORS, "sensor")
     chosen = None if sensor is None else SENSORS[sensor]
-    if kind not in SIMULATIONS:
-        raise BadParameter(f"no simulation {kind!r}; there are {', '.join(SIMULATIONS)}")
+    require_known(kind, SIMULATIONS, "simulation")
     folder = output_dir(out)
     rows = []
     numbers = range(seed, seed + seeds)

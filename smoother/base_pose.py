@@ -14,8 +14,8 @@ from stillpoint.datasets.earth import declination_rad
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
+from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.trajectory import BasePoseReturn
-from stillpoint.smoother.params import Settings, degrees, number
 from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing
 
 LEVEL_FIELD_SHARE = 0.05  # a field nearer to the vertical than this has no heading

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording
+from stillpoint.datasets.settings import Settings, number
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.base_pose import BasePose, ReturnParams, Returns, closure, find_base_pose, find_returns
-from stillpoint.smoother.params import Settings, number
 from stillpoint.smoother.rest import RestParams, find_rests
 from stillpoint.smoother.strapdown import (
     GyroErrors,

@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.datasets.trajectory import Reference
-from stillpoint.smoother.params import Settings, with_settings
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 
 DEFAULT_METHOD = "redistribution"
@@ -39,21 +38,13 @@ METHODS: dict[str, Method] = {
 
 def method_of(name: str) -> Method:
     """The table's entry; raises :class:`BadParameter` with the nearest name for one that is not there."""
-    if name not in METHODS:
-        near = get_close_matches(name, METHODS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(METHODS)}"
-        raise BadParameter(f"no reference method {name!r}; {hint}")
+    require_known(name, METHODS, "reference method")
     return METHODS[name]
 
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
     """The method's settings with what the user gave; raises :class:`BadParameter`."""
-    defaults = method_of(method).defaults
-    if params is None or isinstance(params, Mapping):
-        return with_settings(defaults, params or {}, method)
-    if not isinstance(params, type(defaults)):
-        raise BadParameter(f"{method}: params is a {type(params).__name__}; give a {type(defaults).__name__}")
-    return params
+    return chosen(method_of(method).defaults, params, method)
 
 
 def reference(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
-from stillpoint.smoother.params import Settings, degrees, number
+from stillpoint.datasets.settings import Settings, degrees, number
 
 DENSE_SHARE = 0.6  # of the samples of a window must be there: less than that beside a long gap
 

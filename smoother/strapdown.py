@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
-from stillpoint.smoother.params import Settings, degrees, number
+from stillpoint.datasets.settings import Settings, degrees, number
 
 CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
 GAP_STEPS = 5.0  # an interval longer than this many median steps is a gap: 5 lost samples

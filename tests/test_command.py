@@ -25,7 +25,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
         (["simulate", "phone-3", "--minutes", "soon"], "minutes"),
         (["info", "no-such-file.mcap"], "no-such-file.mcap"),
         (["validate", "no-such-folder"], "no-such-folder"),
-        (["import", "broad", "no-such-folder"], "no-such-folder"),
+        (["import", "broad", "no-such-folder", "-o", "x"], "no-such-folder"),
     ],
 )
 def test_a_wrong_call_is_one_line_and_exit_code_2(words: list[str], says: str) -> None:

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-from stillpoint.filters.parameters import describe
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.estimators_page import refreshed
+from stillpoint.scripts.settings_pages import refreshed
 
 GRAVITY_N = np.array([0.0, 0.0, 9.81])
 FIELD_N = np.array([0.0, 20.0, -44.0])
@@ -349,16 +348,8 @@ def test_a_wrong_name_or_parameter_is_refused_in_one_line(name: str, params: dic
 
 
 def test_parameters_of_another_estimator_are_refused() -> None:
-    with pytest.raises(BadParameter, match="not of this estimator"):
+    with pytest.raises(BadParameter, match="are not its settings"):
         estimate(untidy(), "cf", ESTIMATORS["vqf"].params())
-
-
-@pytest.mark.parametrize("name", list(ESTIMATORS))
-def test_every_parameter_has_a_meaning_and_a_default_in_its_range(name: str) -> None:
-    for parameter, default, allowed, meaning in describe(ESTIMATORS[name].params):
-        assert len(meaning) > 10, parameter
-        assert allowed, parameter
-        assert default, parameter
 
 
 def test_quaternions_keep_length_1_over_a_million_samples() -> None:
@@ -371,6 +362,6 @@ def test_quaternions_keep_length_1_over_a_million_samples() -> None:
 
 def test_the_page_about_estimators_is_up_to_date() -> None:
     text = (Path(__file__).parent.parent / "docs" / "estimators.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.estimators_page"
+    assert refreshed(text) == text, "run python -m stillpoint.scripts.settings_pages"
     for name in ESTIMATORS:
         assert f"\n## {name}\n" in text

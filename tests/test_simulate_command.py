@@ -57,7 +57,8 @@ def test_the_help_names_every_simulation(capsys):
 @pytest.mark.parametrize(
     ("tokens", "message"),
     [
-        (["phone-4"], "there are phone-1, phone-2, phone-3"),
+        (["walk"], "there are phone-1, phone-2, phone-3"),
+        (["phone3"], "did you mean 'phone-3'?"),
         (["phone-1", "--seeds", "0"], "--seeds 0"),
         (["phone-1", "--sensor", "gyroscope"], "phone, perfect"),
         (["phone-3", "--minutes", "1"], "at least 1.38"),

@@ -20,6 +20,7 @@ from stillpoint.datasets.importers.columns import quaternion_columns, split, vec
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.options import OwnOptions
 from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT
+from stillpoint.datasets.nearest import nearest
 from stillpoint.datasets.recording import Info, Mag, Recording, Times, Truth
 
 SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
@@ -75,7 +76,7 @@ def _with_config(options: CsvOptions) -> CsvOptions:
     known = {field.name: type(getattr(default, field.name)) for field in fields(CsvOptions) if field.name != "config"}
     for key, value in said.items():
         if key not in known:
-            raise BadParameter(f"{options.config}: no setting {key!r}; there are {', '.join(known)}")
+            raise BadParameter(f"{options.config}: no setting {key!r}; {nearest(key, known)}")
         wanted = (int, float) if key == "rate" else bool if known[key] is bool else str
         if not isinstance(value, wanted) or (wanted is not bool and isinstance(value, bool)):
             raise BadParameter(f"{options.config}: {key} = {value!r} is of the wrong kind; see docs/importing.md")

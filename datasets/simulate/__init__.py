@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import phone
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
@@ -53,8 +54,7 @@ def simulate(
     ``minutes`` and ``sensor`` (:data:`PERFECT` for exact samples) default to those of the simulation's table entry.
     Raises :class:`BadParameter`.
     """
-    if kind not in SIMULATIONS:
-        raise BadParameter(f"no simulation {kind!r}; there are {', '.join(SIMULATIONS)}")
+    require_known(kind, SIMULATIONS, "simulation")
     entry = SIMULATIONS[kind]
     minutes = entry.minutes if minutes is None else minutes
     if seed < 0:

@@ -1,0 +1,171 @@
+"""Settings: dataclasses of physical values with meaning and range beside each field, changed by dotted names."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
+from math import degrees as in_degrees
+from math import isfinite, radians
+from numbers import Real
+from typing import Any, Literal, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import nearest
+
+TRUTH_VALUES = {"true": True, "false": False}
+UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s"}
+
+
+def number(default: float, low: float, high: float, meaning: str) -> Any:
+    """A field of :class:`Settings` in the unit of its name, within ``[low, high]``."""
+    return field(default=default, metadata={"low": low, "high": high, "meaning": meaning})
+
+
+def degrees(default_deg: float, low_deg: float, high_deg: float, meaning: str) -> Any:
+    """A field in rad, rad/s or rad/sqrt(s), by its name, whose numbers are easier to read in degrees."""
+    limits = {"low": radians(low_deg), "high": radians(high_deg)}
+    return field(default=radians(default_deg), metadata={**limits, "meaning": meaning, "in_degrees": True})
+
+
+def choice(default: Any, meaning: str) -> Any:
+    """A field that is one of the words of its ``Literal``, or a ``bool``."""
+    return field(default=default, metadata={"meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of settings dataclasses, which may hold others. Raises :class:`BadParameter` for a value out of its range.
+
+    Every field is made by :func:`number`, :func:`degrees` or :func:`choice`, or is itself a :class:`Settings`.
+    """
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for each in fields(self):
+            if each.metadata:
+                object.__setattr__(self, each.name, _checked(each, hints[each.name], getattr(self, each.name)))
+
+
+Kind = TypeVar("Kind", bound=Settings)
+
+
+def chosen(defaults: Kind, given: Settings | Mapping[str, Any] | None, owner: str) -> Kind:
+    """The settings of ``owner`` to go by: those given, or the defaults with ``{"rest.window_s": 2.0}`` put in.
+
+    Values may be text, as from a command line. Raises :class:`BadParameter` for settings of another owner, a name that
+    is not there (with the nearest one), and a value of another kind or out of range.
+    """
+    if isinstance(given, type(defaults)):
+        return given
+    if given is not None and not isinstance(given, Mapping):
+        kinds = type(given).__qualname__, type(defaults).__qualname__
+        raise BadParameter(f"{owner}: {kinds[0]} of {type(given).__module__} are not its settings; give its {kinds[1]}")
+    for name, value in (given or {}).items():
+        try:
+            defaults = _with_one(defaults, name.split("."), value)
+        except KeyError:
+            raise BadParameter(f"{owner}: no setting {name!r}; {nearest(name, names_of(defaults))}") from None
+        except BadParameter as error:
+            raise BadParameter(f"{owner}: {name.removesuffix(name.rpartition('.')[2])}{error}") from None
+    return defaults
+
+
+class Description(NamedTuple):
+    """One setting in words, for tables; angles in degrees."""
+
+    name: str  # dotted
+    default: str
+    allowed: str
+    meaning: str
+
+
+def names_of(settings: Settings) -> list[str]:
+    """All dotted names of a settings object, in order."""
+    return [name for name, _, _ in _leaves(settings)]
+
+
+def describe(settings: Settings) -> list[Description]:
+    """All settings of a settings object, with its values as defaults."""
+    return [
+        Description(
+            name,
+            f"{_readable(each, getattr(owner, each.name))} {_unit(each)}".rstrip(),
+            _allowed(each, get_type_hints(type(owner))[each.name], _readable),
+            each.metadata["meaning"],
+        )
+        for name, each, owner in _leaves(settings)
+    ]
+
+
+def _leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Field[Any], Settings]]:
+    """Dotted name, field, and the object that has it."""
+    for each in fields(settings):
+        value = getattr(settings, each.name)
+        if is_dataclass(value):
+            yield from _leaves(cast(Settings, value), f"{prefix}{each.name}.")
+        else:
+            yield f"{prefix}{each.name}", each, settings
+
+
+def _with_one(settings: Kind, path: list[str], value: Any) -> Kind:
+    """Raises ``KeyError`` for a name that is not there, :class:`BadParameter` for a value that is not allowed."""
+    first, *rest = path
+    inner = {each.name: getattr(settings, each.name) for each in fields(settings)}[first]
+    if is_dataclass(inner) != bool(rest):
+        raise KeyError(first)
+    new = _with_one(cast(Settings, inner), rest, value) if rest else _from_text(settings, first, value)
+    return replace(settings, **{first: new})
+
+
+def _from_text(settings: Settings, name: str, value: Any) -> Any:
+    """What text stands for in the field of this name; the value itself where it is no text, or stands for nothing."""
+    hint = get_type_hints(type(settings))[name]
+    if not isinstance(value, str) or get_origin(hint) is Literal:
+        return value
+    if hint is bool:
+        return TRUTH_VALUES.get(value.lower(), value)
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
+
+def _checked(each: Field[Any], hint: Any, value: Any) -> Any:
+    if get_origin(hint) is Literal:
+        good = value in get_args(hint)
+    elif hint is bool:
+        good = isinstance(value, bool)
+    else:
+        good = isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+        good = good and each.metadata["low"] <= value <= each.metadata["high"]
+        value = float(value) if good else value
+    if not good:
+        kind = "a number from " if "low" in each.metadata else ""
+        raise BadParameter(
+            f"{each.name} = {value!r} is not allowed ({each.metadata['meaning']}); "
+            f"give {kind}{_allowed(each, hint, _plain)}"
+        )
+    return value
+
+
+def _allowed(each: Field[Any], hint: Any, shown: Callable[[Field[Any], Any], str]) -> str:
+    if get_origin(hint) is Literal:
+        return ", ".join(map(str, get_args(hint)))
+    if hint is bool:
+        return ", ".join(map(str, (True, False)))
+    return f"{shown(each, each.metadata['low'])} to {shown(each, each.metadata['high'])}"
+
+
+def _plain(each: Field[Any], value: Any) -> str:
+    return f"{value:.4g}"
+
+
+def _readable(each: Field[Any], value: Any) -> str:
+    if isinstance(value, bool | str):
+        return str(value)
+    return f"{in_degrees(value) if _unit(each) else value:g}"
+
+
+def _unit(each: Field[Any]) -> str:
+    """That of an angle which is shown in degrees; others stand in the name of the field."""
+    if not each.metadata.get("in_degrees"):
+        return ""
+    return next(unit for suffix, unit in UNITS_IN_DEGREES.items() if each.name.endswith(suffix))
