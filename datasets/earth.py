@@ -10,6 +10,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import ArrayLike, NDArray
 from pygeomag import GeoMag
+
 from stillpoint.datasets.errors import BadParameter
 
 Floats = NDArray[np.float64]

@@ -6,6 +6,7 @@ from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Info, Recording, SpinGeometry
 from stillpoint.datasets.topics import TOPICS

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadFile
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
+
 from stillpoint.datasets import cdr
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.mcap_file import MESSAGE_HEAD, RECORD_HEAD, windows

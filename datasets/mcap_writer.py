@@ -35,6 +35,7 @@ from mcap.records import (
     SummaryOffset,
 )
 from numpy.typing import NDArray
+
 from stillpoint.datasets import cdr
 from stillpoint.datasets.mcap_file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, atomic, windows
 

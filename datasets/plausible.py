@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadRecording
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.plausible import check_units
 

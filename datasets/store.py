@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadFile, BadRecording
 from stillpoint.datasets.facts import (
     KINDS,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import (
     Floats,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import tilt
 from stillpoint.filters.compiled import compiled, like

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.settings import Settings, choice, number
 

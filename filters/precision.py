@@ -3,6 +3,7 @@
 from typing import Any, Literal
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadParameter
 
 Precision = Literal["double", "single"]

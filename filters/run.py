@@ -6,6 +6,7 @@ from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
+
 from stillpoint.datasets import BadParameter, Estimate, Recording
 from stillpoint.datasets.earth import declination_rad
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation

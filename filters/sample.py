@@ -15,6 +15,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
+
 from stillpoint.filters.compiled import compiled
 from stillpoint.filters.rotation import Quaternion, Vector
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Times

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.recording import Times, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference

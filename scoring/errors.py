@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.frames import EulerFrame, euler, quaternion, rotation, wrap
 
 Floats = NDArray[np.float64]

@@ -12,6 +12,7 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
+
 from stillpoint.datasets.frames import EulerFrame, euler, rotation
 from stillpoint.datasets.recording import Times, Truth
 from stillpoint.datasets.trajectory import Reference

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadRecording, Unobservable
 from stillpoint.datasets.frames import slerp
 from stillpoint.datasets.recording import Times, Truth

@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
 from stillpoint.scoring.figures import COLOURS
 
 INK, GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording, Truth, rate_hz
 from stillpoint.datasets.trajectory import Estimate, Reference

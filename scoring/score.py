@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
+
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame
 from stillpoint.datasets.recording import Truth

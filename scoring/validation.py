@@ -9,6 +9,7 @@ from statistics import mean, median
 from time import perf_counter
 
 import numpy as np
+
 from stillpoint.datasets.errors import StillpointError, Unobservable
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, Truth

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import track
+
 from stillpoint.datasets.cdr import definition
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Truth

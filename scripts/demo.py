@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
+
 from stillpoint.datasets import Recording, write
 from stillpoint.datasets.doctor import Diagnosis, diagnose
 from stillpoint.datasets.recording import Times, rate_hz

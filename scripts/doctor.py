@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
+
 from stillpoint.datasets.doctor import Diagnosis, apply, diagnose
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
+
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer

@@ -7,6 +7,7 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
+
 from stillpoint.datasets.recording import Recording, Times, rate_hz
 from stillpoint.datasets.store import read
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference

@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 
 from rich.console import Console
 from rich.progress import Progress
+
 from stillpoint.datasets.errors import BadParameter, StillpointError
 
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second

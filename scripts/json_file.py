@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+
 from stillpoint.datasets.errors import BadParameter
 
 STDOUT = "-"

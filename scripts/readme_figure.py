@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.scoring.figures import draw_angles, draw_scores, view_of

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
+
 from stillpoint.datasets import Reference, write
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.settings import Settings

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+
 from stillpoint.datasets.store import read_recording
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods, default_methods, summary

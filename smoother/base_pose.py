@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.earth import declination_rad
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation

@@ -21,6 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
 from stillpoint.datasets.settings import Settings, degrees, number
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.settings import Settings, degrees, number

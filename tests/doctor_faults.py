@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from stillpoint.datasets import Imu, Mag, Recording, Truth
 from stillpoint.datasets.recording import Floats
 

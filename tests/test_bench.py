@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+
 from stillpoint.datasets import BadParameter, read
 from stillpoint.scripts import bench as bench_module
 from stillpoint.scripts import bench_mcap

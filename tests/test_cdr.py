@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
 from stillpoint.datasets import cdr
 from stillpoint.datasets.topics import TOPICS
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from stillpoint.scripts import main as command
 
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")

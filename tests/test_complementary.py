@@ -5,6 +5,7 @@ import pytest
 from scipy import signal
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation, wrap
 from stillpoint.filters import estimate

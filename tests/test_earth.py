@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from stillpoint.datasets.earth import (
     decimal_year,
     declination_rad,

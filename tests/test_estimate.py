@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import read, write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.simulate import simulate

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
+
 from stillpoint.datasets import frames
 
 SQRT_HALF = np.sqrt(0.5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from stillpoint.datasets import BadParameter, BadSource
 from stillpoint.datasets.importers.clock import Log, Series, cells_to_ns, merge, rising, straight
 from stillpoint.datasets.importers.delimited import parse

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import Recording
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.store import read_recording, write

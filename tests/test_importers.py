@@ -14,6 +14,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import Recording
 from stillpoint.datasets.frames import quaternion, rotation, to_xyzw
 from stillpoint.datasets.importers.csv_log import CsvOptions

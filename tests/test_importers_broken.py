@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+
 from stillpoint.datasets import BadParameter, BadSource, StillpointError
 from stillpoint.datasets.importers.csv_log import CsvOptions
 from stillpoint.datasets.importers.options import Options, PhoneOptions

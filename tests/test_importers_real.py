@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.importers.csv_log import CsvOptions

@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts import inputs
 

@@ -4,6 +4,7 @@ import math
 import os
 
 import pytest
+
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.earth import decimal_year
 from stillpoint.scripts.jobs import run_jobs

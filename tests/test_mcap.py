@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
+
 from stillpoint.datasets import BadFile, cdr, read
 from stillpoint.datasets.mcap_reader import read_log, survey
 from stillpoint.datasets.mcap_writer import Stream, write_mcap

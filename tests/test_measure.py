@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.simulate import PERFECT, PHONE, Sensor, simulate
 from stillpoint.datasets.simulate.measure import ALLAN_TOP, Axes, passings_n_ut, wandering, with_errors

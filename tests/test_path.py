@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate.path import Path, strokes
 from stillpoint.datasets.simulate.phone import IN_HAND, SLIDING, TRIPOD, move

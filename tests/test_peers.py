@@ -7,6 +7,7 @@ import pytest
 import vqf
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording, Truth
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.scoring import score

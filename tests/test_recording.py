@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import BadRecording, Estimate, Gps, Imu, Info, Mag, Recording, Reference, Truth
 
 N = 500

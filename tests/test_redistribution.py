@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import Imu, Info, Mag, Recording, Truth, Unobservable
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.frames import euler, heading_rotation, quaternion, rotation

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import BadParameter, Imu, Recording, read, write
 from stillpoint.datasets.settings import names_of
 from stillpoint.datasets.simulate import simulate

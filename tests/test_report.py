@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import Estimate, Imu, Recording, Reference, Truth
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.scoring.envelope import break_line, envelope

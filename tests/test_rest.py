@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import BadParameter, Imu
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
 from stillpoint.filters import compiled, rotation
 
 number = st.floats(-10, 10, allow_subnormal=False)

@@ -4,6 +4,7 @@ import json
 import shutil
 
 import pytest
+
 from stillpoint.datasets.store import read_estimate, write
 from stillpoint.filters import ESTIMATORS
 from stillpoint.scripts.beside import files_of, recording_name

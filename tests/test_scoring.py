@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+
 from stillpoint.datasets import BadParameter, BadRecording, Estimate, Reference, Truth, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
 from stillpoint.datasets.importers.table import IMPORTERS

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.nearest import nearest, require_known
 from stillpoint.datasets.settings import Settings, choice, chosen, degrees, describe, names_of, number

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+
 from stillpoint.datasets import read
 from stillpoint.datasets.simulate import SIMULATIONS, simulate
 from stillpoint.scripts.main import main

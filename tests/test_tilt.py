@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import euler, from_euler, heading_rotation, quaternion, rotation, wrap
 from stillpoint.filters import estimate

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+
 from stillpoint.datasets import Imu, Mag, Recording, Truth, topics_page, write
 from stillpoint.datasets.topics import TOPICS, microtesla, tesla
 

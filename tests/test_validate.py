@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
+
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score

@@ -8,6 +8,7 @@ the witnesses vote: those that agree with the gyro clear it. Without a second wi
 from collections.abc import Sequence
 
 import numpy as np
+
 from stillpoint.datasets.doctor.candidates import TIE_NATS, complexity, describe, index_of
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import apply

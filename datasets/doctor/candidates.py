@@ -4,6 +4,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+
 from stillpoint.datasets.recording import Floats
 
 # Log-likelihoods, in nats. Measured on 22 real recordings: see docs/doctor.md.

@@ -1,6 +1,7 @@
 """Clocks: rate, gaps, lost samples, bursts and jitter of each stream, and whether the streams overlap."""
 
 import numpy as np
+
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
 from stillpoint.datasets.recording import Floats, Recording, Times

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.doctor.turning import GRID_HZ, Series, robust_solve
 from stillpoint.datasets.recording import Floats
 

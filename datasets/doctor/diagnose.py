@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
+
 from stillpoint.datasets.doctor.axes import find_axes_fault, find_scale_fault, find_truth_fault, report_axes
 from stillpoint.datasets.doctor.clocks import check_clocks
 from stillpoint.datasets.doctor.field import check_field, check_gravity_sign

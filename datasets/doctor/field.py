@@ -1,6 +1,7 @@
 """The magnetic field: hard iron, size, disturbances, and its dip, which shows whether gravity is inverted."""
 
 import numpy as np
+
 from stillpoint.datasets.doctor.axes import inverted
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.witness import Witness

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+
 from stillpoint.datasets.recording import Floats
 
 REACH_S = 0.25  # lags up to this are looked for

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds, inside
 from stillpoint.datasets.doctor.witness import Witness

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.doctor.finding import Remedy
 from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.frames import from_xyzw, quaternion, rotation

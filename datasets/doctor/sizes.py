@@ -1,6 +1,7 @@
 """Units by size: gravity at rest, and the field of the Earth once the hard iron is taken off."""
 
 import numpy as np
+
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds, inside
 from stillpoint.datasets.recording import Floats, Recording, Times

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.recording import Floats, Imu, Times
 
 CALM_SPREAD = 0.01  # of the force's size: the smoothed force of a calm second varies by less

@@ -1,6 +1,7 @@
 """The truth as a witness: its rate in body axes beside the gyro's, and its gravity beside the accelerometer's."""
 
 import numpy as np
+
 from stillpoint.datasets.doctor.candidates import CANDIDATES, choose, index_of
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
 from stillpoint.datasets.doctor.turning import gyro_series, solve, stands_out, vector_series

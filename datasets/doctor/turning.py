@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.recording import Floats, Imu, Times
 
 GRID_HZ = 100.0  # fast enough for a hand: at 1000 deg/s the midpoint rule over 10 ms errs by 0.25 %

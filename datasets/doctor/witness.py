@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from stillpoint.datasets.doctor.candidates import CANDIDATES, Choice, choose
 from stillpoint.datasets.doctor.coherence import Swings, displacement, displacement_about_pivot
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
 from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising, seconds_to_ns, straight

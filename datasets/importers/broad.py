@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import scipy.io
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
 from stillpoint.datasets.importers.clock import Log, finite_rows

@@ -5,6 +5,7 @@ from decimal import Decimal, InvalidOperation
 
 import numpy as np
 from numpy.typing import NDArray
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.recording import Floats, Imu, Times
 

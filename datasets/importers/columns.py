@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.importers.units import Scale, plain, scale

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
 from stillpoint.datasets.importers.bundle import digests, existing

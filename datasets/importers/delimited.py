@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.clock import cells_to_ns
 from stillpoint.datasets.recording import Floats, Times

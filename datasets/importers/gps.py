@@ -1,6 +1,7 @@
 """Satellite fixes as the phone apps and bags give them."""
 
 import numpy as np
+
 from stillpoint.datasets.importers.clock import Log, Series, rising
 from stillpoint.datasets.recording import Gps
 

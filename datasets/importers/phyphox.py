@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import Bundle, digests, open_bundle
 from stillpoint.datasets.importers.clock import (

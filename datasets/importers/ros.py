@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
 from stillpoint.datasets.importers.clock import UNIX_FROM_NS, Log, Series, finite, rising

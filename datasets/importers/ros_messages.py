@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
+
 from stillpoint.datasets.errors import BadFile, BadParameter, BadSource
 from stillpoint.datasets.importers.clock import Log, Series
 from stillpoint.datasets.mcap_reader import read_log, survey

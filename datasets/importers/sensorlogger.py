@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import Bundle, open_bundle
 from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.importers.bundle import digests, existing

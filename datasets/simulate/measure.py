@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Imu, Mag, Times, Truth
 from stillpoint.datasets.simulate.draws import draws

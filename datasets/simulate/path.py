@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
+
 from stillpoint.datasets.frames import rotation
 
 Floats = NDArray[np.float64]

@@ -8,6 +8,7 @@ it is far below the bias of these sensors.
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+
 from stillpoint.datasets.errors import BadParameter
 
 STANDARD_GRAVITY_MPS2 = 9.80665  # the "g" of data sheets
