@@ -68,8 +68,8 @@ def estimate(
     """
     names = list(ESTIMATORS) if estimators == "all" else list(dict.fromkeys(n.strip() for n in estimators.split(",")))
     settings = _settings(set_ or [], names)
-    folder = inputs.output_dir(out)
-    work = _jobs(inputs.recordings(paths), settings, folder, single)
+    sources = inputs.recordings(paths)
+    work = _jobs(sources, settings, inputs.output_dir(out), single)
     outcomes = run_jobs(_make, work, jobs, "estimate")
     if len(work) == 1 and outcomes[0].error is not None:
         raise StillpointError(outcomes[0].error)

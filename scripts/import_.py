@@ -65,12 +65,11 @@ def import_(
     importer, options = _importer(kind, given)
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
-    folder = output_dir(out)
     kept: dict[Path, Kept] = {}
     with Console(stderr=True).status("import") as status:
         for source, recording in _recordings(importer, options, sources, repair):
             status.update(f"import {recording.name}")
-            file = folder / f"{recording.name}.mcap"
+            file = output_dir(out) / f"{recording.name}.mcap"
             if file in kept:
                 raise BadSource(
                     f"{source}: a recording {recording.name} was already imported from {kept[file].source}; "

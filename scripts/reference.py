@@ -67,8 +67,8 @@ def reference(
     methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
     changes = _changes(set_ or [])
     settings = {name: settings_of(name, changes) for name in methods}
-    folder = inputs.output_dir(out)
-    work = _jobs(inputs.recordings(paths), methods, folder)
+    sources = inputs.recordings(paths)
+    work = _jobs(sources, methods, inputs.output_dir(out))
     outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
     if len(work) == 1 and outcomes[0].error is not None:
         raise StillpointError(outcomes[0].error)

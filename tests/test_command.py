@@ -11,9 +11,12 @@ from stillpoint.scripts import main as command
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    code = "from stillpoint.scripts.main import main; main()"
-    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        command.main(words)
+    code = stopped.value.code
+    assert isinstance(code, int)
+    return code
 
 
 @pytest.mark.parametrize(
@@ -29,12 +32,24 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
         (["import", "broad", "no-such-folder", "-o", "x"], "no-such-folder"),
     ],
 )
-def test_a_wrong_call_is_one_line_and_exit_code_2(words: list[str], says: str) -> None:
-    result = run(*words)
+def test_a_wrong_call_is_one_line_and_exit_code_2(
+    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(*words) == 2
+    printed = capsys.readouterr()
+    assert len(printed.err.strip().splitlines()) == 1, printed.err
+    assert printed.err.startswith("stillpoint: ")
+    assert says in printed.err
+    assert printed.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_installed_command_ends_with_these_codes() -> None:
+    command_file = Path(sys.executable).with_name("stillpoint")
+    result = subprocess.run([command_file, "info", "no-such-file.mcap"], capture_output=True, text=True)
     assert result.returncode == 2
-    assert len(result.stderr.strip().splitlines()) == 1, result.stderr
-    assert result.stderr.startswith("stillpoint: ")
-    assert says in result.stderr
+    assert result.stderr == "stillpoint: no-such-file.mcap: there is no such file or folder\n"
 
 
 def test_help_names_every_verb_and_imports_nothing_heavy() -> None:
@@ -49,11 +64,11 @@ def test_help_names_every_verb_and_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("verb", sorted(command.VERBS))
-def test_every_verb_explains_itself_and_its_options(verb: str) -> None:
-    result = run(verb, "--help")
-    assert result.returncode == 0, result.stderr
-    assert f"Usage: stillpoint {verb}" in result.stdout
-    options = [line for line in result.stdout.splitlines() if line.startswith("│") and "--" in line]
+def test_every_verb_explains_itself_and_its_options(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(verb, "--help") == 0
+    page = capsys.readouterr().out
+    assert f"Usage: stillpoint {verb}" in page
+    options = [line for line in page.splitlines() if line.startswith("│") and "--" in line]
     assert options, "a verb without options has no --help worth reading"
 
 
