@@ -256,7 +256,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("5 % of the samples lost", samples_lost, "imu-lost"),
     Fault("magnetometer on another clock", no_overlap, "mag-apart"),
     Fault("gyro clipped", gyro(clip(0.6)), "gyro-clipped"),
-    Fault("accelerometer clipped", accel(clip(0.6)), "accel-clipped"),
+    Fault("accelerometer clipped", accel(lambda a: np.clip(a, -11.0, 11.0)), "accel-clipped"),
     Fault("gyro y stuck", gyro(put(1, 0.013)), "gyro-stuck"),
     Fault("gyro z missing", gyro(put(2, 0.0)), "gyro-stuck"),
     Fault("accelerometer x missing", accel(put(0, 0.0)), "accel-stuck"),

@@ -56,7 +56,7 @@ class Swings:
     def at_lag(self, lag_s: float) -> Seen:
         """The windows for an accelerometer whose stamps are late by ``lag_s``."""
         middle, half = self.middle_s + lag_s, self.step_s / 2
-        felt = self.force.between(middle - half, middle + half) / self.step_s
+        felt = self.force.smooth_between(middle - half, middle + half) / self.step_s
         return Seen(self.turn, felt[self.rows], self.step_s)
 
 

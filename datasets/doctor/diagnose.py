@@ -93,9 +93,9 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
 def _in_new_unit(mag: Witness | None, findings: list[Finding]) -> Witness | None:
     """The hard iron was found in the unit before the remedy."""
     for finding in findings:
-        if finding.remedy is not None and finding.remedy.kind == "matrix" and mag is not None:
-            if mag.hard_iron_b_ut is not None:
-                mag = replace(mag, hard_iron_b_ut=finding.remedy.values[0] * mag.hard_iron_b_ut)
+        scaled = finding.remedy is not None and finding.remedy.kind == "matrix"
+        if scaled and finding.remedy is not None and mag is not None and mag.hard_iron_b_ut is not None:
+            mag = replace(mag, hard_iron_b_ut=finding.remedy.values[0] * mag.hard_iron_b_ut)
     return mag
 
 

@@ -80,7 +80,9 @@ def _with_values(recording: Recording, target: str, values: Floats) -> Recording
     if target == "mag":
         assert recording.mag is not None
         return replace(recording, mag=replace(recording.mag, mag_b_ut=values))
-    return replace(recording, imu=replace(recording.require_imu(), **{SENSORS[target]: values}))
+    imu = recording.require_imu()
+    changed = replace(imu, gyro_b_radps=values) if target == "gyro" else replace(imu, accel_b_mps2=values)
+    return replace(recording, imu=changed)
 
 
 def _matrix(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:

@@ -28,7 +28,7 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
     known = np.hstack([rate, np.ones((len(rate), 1))])
 
     def measured(lag_s: float) -> Floats:
-        return gyro.between(start + lag_s, end + lag_s) / (end - start)[:, None]
+        return gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
 
     def loss(lag_s: float) -> Floats:
         rates = measured(lag_s)
@@ -86,7 +86,7 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
         return None, None
 
     def measured(lag_s: float) -> Floats:
-        return force.between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
+        return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
 
     usual = 0.1 * GRAVITY_MPS2
     # The accelerometer's axes (9), the arm from the tracked point to it (3), its bias (3).

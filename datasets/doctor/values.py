@@ -12,6 +12,7 @@ from stillpoint.datasets.recording import Floats, Recording, Times
 
 CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
 CLIPPED_SPAN = 0.1  # of the column's range: as many samples as half of those so near below must lie on the extreme
+ENTRY_STEPS = 3.0  # a value enters the extreme by more than so many steps within two samples
 CLIPPED_STEPS = 20.0  # the extreme is further than so many steps of the converter from the median
 HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
 HELD_STEPS = 3.0  # ... while the others move on by more than so many steps of the converter
@@ -112,11 +113,16 @@ def _clipped(sensor: Sensor) -> list[Finding]:
         for sign in (1.0, -1.0):
             toward = sign * column
             extreme = float(toward.max())
-            at = int((toward == extreme).sum())
-            below = int(((toward < extreme) & (toward > extreme - CLIPPED_SPAN * span)).sum())
+            on_limit = toward == extreme
+            at = int((on_limit & sensor.moving).sum())
+            near = (toward < extreme) & (toward > extreme - CLIPPED_SPAN * span)
+            below = int((near & sensor.moving).sum())
             far = extreme - np.median(toward) > CLIPPED_STEPS * step
-            together = bool(((toward[1:] == extreme) & (toward[:-1] == extreme)).any())
-            if at >= CLIPPED_SAMPLES and at > 0.5 * below and far and together:
+            # A natural peak is reached slowly, the end of the range in full motion.
+            enters = np.flatnonzero(on_limit[2:] & ~on_limit[1:-1]) + 2
+            fast = len(enters) > 0 and np.median(toward[enters] - toward[enters - 2]) > ENTRY_STEPS * step
+            together = bool((on_limit[1:] & on_limit[:-1]).any())
+            if at >= CLIPPED_SAMPLES and at > 0.5 * below and far and fast and together:
                 message = (
                     f"{sensor.name} {name}: {at} samples lie on {sensor.show(sign * extreme)}, the end of the range: "
                     "the motion was larger; set a larger range, and trust no attitude after them"
@@ -133,7 +139,7 @@ def _frozen(sensor: Sensor) -> list[Finding]:
     seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
     moving = np.array([sensor.moving[a : b + 1].mean() > 0.5 for a, b in zip(first, last, strict=True)], dtype=np.bool_)
     frozen = moving & (seconds >= FROZEN_S) & (last - first + 1 >= FROZEN_SAMPLES)
-    if not frozen.any() or _slow_for_its_steps(sensor, same):
+    if not frozen.any() or _slow_for_its_steps(sensor, same, sensor.moving):
         return []
     first, last = first[frozen], last[frozen]
     spans = tuple(int(t) for pair in zip(sensor.t_ns[first], sensor.t_ns[last], strict=True) for t in pair)
@@ -155,11 +161,12 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
     # A stretch of doubled samples is a fault as well, however short beside the recording.
     pairs = same & sensor.moving
     stretch = np.convolve(pairs, np.ones(40) / 40, mode="same") > 0.4
-    if (share < HELD_SHARE and not stretch.any()) or _slow_for_its_steps(sensor, same):
+    where = sensor.moving if share >= HELD_SHARE else stretch & sensor.moving
+    if not where.any() or _slow_for_its_steps(sensor, same, where):
         return []
     if sensor.stream == "mag":
         remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
-    elif (repeats(_other(sensor.name, recording))[pairs]).mean() > 0.9:
+    elif _together(pairs, repeats(_other(sensor.name, recording)) & sensor.moving):
         remedy = Remedy("drop-repeats", "imu", "imu: of equal neighbouring samples the first kept")
     else:
         remedy = Remedy("interpolate", sensor.name, f"{sensor.name}: held samples interpolated")
@@ -170,13 +177,18 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
     return [Finding(f"{sensor.name}-held", "warning", message, remedy, {"share": share})]
 
 
-def _slow_for_its_steps(sensor: Sensor, same: NDArray[np.bool_]) -> bool:
+def _slow_for_its_steps(sensor: Sensor, same: NDArray[np.bool_], where: NDArray[np.bool_]) -> bool:
     """Do values repeat because the converter's steps are larger than what happens between samples?"""
     step = np.array([smallest_step(column) for column in sensor.values.T])
-    changes = np.abs(np.diff(sensor.values, axis=0))[(sensor.moving & ~same)[1:]]
+    changes = np.abs(np.diff(sensor.values, axis=0))[(where & ~same)[1:]]
     if len(changes) == 0 or not step.any():
         return False
     return bool(np.median((changes / np.where(step > 0, step, np.inf)).max(axis=1)) < HELD_STEPS)
+
+
+def _together(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
+    """Do the repeats of the rarer of two sensors fall on repeats of the other?"""
+    return bool((one & other).sum() > 0.9 * max(1, min(one.sum(), other.sum())))
 
 
 def _other(sensor: str, recording: Recording) -> Floats:
