@@ -34,7 +34,7 @@ def check_units(recording: "Recording") -> None:
                 1: "in cm/s^2 (gal): divide by 100",
                 2: "in milli-g: x 0.00980665",
             }
-            near = np.argmin(np.abs(np.log(size / np.array([1.0, 981.0, 1000.0]))))
+            near = np.argmin(np.abs(np.log(max(size, 1e-300) / np.array([1.0, 981.0, 1000.0]))))
             hint = f"; it looks {guess[int(near)]}" if 0.9 < size / (1.0, 981.0, 1000.0)[near] < 1.1 else ""
             raise BadRecording(
                 f"{recording.name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "

@@ -39,6 +39,8 @@ class Swings:
         t = np.arange(gyro.t_s[0] + margin, gyro.t_s[-1] - margin, self.step_s)
         length = round(WINDOW_S / self.step_s)
         starts = np.arange(0, len(t) - length, length)
+        if length < 3 * MODES:  # too slow a sensor for what happens in two seconds
+            starts = starts[:0]
         if len(starts):
             starts = starts[~gyro.touches_gap(t[starts] - margin, t[starts + length] + margin)]
         turn = gyro.between(t[:-1], t[1:]) - bias_b_radps * self.step_s

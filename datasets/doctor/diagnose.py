@@ -13,7 +13,7 @@ from stillpoint.datasets.doctor.lag import Lag
 from stillpoint.datasets.doctor.lags import check_lags
 from stillpoint.datasets.doctor.noise import check_noise
 from stillpoint.datasets.doctor.remedy import apply
-from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity
+from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
 from stillpoint.datasets.doctor.values import check_steps, check_values
 from stillpoint.datasets.doctor.witness import Witness, ask_accel, ask_mag
@@ -37,6 +37,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     if any(finding.code in UNUSABLE for finding in case.findings):
         case.found([Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")])
         return case.diagnosis()
+    case.run(check_gyro_size)
     case.run(lambda now: check_gravity(now, case.rests_ns))
     witnesses, accel_lag = _settle_axes(case)
     mag = next((one for one in witnesses if one.name == "mag" and one.choice is not None), None)

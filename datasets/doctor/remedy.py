@@ -36,7 +36,10 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
 
 
 def line_through(t_ns: Times) -> Times:
-    """Evenly spaced stamps by a least-squares line through each stretch without a gap."""
+    """Evenly spaced stamps by a least-squares line through each stretch without a gap.
+
+    The stamps as they were where lines of neighbouring stretches would cross.
+    """
     edges = np.concatenate([[0], np.flatnonzero(np.diff(t_ns) > LONGEST_BURST_S * 1e9) + 1, [len(t_ns)]])
     even = t_ns.astype(np.int64).copy()
     for first, last in pairwise(edges):
@@ -45,7 +48,7 @@ def line_through(t_ns: Times) -> Times:
             since_ns = (t_ns[first:last] - t_ns[first]).astype(np.float64)
             slope, start = np.polyfit(count, since_ns, 1)
             even[first:last] = t_ns[first] + np.round(start + slope * count).astype(np.int64)
-    return even
+    return even if (np.diff(even) > 0).all() else t_ns
 
 
 def repeats(values: Floats) -> np.ndarray:

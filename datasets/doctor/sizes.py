@@ -4,6 +4,7 @@ import numpy as np
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds, inside
+from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
 
 GRAVITY_MPS2 = 9.80665
@@ -14,13 +15,26 @@ MOVING_UNIT = 1.2  # without rest: the median size in motion may be off by this 
 FIELD_UNIT_UT = (12.0, 120.0)  # outside, another unit is looked for: half and twice what the Earth has
 
 
+def check_gyro_size(recording: Recording) -> list[Finding]:
+    """Rates that no MEMS gyro can measure, but in deg/s could."""
+    fastest = float(np.abs(recording.require_imu().gyro_b_radps).max())
+    if fastest <= FASTEST_GYRO_RADPS:
+        return []
+    factor = np.pi / 180
+    message = f"gyro: reaches {fastest:.4g} rad/s, more than any MEMS gyro measures"
+    if factor * fastest > FASTEST_GYRO_RADPS:
+        return [Finding("gyro-units", "error", message + ", and no unit explains it; find out its unit")]
+    remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _scaling(factor))
+    return [Finding("gyro-units", "error", message + f": it is in deg/s; multiply by {factor:.6g}", remedy)]
+
+
 def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
     """Size of the specific force at rest, or of its median where nothing rests."""
     imu = recording.require_imu()
     still = inside(imu.t_ns, rests_ns if len(rests_ns) else calm_seconds(imu))
     at_rest = bool(still.sum() >= 20)
     norm = np.linalg.norm(imu.accel_b_mps2[still] if at_rest else imu.accel_b_mps2, axis=1)
-    size = float(np.median(norm))
+    size = max(float(np.median(norm)), 1e-300)
     where = "at rest" if at_rest else "in the median (nothing rests)"
     values = {"size_mps2": size}
     tolerance = GRAVITY_UNIT if at_rest else MOVING_UNIT
@@ -54,18 +68,13 @@ def check_field_unit(recording: Recording, hard_iron_b_ut: Floats | None) -> lis
     if FIELD_UNIT_UT[0] <= size <= FIELD_UNIT_UT[1]:
         return []
     if recording.info.mag_uncalibrated and not known:
-        message = f"mag: {size:.4g} {how}; its unit is not tested, as it is not calibrated and turned too little"
-        return [Finding("field-not-tested", "fact", message, values=values)]
+        return []
     for unit, factor in UNITS_OF_FIELD.items():
         if FIELD_UNIT_UT[0] <= size * factor <= FIELD_UNIT_UT[1]:
             remedy = Remedy("matrix", "mag", f"mag * {factor:g} ({unit} -> uT)", _scaling(factor))
             message = f"mag: the field is {size:.4g} {how}, not 20-70 uT: it is in {unit}; multiply by {factor:g}"
             return [Finding("mag-units", "error", message, remedy, values)]
-    message = (
-        f"mag: the field is {size:.4g} {how}, not 20-70 uT, and no unit explains it; "
-        "calibrate it, or look for magnets near the sensor"
-    )
-    return [Finding("field-size", "warning", message, None, values)]
+    return []
 
 
 def _scaling(factor: float) -> tuple[float, ...]:

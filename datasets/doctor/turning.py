@@ -44,8 +44,9 @@ class Series:
         With sharp ends, noise averages out the better the further the ends lie from the stamps, and a search for a lag
         between streams of one rate would settle there, half a step beside the true one.
         """
-        offsets = self.step_s * np.array([-0.375, -0.125, 0.125, 0.375])
-        return np.asarray(sum(self.between(start_s + one, end_s + one) for one in offsets) / len(offsets))
+        quarter = self.step_s / 4
+        early = self.between(start_s - quarter, end_s - quarter)
+        return 0.5 * (early + self.between(start_s + quarter, end_s + quarter))
 
     def _at(self, t_s: Floats) -> Floats:
         return np.stack([np.interp(t_s, self.t_s, column) for column in self.integral.T], axis=1)

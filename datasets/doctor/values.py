@@ -86,8 +86,13 @@ def _sensors(recording: Recording) -> list[Sensor]:
 
 
 def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples with at least half of their 21 neighbours in the mask."""
-    return np.asarray(np.convolve(mask, np.ones(21) / 21, mode="same") > 0.5)
+    """Samples with more than half of their 21 neighbours in the mask."""
+    return _share_around(mask, 21) > 0.5
+
+
+def _share_around(mask: NDArray[np.bool_], width: int) -> Floats:
+    width = min(width, len(mask))
+    return np.asarray(np.convolve(mask, np.ones(width) / width, mode="same"))
 
 
 def _stuck(sensor: Sensor) -> list[Finding]:
@@ -160,7 +165,7 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
     share = float(same[sensor.moving].mean())
     # A stretch of doubled samples is a fault as well, however short beside the recording.
     pairs = same & sensor.moving
-    stretch = np.convolve(pairs, np.ones(40) / 40, mode="same") > 0.4
+    stretch = _share_around(pairs, 40) > 0.4
     where = sensor.moving if share >= HELD_SHARE else stretch & sensor.moving
     if not where.any() or _slow_for_its_steps(sensor, same, where):
         return []

@@ -47,6 +47,8 @@ class Witness:
 
 def ask_mag(imu: Imu, mag: Mag) -> Witness:
     """The magnetometer: insensitive to translation, and its hard iron comes out as well."""
+    if len(mag.t_ns) < FEWEST_WINDOWS:
+        return Witness("mag", None)
     origin = int(imu.t_ns[0])
     field = vector_series(mag.t_ns, mag.mag_b_ut, origin)
     grid = Grid(gyro_series(imu, origin), field, REACH_S)
@@ -66,12 +68,11 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     if choice is None:
         return Witness("mag", None)
 
-    lag = rough
-    for _ in range(2):
-        at = grid.at_lag(lag.lag_s if lag else 0.0)
-        found, residual = _fit(at, choice.matrix, centre, weight)
-        weight = 1 / (1 + residual**2 / (9 * np.median(residual) ** 2 + 1e-300))
-        lag = find_lag(_fitted_loss(grid, choice.matrix, centre, weight))
+    at = grid.at_lag(rough.lag_s if rough else 0.0)
+    _, residual = _fit(at, choice.matrix, centre, weight)
+    weight = 1 / (1 + residual**2 / (9 * np.median(residual) ** 2 + 1e-300))
+    lag = find_lag(_fitted_loss(grid, choice.matrix, centre, weight))
+    found, _ = _fit(grid.at_lag(lag.lag_s if lag else 0.0), choice.matrix, centre, weight)
     bias = -choice.matrix.T @ found[1:4] / found[0]
     return Witness("mag", choice, float(found[0]), lag, bias, centre + found[4:7] / found[0])
 
