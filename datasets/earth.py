@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 import pymap3d
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pygeomag import GeoMag
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.recording import Floats, Info
 
-Floats = NDArray[np.float64]
 Place = tuple[float, float, float]
 
 FIELD_YEARS = (2010.0, 2030.0)  # the World Magnetic Models of 2010, 2015v2, 2020 and 2025, five years each
@@ -64,6 +64,21 @@ def declination_rad(place: Place, date: str) -> float:
             "magnetic pole; there is no usable declination"
         )
     return float(np.arctan2(east, north))
+
+
+def local_declination(info: Info) -> tuple[float, str]:
+    """The declination (rad) where and when a recording was made, and which north that gives.
+
+    0, and the reason, where place or date is not known or the model does not hold.
+    """
+    if info.place_lat_lon_alt is None or not info.date:
+        return 0.0, "magnetic north: the date or place is not known"
+    try:
+        declination = declination_rad(info.place_lat_lon_alt, info.date)
+    except BadParameter as error:
+        return 0.0, f"magnetic north: {error}"
+    lat_deg, lon_deg, _ = info.place_lat_lon_alt
+    return declination, f"true north: World Magnetic Model at {lat_deg:g}, {lon_deg:g} deg on {info.date}"
 
 
 def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:

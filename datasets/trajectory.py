@@ -62,6 +62,7 @@ class Reference:
     gyro_bias_b_radps: Floats  # (N, 3)
     method: str
     name: str = ""  # of the recording
+    heading_sd_rad: float = 0.0  # of a heading error that all samples share; not contained in cov_b_rad2
     calibration: Calibration = field(default_factory=Calibration)
     rests_ns: Times = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))  # (R, 2) first, last stamp
     returns: tuple[BasePoseReturn, ...] = ()
@@ -78,6 +79,11 @@ class Reference:
         if (np.diagonal(cov, axis1=1, axis2=2) <= 0).any():
             raise BadRecording("reference.cov_b_rad2: a variance is not positive; a reference states its accuracy")
         freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
+
+
+def total_sd_rad(cov_b_rad2: Floats) -> Floats:
+    """Standard deviation (N,) of the size of the attitude error that has the covariances (N, 3, 3)."""
+    return np.asarray(np.sqrt(np.trace(cov_b_rad2, axis1=-2, axis2=-1)), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,9 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from stillpoint.datasets.recording import Floats
 from stillpoint.filters.compiled import compiled
 from stillpoint.filters.rotation import Quaternion, Vector
-
-Floats = NDArray[np.float64]
 
 # A longer interval between two samples is a gap: one rate does not describe it.
 GAP_S = 1.0

@@ -15,18 +15,16 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
-from stillpoint.datasets.recording import Times
+from stillpoint.datasets.recording import Floats, Times
 from stillpoint.scoring.clock import TIME_RANGE_S, clock_offset_ns
 from stillpoint.scoring.errors import heading_offset
 from stillpoint.scoring.match import Track, attitude_at, match, require_some
 
-Floats = NDArray[np.float64]
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
 

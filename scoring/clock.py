@@ -5,10 +5,8 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
-from stillpoint.datasets.recording import Times
+from stillpoint.datasets.recording import Floats, Times
 from stillpoint.scoring.match import Track, attitude_at, match
-
-Floats = NDArray[np.float64]
 
 TIME_RANGE_S = 0.5  # clocks are searched within +- this
 TURN_S = 0.1  # a turn is the rotation over this time: long against noise, under half a turn at 1800 deg/s

@@ -3,16 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadParameter, Unobservable
-from stillpoint.datasets.recording import Times, Truth
+from stillpoint.datasets.recording import Floats, Times, Truth
+from stillpoint.datasets.times import inside
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
-from stillpoint.scoring.match import attitude_at, covariance_at, match, track
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from stillpoint.scoring.match import Mask, attitude_at, covariance_at, match, track
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +84,4 @@ def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask
         return moving
     if isinstance(truth, Truth):
         return truth.moving
-    at_rest = np.zeros(len(truth.t_ns), dtype=np.bool_)
-    for first_ns, last_ns in truth.rests_ns:
-        at_rest |= (truth.t_ns >= first_ns) & (truth.t_ns <= last_ns)
-    return ~at_rest
+    return ~inside(truth.t_ns, truth.rests_ns)

@@ -1,9 +1,8 @@
 """Fewer points for the same picture: a long series drawn with a few points per pixel column keeps every peak."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from stillpoint.datasets.recording import Floats
 
 
 def envelope(t: Floats, value: Floats, columns: int) -> tuple[Floats, Floats]:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.frames import EulerFrame, euler, quaternion, rotation, wrap
-
-Floats = NDArray[np.float64]
+from stillpoint.datasets.recording import Floats
 
 GIMBAL_RAD = np.deg2rad(80.0)  # beyond this pitch, roll and yaw errors are large for any small rotation
 

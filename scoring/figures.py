@@ -11,18 +11,15 @@ import numpy as np
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
 from stillpoint.datasets.frames import EulerFrame, euler, rotation
-from stillpoint.datasets.recording import Times, Truth
-from stillpoint.datasets.trajectory import Reference
+from stillpoint.datasets.recording import Floats, Times, Truth
+from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.trajectory import Reference, total_sd_rad
 from stillpoint.scoring.compare import Comparison, moving_samples, name_of
 from stillpoint.scoring.envelope import break_line, envelope
 from stillpoint.scoring.errors import attitude_error, rotation_error_n
-from stillpoint.scoring.match import GAP_STEPS
 from stillpoint.scoring.score import Score
-
-Floats = NDArray[np.float64]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
 ON_DARK = ("#4DA9E8", "#FF8B4A", "#2EC79A", "#E6A0C8", "#F2B632", "#9AD8F7", "#B9A0DB", "#D1A04D")  # the same, lighter
@@ -95,7 +92,7 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         ax.set_ylabel("deg")
         ax.set_title(comparison.estimated, loc="left", color=colour_of(k), fontweight="bold")
         if comparison.true_cov_b_rad2 is not None:
-            sd = np.rad2deg(np.sqrt(np.trace(comparison.true_cov_b_rad2[shown], axis1=1, axis2=2)))
+            sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
             t, floor = envelope(view.seconds(t_ns), sd, _columns(ax))
             ax.fill_between(t, SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
         _time_axis(ax, view)
@@ -160,8 +157,7 @@ def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style
 def _line(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
     """One series, broken at gaps and wraps, with as many points as a picture can show."""
     t = view.seconds(t_ns)
-    step = GAP_STEPS * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
-    ax.plot(*envelope(*break_line(t, value, step, jump), _columns(ax)), **style)
+    ax.plot(*envelope(*break_line(t, value, longest_step_ns(t_ns) / 1e9, jump), _columns(ax)), **style)
 
 
 def _columns(ax: Axes) -> int:

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording, Unobservable
 from stillpoint.datasets.frames import slerp
-from stillpoint.datasets.recording import Times, Truth
+from stillpoint.datasets.recording import Floats, Times, Truth
+from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, Reference
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-GAP_STEPS = 5.0  # a step longer than this many median steps is a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +23,6 @@ class Track:
     q_nb: Floats  # (N, 4)
     cov_b_rad2: Floats | None  # (N, 3, 3)
     unready: Mask  # (N,)
-
-    @property
-    def gap_ns(self) -> float:
-        """The longest step that is bridged."""
-        return GAP_STEPS * float(np.median(np.diff(self.t_ns))) if len(self.t_ns) > 1 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +59,7 @@ def match(source: Track, at_ns: Times) -> Match:
     t = source.t_ns
     outside = (at_ns < t[0]) | (at_ns > t[-1])
     left, right = _neighbours(t, at_ns)
-    in_gap = ~outside & (t[right] - t[left] > source.gap_ns)
+    in_gap = ~outside & (t[right] - t[left] > longest_step_ns(t))
     unready = ~outside & ~in_gap & (source.unready[left] | source.unready[right])
     return Match(outside, in_gap, unready)
 

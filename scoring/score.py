@@ -9,13 +9,11 @@ from scipy.stats import chi2
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame
-from stillpoint.datasets.recording import Truth
-from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.datasets.recording import Floats, Truth
+from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
 from stillpoint.scoring.align import AlignKind, Alignment
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
-
-Floats = NDArray[np.float64]
 
 CHI2_3_95 = float(chi2.ppf(0.95, 3))
 
@@ -161,8 +159,7 @@ def _consistency(comparison: Comparison) -> tuple[float | None, float | None]:
 def _reference_sd_deg(comparison: Comparison) -> float | None:
     if comparison.true_cov_b_rad2 is None:
         return None
-    trace = np.trace(comparison.true_cov_b_rad2[comparison.moving], axis1=1, axis2=2)
-    return float(np.rad2deg(np.median(np.sqrt(trace))))
+    return float(np.rad2deg(np.median(total_sd_rad(comparison.true_cov_b_rad2[comparison.moving]))))
 
 
 def score_row(score: Score) -> dict[str, Any]:

@@ -10,12 +10,11 @@ from rich.table import Table
 
 from stillpoint.datasets.recording import Recording, Times, rate_hz
 from stillpoint.datasets.store import read
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.datasets.times import gaps
+from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 from stillpoint.scripts.inputs import mcap_files
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.smoother.rest import find_rests
-
-GAP_STEPS = 3.0  # a step longer than three median ones is a gap
 
 
 def info(
@@ -55,7 +54,7 @@ def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate
         "streams": [_clock("q_nb", thing.t_ns)],
     }
     if isinstance(thing, Reference):
-        sd_deg = np.rad2deg(np.sqrt(np.trace(thing.cov_b_rad2, axis1=1, axis2=2)))
+        sd_deg = np.rad2deg(total_sd_rad(thing.cov_b_rad2))
         returns = [one.accepted for one in thing.returns]
         facts |= {"kind": "reference", "method": thing.method, "rests": _spans(thing.rests_ns, thing.t_ns)}
         facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
@@ -96,7 +95,7 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
 
 def _clock(name: str, t_ns: Times) -> dict[str, Any]:
     steps_s = np.diff(t_ns) / 1e9
-    gaps_s = steps_s[steps_s > GAP_STEPS * np.median(steps_s)] if len(steps_s) else steps_s
+    gaps_s = steps_s[gaps(t_ns)]
     return {
         "stream": name,
         "samples": len(t_ns),

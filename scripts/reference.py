@@ -15,6 +15,7 @@ from stillpoint.datasets import Reference, write
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.settings import Settings
 from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import Outcome, run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
@@ -117,7 +118,7 @@ def _make(job: _Job, settings: dict[str, Settings]) -> dict[str, Any]:
 
 
 def _facts(made: Reference) -> dict[str, Any]:
-    sd_deg = np.rad2deg(np.sqrt(np.trace(made.cov_b_rad2, axis1=1, axis2=2)))
+    sd_deg = np.rad2deg(total_sd_rad(made.cov_b_rad2))
     return {
         "samples": len(made.t_ns),
         "rests": len(made.rests_ns),

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.earth import declination_rad
-from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
+from stillpoint.datasets.earth import local_declination
+from stillpoint.datasets.errors import BadRecording, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
-from stillpoint.datasets.recording import Floats, Info, Recording, Times
+from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.trajectory import BasePoseReturn
 from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing
@@ -141,18 +141,8 @@ def _attitude(recording: Recording, rest_ns: Times, accel_b: Floats, params: Ret
     if not rows.any():
         return quaternion(level_attitude(accel_b, None)), "arbitrary: the magnetometer is silent in the first rest"
     magnetic = level_attitude(accel_b, mag.mag_b_ut[rows].mean(axis=0))
-    declination, heading = _declination(recording.info)
+    declination, heading = local_declination(recording.info)
     return quaternion(heading_rotation(-declination) * magnetic), heading
-
-
-def _declination(info: Info) -> tuple[float, str]:
-    """Declination in rad, east positive, and what the heading then refers to; 0 where it cannot be known."""
-    if not info.date or info.place_lat_lon_alt is None:
-        return 0.0, "magnetic north: the date or place is not known"
-    try:
-        return declination_rad(info.place_lat_lon_alt, info.date), "true north"
-    except BadParameter as error:
-        return 0.0, f"magnetic north: {error}"
 
 
 def _judge(tilt_rad: float, path: Swing, base: BasePose, errors: GyroErrors, params: ReturnParams) -> tuple[bool, str]:

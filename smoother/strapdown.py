@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.settings import Settings, degrees, number
+from stillpoint.datasets.times import GAP_STEPS as GAP_STEPS
+from stillpoint.datasets.times import gaps
 
 CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
-GAP_STEPS = 5.0  # an interval longer than this many median steps is a gap: 5 lost samples
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class Swing:
 def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Floats, errors: GyroErrors) -> Swing:
     """Integrate from the attitude ``q_start_nb`` (4,) at sample ``start`` to sample ``stop``, forwards or back.
 
-    An interval that is a gap (:func:`gaps`) is crossed with the rate at its end, and widens the random walk.
+    An interval that is a gap is crossed with the rate at its end, and widens the random walk.
     """
     forwards = stop >= start
     intervals = np.arange(start + 1, stop + 1) if forwards else np.arange(start, stop, -1)
     step_s = (imu.t_ns[intervals] - imu.t_ns[intervals - 1]) / 1e9
     rate = imu.gyro_b_radps[intervals] - bias_b_radps
     dt_s = step_s if forwards else -step_s
-    hidden = np.where(gaps(imu)[intervals - 1], (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
+    hidden = np.where(gaps(imu.t_ns)[intervals - 1], (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
     return Swing(
         rows=intervals if forwards else intervals - 1,
         q_nb=integrate(np.asarray(q_start_nb, dtype=np.float64), rate, dt_s),
@@ -64,12 +64,6 @@ def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Flo
         dt_s=dt_s,
         walk_rad2=np.cumsum(errors.walk_rad_rts**2 * step_s + hidden),
     )
-
-
-def gaps(imu: Imu) -> NDArray[np.bool_]:
-    """Which of the N - 1 intervals between samples are gaps: longer than 5 median steps."""
-    steps = np.diff(imu.t_ns)
-    return np.asarray(steps > GAP_STEPS * np.median(steps)) if len(steps) else np.zeros(0, dtype=np.bool_)
 
 
 @numba.njit(cache=True)

@@ -257,7 +257,7 @@ def test_every_recording_says_where_it_comes_from(phones):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kind": "phone-4"}, "phone-1, phone-2, phone-3"),
+        ({"kind": "walk"}, "phone-1, phone-2, phone-3"),
         ({"kind": "phone-1", "seed": -1}, "seed"),
         ({"kind": "phone-1", "minutes": 0.2}, "0.55"),
         ({"kind": "phone-3", "minutes": 1.0}, "1.38"),

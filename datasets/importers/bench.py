@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.bundle import digests, folders_with
 from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising, seconds_to_ns, straight
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.units import FIELD, FORCE, RATE
@@ -23,11 +23,7 @@ WHAT = {GYRO: "gyro", ACCEL: "accelerometer", MAG: "mag"}
 
 def read_bench(source: Path, options: Options) -> Iterator[Recording]:
     """The log of one folder, or of all folders below. Raises :class:`BadSource`."""
-    existing(source)
-    folders = sorted(file.parent for file in source.rglob(GYRO)) if source.is_dir() else []
-    if not folders:
-        raise BadSource(f"{source}: no folder here or below holds {GYRO}; name the folder of a log")
-    for folder in folders:
+    for folder in folders_with(source, GYRO, "name the folder of a log"):
         yield _log_of(folder, options)
 
 

@@ -21,6 +21,15 @@ def existing(source: Path) -> Path:
     return source
 
 
+def folders_with(source: Path, name: str, remedy: str) -> list[Path]:
+    """The folders at or below a source that hold a file of this name; raises :class:`BadSource` when there is none."""
+    existing(source)
+    folders = sorted(file.parent for file in source.rglob(name)) if source.is_dir() else []
+    if not folders:
+        raise BadSource(f"{source}: no folder here or below holds {name}; {remedy}")
+    return folders
+
+
 @dataclass(frozen=True)
 class Bundle:
     """Named text files of one recording, from a folder or a zip."""

@@ -7,7 +7,6 @@ per count. Columns go by their names in the header, or by numbers from 1 where t
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,13 +15,14 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
 from stillpoint.datasets.importers.bundle import digests, existing
-from stillpoint.datasets.importers.clock import UNIX_FROM_NS, Log, Series, finite, merge, rising
+from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising
 from stillpoint.datasets.importers.columns import quaternion_columns, split, vector
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.provenance import own_info
 from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT
 from stillpoint.datasets.nearest import nearest
-from stillpoint.datasets.recording import Info, Mag, Recording, Times, Truth
+from stillpoint.datasets.recording import Mag, Recording, Times, Truth
 
 SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
 FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
@@ -102,20 +102,7 @@ def _recording(file: Path, options: CsvOptions) -> Recording:
     mag = reading.series("mag", t_ns)
     imu = merge(gyro, accel, str(file), reading.log)
     truth = reading.truth(t_ns)
-    unix = t_ns[0] >= UNIX_FROM_NS
-    info = Info(
-        source=f"delimited log {file.name}",
-        licence=options.licence,
-        citation=options.citation,
-        sensor=options.sensor,
-        epoch="unix" if unix else "source",
-        date=datetime.fromtimestamp(t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
-        mag_uncalibrated=options.mag_uncalibrated,
-        units_unchecked=options.units_unchecked,
-        sha256=digests([file], file.parent),
-        conversions=tuple(reading.log.conversions),
-        notes=tuple(reading.log.notes),
-    )
+    info = own_info(f"delimited log {file.name}", options, t_ns, digests([file], file.parent), reading.log)
     mag_stream = None if mag is None else Mag(mag.t_ns, mag.values)
     return Recording(file.stem, imu=imu, mag=mag_stream, truth=truth, info=info)
 

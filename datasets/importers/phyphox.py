@@ -8,8 +8,7 @@ settings, and the words follow the user's language.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +28,9 @@ from stillpoint.datasets.importers.clock import (
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.gps import fixes
 from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.provenance import own_info
 from stillpoint.datasets.importers.units import FIELD, FORCE, RATE, plain
-from stillpoint.datasets.recording import Floats, Gps, Info, Mag, Recording, Times
+from stillpoint.datasets.recording import Floats, Gps, Mag, Recording, Times
 
 SENSORS = {"gyro": RATE, "accel": FORCE, "mag": FIELD}
 TARGET = {"gyro": "rad/s", "accel": "m/s^2", "mag": "uT"}
@@ -65,21 +65,16 @@ def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Recording]:
         raise BadSource(f"{source}: has no columns x, y, z of the {missing}; record it with phyphox and export again")
     imu = merge(gyro, accel, str(source), log)
     device = _properties(bundle)
-    unix = len(starts) > 0
-    info = Info(
-        source="phyphox",
-        licence=options.licence,
-        citation=options.citation,
+    gps = _gps(tables, starts, log)
+    info = own_info(
+        "phyphox",
+        options,
+        imu.t_ns,
+        bundle.sha256,
+        log,
         sensor=options.sensor or device.get("deviceModel", ""),
-        epoch="unix" if unix else "source",
-        date=datetime.fromtimestamp(imu.t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
-        mag_uncalibrated=options.mag_uncalibrated,
-        units_unchecked=options.units_unchecked,
-        sha256=bundle.sha256,
         extra={key: device[key] for key in ("version", "deviceBrand", "deviceRelease") if key in device},
     )
-    gps = _gps(tables, starts, log)
-    info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
     yield Recording(bundle.name, imu=imu, mag=None if mag is None else Mag(mag.t_ns, mag.values), gps=gps, info=info)
 
 

@@ -6,19 +6,19 @@ tesla; the attitude takes the body to a local East-North-Up frame.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
-from stillpoint.datasets.importers.clock import UNIX_FROM_NS, Log, Series, finite, rising
+from stillpoint.datasets.importers.clock import Log, Series, finite, rising
 from stillpoint.datasets.importers.gps import fixes
 from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.provenance import own_info
 from stillpoint.datasets.importers.ros_messages import LEAVES, TF, Source, open_source
 from stillpoint.datasets.importers.units import FIELD
-from stillpoint.datasets.recording import Gps, Imu, Info, Mag, Recording, Truth
+from stillpoint.datasets.recording import Gps, Imu, Mag, Recording, Truth
 
 
 @dataclass(frozen=True)
@@ -74,24 +74,12 @@ def _topic(source: Path, bag: Source, stream: str, options: RosOptions) -> str |
 
 def _recording(source: Path, series: dict[str, Series], options: RosOptions, log: Log) -> Recording:
     imu = series["imu"]
-    unix = imu.t_ns[0] >= UNIX_FROM_NS
     files = [source] if source.is_file() else sorted(file for file in source.rglob("*") if file.is_file())
     mag = _mag(series["mag"], log) if "mag" in series else None
     gps = _gps(series["gps"], log) if "gps" in series else None
     truth = _truth(source, series["truth"], log) if "truth" in series else None
-    info = Info(
-        source=f"ROS bag {source.name}",
-        licence=options.licence,
-        citation=options.citation,
-        sensor=options.sensor,
-        epoch="unix" if unix else "source",
-        date=datetime.fromtimestamp(imu.t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
-        mag_uncalibrated=options.mag_uncalibrated,
-        units_unchecked=options.units_unchecked,
-        sha256=digests(files, source.parent if source.is_file() else source),
-        conversions=tuple(log.conversions),
-        notes=tuple(log.notes),
-    )
+    sha256 = digests(files, source.parent if source.is_file() else source)
+    info = own_info(f"ROS bag {source.name}", options, imu.t_ns, sha256, log)
     stream = Imu(imu.t_ns, imu.values[:, :3], imu.values[:, 3:])
     return Recording(source.stem, imu=stream, mag=mag, gps=gps, truth=truth, info=info)
 

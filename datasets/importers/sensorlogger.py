@@ -7,7 +7,6 @@ app's "Standardise Units & Frames" was on (the app's pages UNITS, COORDINATES an
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,9 @@ from stillpoint.datasets.importers.clock import Log, Series, finite, merge, risi
 from stillpoint.datasets.importers.delimited import parse
 from stillpoint.datasets.importers.gps import COLUMNS, fixes
 from stillpoint.datasets.importers.options import PhoneOptions
+from stillpoint.datasets.importers.provenance import own_info
 from stillpoint.datasets.importers.units import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.recording import Gps, Info, Mag, Recording
+from stillpoint.datasets.recording import Gps, Mag, Recording
 
 MAG_FILES = {
     "raw": ("MagnetometerUncalibrated.csv", "Magnetometer.csv"),
@@ -55,21 +55,18 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Recording
     log.converted(f"gyro from {gyro_file}, rad/s")
     imu = merge(gyro, _force(bundle, phone, log), str(source), log)
     mag, raw = _mag(bundle, options, log)
-    info = Info(
-        source="Sensor Logger",
-        licence=options.licence,
-        citation=options.citation,
+    gps = _gps(bundle, log)
+    info = own_info(
+        "Sensor Logger",
+        options,
+        imu.t_ns,
+        bundle.sha256,
+        log,
         sensor=options.sensor or phone.model,
-        epoch="unix",
-        date=datetime.fromtimestamp(imu.t_ns[0] / 1e9, UTC).date().isoformat(),
         mag_uncalibrated=raw or options.mag_uncalibrated,
-        units_unchecked=options.units_unchecked,
-        sha256=bundle.sha256,
-        conversions=tuple(log.conversions),
-        notes=tuple(log.notes),
         extra={"platform": phone.platform, "standardised": str(phone.standardised).lower()},
     )
-    yield Recording(bundle.name, imu=imu, mag=mag, gps=_gps(bundle, log), info=info)
+    yield Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info)
 
 
 def _phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:

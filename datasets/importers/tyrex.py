@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import quaternion
-from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.bundle import digests, folders_with
 from stillpoint.datasets.importers.clock import Log, Series, finite, from_zero, merge, rising, seconds_to_ns
 from stillpoint.datasets.importers.options import TyrexOptions
 from stillpoint.datasets.importers.tyrex_excluded import EXCLUDED_S
@@ -34,11 +34,7 @@ MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.t
 
 def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Recording]:
     """The trial of a folder (``android/NAME`` or ``ios/NAME``), or all trials below. Raises :class:`BadSource`."""
-    existing(source)
-    folders = sorted(file.parent for file in source.rglob(NEEDED[0])) if source.is_dir() else []
-    if not folders:
-        raise BadSource(f"{source}: no folder here or below holds {NEEDED[0]}; name android/, ios/ or a trial in them")
-    for folder in folders:
+    for folder in folders_with(source, NEEDED[0], "name android/, ios/ or a trial in them"):
         yield _trial(folder, options)
 
 

@@ -4,16 +4,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from stillpoint.datasets.frames import quaternion
-from stillpoint.datasets.recording import Imu, Mag, Times, Truth
+from stillpoint.datasets.recording import Floats, Imu, Mag, Times, Truth
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.path import Path
 from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2, AccelModel, ClockModel, GyroModel, MagModel
-
-Floats = NDArray[np.float64]
 
 ALLAN_TOP = 0.6178  # largest Allan deviation of a first-order Gauss-Markov process of unit sd (at 1.89 times its time)
 

@@ -14,8 +14,7 @@ from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
-
-Floats = NDArray[np.float64]
+from stillpoint.datasets.recording import Floats
 
 
 def strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:

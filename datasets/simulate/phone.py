@@ -7,18 +7,15 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
-from stillpoint.datasets.recording import Info, Recording
+from stillpoint.datasets.recording import Floats, Info, Recording
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
 from stillpoint.datasets.simulate.path import Path, strokes
 from stillpoint.datasets.simulate.sensor import Sensor
-
-Floats = NDArray[np.float64]
 
 PLACE = (35.80, 51.49, 1600.0)  # the north of Tehran, where the paper was written
 DATE = "2021-06-12T08:00:00+00:00"  # the day on which the journal received it
