@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stillpoint.datasets import BadParameter, Recording
+from stillpoint.datasets import BadParameter, Imu, Mag
+from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choice, number
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,9 +39,8 @@ class PeerTrack(NamedTuple):
     gyro_bias_b_radps: Floats | None  # (N, 3)
 
 
-def at_constant_rate(recording: Recording) -> tuple[PeerInput, dict[str, Any]]:
-    """The recording at its mean interval, and how far that and the held field are from the truth."""
-    imu, mag = recording.require_imu(), recording.mag
+def at_constant_rate(imu: Imu, mag: Mag | None) -> tuple[PeerInput, dict[str, Any]]:
+    """The samples at their mean interval, and how far that and the held field are from the truth."""
     n = len(imu.t_ns)
     since_start_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     interval_s = float(since_start_s[-1]) / (n - 1) if n > 1 else 0.01

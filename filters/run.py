@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets import BadParameter, Estimate, Recording
-from stillpoint.datasets.earth import declination_rad
+from stillpoint.datasets import BadParameter, Estimate, Imu, Mag, Recording
+from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters import peers
@@ -26,8 +26,9 @@ def estimate(
     """What the estimator ``name`` of :data:`ESTIMATORS` says at every IMU sample of ``recording``.
 
     At each IMU sample a filter gets the newest field that it has not had, if there is one (``mag.t_ns <= t_ns``). The
-    declination comes from the recording's date and place; without them n is magnetic East-North-Up, and the
-    diagnostics say so. Diagnostics that begin with ``n_`` are counts of what was left out or met.
+    declination comes from the recording's date and place; without them n is magnetic East-North-Up. A magnetometer
+    that is not calibrated is left out. The diagnostics say what the heading refers to; those that begin with ``n_``
+    are counts of what was left out or met.
 
     Parameters
     ----------
@@ -50,33 +51,47 @@ def estimate(
     entry = find(name)
     settings = chosen(entry.params(), params, name)
     imu = recording.require_imu()
-    declination, source = local_declination(recording)
+    mag, declination, facts = heading_source(recording)
     if isinstance(entry, Peer):
         if precision != "double":
             raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
-        data, facts = peers.at_constant_rate(recording)
+        data, counted = peers.at_constant_rate(imu, mag)
         begun = perf_counter_ns()
         found = entry.batch(data, settings)
         elapsed_ns = perf_counter_ns() - begun
         columns = found._replace(q_nb=to_true_north(found.q_nb, declination))._asdict()
     else:
-        log, facts = as_log(recording)
-        columns, counted, elapsed_ns = _run(entry, log, settings, declination, precision)
-        facts |= counted | {"precision": precision}
+        log, counted = as_log(imu, mag)
+        columns, met, elapsed_ns = _run(entry, log, settings, declination, precision)
+        counted |= met | {"precision": precision}
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
         recording=recording.name,
         params=asdict(settings),
-        diagnostics=facts | {"declination_rad": declination, "declination": source},
+        diagnostics=counted | facts,
         ns_per_sample=elapsed_ns / len(imu.t_ns),
         **columns,
     )
 
 
-def as_log(recording: Recording) -> tuple[Log, dict[str, Any]]:
+def heading_source(recording: Recording) -> tuple[Mag | None, float, dict[str, Any]]:
+    """The magnetometer to use, if there is one, the declination (rad, east positive), and words about both.
+
+    One that is not calibrated is not used: a hard iron of the field's size or more makes every heading wrong.
+    """
+    facts: dict[str, Any] = {"declination_rad": 0.0}
+    if recording.mag is None:
+        return None, 0.0, facts | {"heading": "arbitrary: there is no magnetometer"}
+    if recording.info.mag_uncalibrated:
+        facts["n_mag_uncalibrated"] = len(recording.mag.t_ns)
+        return None, 0.0, facts | {"heading": "arbitrary: the magnetometer is not calibrated"}
+    declination, heading = local_declination(recording.info)
+    return recording.mag, declination, {"declination_rad": declination, "heading": heading}
+
+
+def as_log(imu: Imu, mag: Mag | None) -> tuple[Log, dict[str, Any]]:
     """The samples in the order in which a stream would bring them, and counts of what is irregular in them."""
-    imu, mag = recording.require_imu(), recording.mag
     dt_s = np.diff(imu.t_ns, prepend=imu.t_ns[0]) / 1e9
     mag_row = np.full(len(dt_s), -1, dtype=np.int64)
     facts: dict[str, Any] = {"n_imu_gaps": int((dt_s > GAP_S).sum())}
@@ -89,19 +104,6 @@ def as_log(recording: Recording) -> tuple[Log, dict[str, Any]]:
     mag_row[is_new] = newest[is_new]
     facts["n_mag_unused"] = len(mag.t_ns) - int(is_new.sum())
     return Log(dt_s, imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut, mag_row), facts
-
-
-def local_declination(recording: Recording) -> tuple[float, str]:
-    """The declination (rad, east positive) at the recording's place and date, 0 where they are not known, and why."""
-    place, date = recording.info.place_lat_lon_alt, recording.info.date
-    if recording.mag is None:
-        return 0.0, "no magnetometer: the heading of n is arbitrary"
-    if place is None or not date:
-        return 0.0, "date or place not known: n is magnetic East-North-Up"
-    try:
-        return declination_rad(place, date), f"World Magnetic Model at {place[0]:g}, {place[1]:g} deg on {date}"
-    except BadParameter as error:
-        return 0.0, f"n is magnetic East-North-Up: {error}"
 
 
 def to_true_north(q_nb: Floats, declination: float) -> Floats:

@@ -288,7 +288,21 @@ def test_without_a_magnetometer_only_the_tilt_is_corrected(name: str) -> None:
     up_b = rotation(found.q_nb).inv().apply([0, 0, 1])
     assert np.allclose(up_b, with_field.require_imu().accel_b_mps2 / 9.81, atol=1e-9)
     assert np.ptp(found.q_nb, axis=0).max() < 1e-12
-    assert "arbitrary" in found.diagnostics["declination"]
+    assert found.diagnostics["heading"] == "arbitrary: there is no magnetometer"
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_an_uncalibrated_magnetometer_is_as_none(name: str) -> None:
+    pose = resting(Rotation.from_euler("ZYX", [40, 10, -20], degrees=True))
+    plain = record(pose, regular(8))
+    info = Info(units_unchecked=True, mag_uncalibrated=True, date="2021-06-12", place_lat_lon_alt=(35.8, 51.49, 1600.0))
+    raw = Mag(plain.mag.t_ns, plain.mag.mag_b_ut + np.array([300.0, -200.0, 100.0]))
+    found = estimate(Recording("raw", plain.imu, mag=raw, info=info), name)
+    without = estimate(Recording("none", plain.imu, info=info), name)
+    np.testing.assert_array_equal(found.q_nb, without.q_nb)
+    assert found.diagnostics["heading"] == "arbitrary: the magnetometer is not calibrated"
+    assert found.diagnostics["n_mag_uncalibrated"] == len(raw.t_ns)
+    assert found.diagnostics["declination_rad"] == 0.0
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
@@ -303,6 +317,8 @@ def test_the_declination_turns_every_estimator_to_true_north(name: str) -> None:
     )
     magnetic, true = estimate(plain, name), estimate(east, name)
     turned = rotation(true.q_nb) * rotation(magnetic.q_nb).inv()
+    assert magnetic.diagnostics["heading"].startswith("magnetic north: ")
+    assert true.diagnostics["heading"].startswith("true north: ")
     # The magnetic needle points 4.9 deg east of true north there (NOAA), so the body's heading is that much further
     # clockwise than the compass says.
     assert np.rad2deg(turned.as_rotvec()[-1]) == pytest.approx([0, 0, -4.9], abs=0.05)
