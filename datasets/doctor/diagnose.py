@@ -16,7 +16,7 @@ from stillpoint.datasets.doctor.remedy import apply
 from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
 from stillpoint.datasets.doctor.values import check_steps, check_values
-from stillpoint.datasets.doctor.witness import Witness, ask_accel, ask_mag
+from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 
 MOST_FAULTS = 6  # of axes and scales in one recording
@@ -39,7 +39,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
         return case.diagnosis()
     case.run(check_gyro_size)
     case.run(lambda now: check_gravity(now, case.rests_ns))
-    witnesses, accel_lag = _settle_axes(case)
+    witnesses, by_truth = _settle_axes(case)
     mag = next((one for one in witnesses if one.name == "mag" and one.choice is not None), None)
     if case.now.mag is not None:
         iron = mag.hard_iron_b_ut if mag is not None and mag.choice is not None and all(mag.choice.tested) else None
@@ -47,7 +47,8 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
         case.found(unit)
         mag = _in_new_unit(mag, unit)
     case.found(report_axes(witnesses))
-    case.found(check_lags(case.now, witnesses, accel_lag))
+    by_gravity = None if by_truth is not None else _accel_lag(case, witnesses)
+    case.found(check_lags(case.now, witnesses, by_truth, by_gravity))
     case.run(lambda now: check_gravity_sign(now, case.rests_ns))
     if case.now.mag is not None:
         case.run(lambda now: check_field(now, mag))
@@ -79,7 +80,7 @@ class _Case:
 def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
     """Ask the witnesses, put the first fault right, and ask again until there is none."""
     for _ in range(MOST_FAULTS):
-        witnesses, accel_by_truth, accel_lag = _ask(case.now, case.rests_ns)
+        witnesses, accel_by_truth, lag_by_truth = _ask(case.now, case.rests_ns)
         truth = next((one for one in witnesses if one.name == "truth"), None)
         fault = None if truth is None else find_truth_fault(case.now, truth)
         fault = fault or find_scale_fault(witnesses) or find_axes_fault(witnesses, accel_by_truth)
@@ -88,7 +89,7 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
         case.found([fault])
         if fault.remedy is None:
             break
-    return witnesses, accel_lag
+    return witnesses, lag_by_truth
 
 
 def _in_new_unit(mag: Witness | None, findings: list[Finding]) -> Witness | None:
@@ -108,6 +109,14 @@ def _ask(recording: Recording, rests_ns: Times) -> tuple[list[Witness], Floats |
         return witnesses, None, None
     witnesses.append(ask_truth(imu, recording.truth))
     return witnesses, *accel_against_truth(imu, recording.truth)
+
+
+def _accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
+    accel = next((one for one in witnesses if one.name == "accel" and one.choice is not None), None)
+    if accel is None or accel.choice is None or accel.scale is None:
+        return None
+    imu = case.now.require_imu()
+    return accel_lag(imu, _bias(imu, case.rests_ns, witnesses), accel.scale * accel.choice.matrix)
 
 
 def _bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:

@@ -43,7 +43,7 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
     for _ in range(2):
         centre = grid[int(total.argmin())]
         step /= 5
-        grid = centre + step * np.arange(-5, 6)
+        grid = centre + step * np.arange(-4, 5)
         grid = grid[np.abs(grid) <= REACH_S]
         table = _table(loss, grid)
         if table is None:

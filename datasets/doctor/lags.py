@@ -14,7 +14,9 @@ MAG_S = 0.020  # so does a field that changes with the place
 SIGMAS = 5.0
 
 
-def check_lags(recording: Recording, witnesses: Sequence[Witness], accel_by_truth: Lag | None) -> list[Finding]:
+def check_lags(
+    recording: Recording, witnesses: Sequence[Witness], accel_by_truth: Lag | None, accel_by_gravity: Lag | None
+) -> list[Finding]:
     """One finding per pair of clocks that the motion lets compare."""
     by_name = {one.name: one for one in witnesses}
     findings = []
@@ -22,12 +24,11 @@ def check_lags(recording: Recording, witnesses: Sequence[Witness], accel_by_trut
     gyro_lag = truth.lag if truth is not None and truth.choice is not None else None
     if gyro_lag is not None:
         findings.append(_gyro_against_truth(recording, gyro_lag))
-    accel = by_name.get("accel")
     if accel_by_truth is not None and gyro_lag is not None:
         both = Lag(accel_by_truth.lag_s - gyro_lag.lag_s, (accel_by_truth.sd_s**2 + gyro_lag.sd_s**2) ** 0.5)
         findings.append(_against_gyro("accel", "accelerometer", both, 2 * TRUTH_S, "by way of the truth"))
-    elif accel is not None and accel.choice is not None and accel.lag is not None:
-        findings.append(_against_gyro("accel", "accelerometer", accel.lag, ACCEL_S, "by gravity"))
+    elif accel_by_gravity is not None:
+        findings.append(_against_gyro("accel", "accelerometer", accel_by_gravity, ACCEL_S, "by gravity"))
     mag = by_name.get("mag")
     if mag is not None and mag.choice is not None and mag.lag is not None:
         findings.append(_against_gyro("mag", "magnetometer", mag.lag, MAG_S, "by the field"))

@@ -97,10 +97,16 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     for factors in (STEPS_OF_SCALE, STEPS_OF_SCALE**0.1):
         loss = np.log(displacement(seen, (scale * factors)[:, None, None] * choice.matrix) + floor).sum(axis=1)
         scale = float(scale * factors[int(loss.argmin())])
-    matrix = scale * choice.matrix
-    usual = float(np.median(displacement_about_pivot(seen, matrix))) + 1e-300
-    lag = find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), matrix) / usual))
-    return Witness("accel", choice, scale, lag, losses=losses)
+    return Witness("accel", choice, scale, losses=losses)
+
+
+def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
+    """How late the accelerometer's stamps are against the gyro's, by gravity, when true rate = matrix @ measured."""
+    origin = int(imu.t_ns[0])
+    force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
+    swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
+    usual = float(np.median(displacement_about_pivot(swings.at_lag(0.0), matrix))) + 1e-300
+    return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), matrix) / usual))
 
 
 def sphere_centre(vectors: Floats) -> Floats:

@@ -1,12 +1,16 @@
-"""Faults to plant in a simulated recording: what each does, and what the doctor must say and ask for."""
+"""Faults planted in a simulated recording: the doctor names each, and its remedy leaves a recording without it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 from stillpoint.datasets import Imu, Mag, Recording, Truth
+from stillpoint.datasets.doctor import Diagnosis, apply, diagnose
 from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.simulate import simulate
+from stillpoint.smoother.rest import find_rests
 
 X, Y, Z = np.eye(3)
 FLIP_X, FLIP_Y, FLIP_Z = (np.eye(3) - 2 * np.outer(axis, axis) for axis in (X, Y, Z))
@@ -24,7 +28,6 @@ class Fault:
     plant: Change
     code: str
     remedy: str = ""
-    mended: bool = True  # does the remedy leave a recording that is clean of it?
     needs_truth: bool = False
 
 
@@ -234,21 +237,28 @@ FAULTS: tuple[Fault, ...] = (
     ),
     Fault("gyro in deg/s and x flipped", chain(times(gyro, 1 / RAD), axes(gyro, FLIP_X)), "gyro-axes", "gyro x -> -x"),
     Fault(
-        "gyro late by 20 ms", late_in_imu("gyro_b_radps", 0.02), "gyro-truth-lag", "truth shifted by +20", True, True
+        "gyro late by 20 ms",
+        late_in_imu("gyro_b_radps", 0.02),
+        "gyro-truth-lag",
+        "truth shifted by +20",
+        needs_truth=True,
     ),
     Fault(
         "accelerometer late by 20 ms",
         late_in_imu("accel_b_mps2", 0.02),
         "accel-gyro-lag",
         "accel shifted by -",
-        True,
-        True,
+        needs_truth=True,
     ),
     Fault("magnetometer late by 100 ms", late("mag", 0.1), "mag-gyro-lag", "mag shifted by -"),
-    Fault("truth late by 30 ms", late("truth", 0.03), "gyro-truth-lag", "truth shifted by -30", True, True),
-    Fault("truth inverted", truth_q(lambda q: q * [1, -1, -1, -1]), "truth-quaternion", "inverse", True, True),
+    Fault("truth late by 30 ms", late("truth", 0.03), "gyro-truth-lag", "truth shifted by -30", needs_truth=True),
+    Fault("truth inverted", truth_q(lambda q: q * [1, -1, -1, -1]), "truth-quaternion", "inverse", needs_truth=True),
     Fault(
-        "truth as x, y, z, w", truth_q(lambda q: np.roll(q, -1, axis=1)), "truth-quaternion", "w, x, y, z", True, True
+        "truth as x, y, z, w",
+        truth_q(lambda q: np.roll(q, -1, axis=1)),
+        "truth-quaternion",
+        "w, x, y, z",
+        needs_truth=True,
     ),
     Fault("stamps in bursts", stamps("imu", in_bursts), "imu-bursts", "line"),
     Fault("jittered stamps", stamps("imu", jittered), "imu-jitter", "line"),
@@ -277,3 +287,52 @@ FAULTS: tuple[Fault, ...] = (
     Fault("coarse magnetometer", mag(steps_of(2.0)), "mag-coarse"),
     Fault("accelerometer scale 8 %", times(accel, 1.08), "gravity-size"),
 )
+
+
+def cut(recording: Recording, start_s: float, end_s: float) -> Recording:
+    """The part between two times from the start."""
+    origin = recording.imu.t_ns[0]
+    parts = {}
+    for name in ("imu", "mag", "truth"):
+        stream = getattr(recording, name)
+        keep = (stream.t_ns >= origin + start_s * 1e9) & (stream.t_ns < origin + end_s * 1e9)
+        columns = {key: value[keep] for key, value in vars(stream).items() if isinstance(value, np.ndarray)}
+        parts[name] = replace(stream, **columns)
+    return replace(recording, **parts)
+
+
+def examine(recording: Recording) -> Diagnosis:
+    return diagnose(recording, find_rests(recording.imu))
+
+
+@pytest.fixture(scope="module")
+def phone() -> Recording:
+    """15 s of rest and 45 s of violent motion, without a fault."""
+    return cut(simulate("phone-3", seed=0, minutes=1.9), 45, 105)
+
+
+def test_nothing_is_wrong_before(phone: Recording) -> None:
+    assert examine(phone).clean
+    assert examine(replace(phone, truth=None, base_pose=None)).clean
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_planted_fault_is_named_and_mended(phone: Recording, fault: Fault) -> None:
+    """By the physics of the sensors alone, unless the fault shows against the truth only."""
+    planted = fault.plant(phone if fault.needs_truth else replace(phone, truth=None))
+    diagnosis = examine(planted)
+    assert fault.code in diagnosis.codes("error", "warning")
+    remedies = [finding.remedy for finding in diagnosis.findings if finding.code == fault.code and finding.remedy]
+    if not fault.remedy:
+        assert not remedies
+        return
+    assert any(fault.remedy in remedy.text for remedy in remedies)
+    mended = apply(planted, diagnosis.remedies)
+    assert all(any(r.text in line for line in mended.info.conversions) for r in remedies)
+    assert fault.code not in examine(mended).codes("error", "warning")
+
+
+@pytest.mark.parametrize("kind", ["phone-1", "phone-2"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_slow_and_planar_motion_raises_no_alarm(kind: str, seed: int) -> None:
+    assert examine(simulate(kind, seed=seed)).clean
