@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from cyclopts import Parameter
 from rich.console import Console
-from rich.table import Table
 
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.options import Options
@@ -19,6 +18,7 @@ from stillpoint.datasets.store import write
 from stillpoint.scripts.import_flags import Flags
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.tables import print_table
 
 NO_FLAGS = Flags()
 STREAMS = ("imu", "mag", "gps", "truth")  # that importers make, in the order of the table
@@ -133,27 +133,25 @@ def _repaired(recording: Recording, source: Path, units_unchecked: bool) -> Reco
 
 def _show(kept: list[Kept]) -> None:
     """One table of the recordings; below it what was converted, once where it holds for all, and the notes."""
-    console = Console(highlight=False, markup=False, soft_wrap=True)
-    table = Table("recording", box=None)
     present = [name for name in STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
-    for heading in ("s", *(f"{name} Hz" for name in present)):
-        table.add_column(heading, justify="right")
+    rows = []
     for one in kept:
         rates = {name: f"{rate_hz(t_ns):.1f}" for name, t_ns in one.recording.streams()}
-        cells = [rates.get(name, "-") for name in present]
-        table.add_row(one.recording.name, f"{one.recording.duration_s:.1f}", *cells)
-    console.print(table)
+        rows.append(
+            [one.recording.name, f"{one.recording.duration_s:.1f}", *(rates.get(name, "-") for name in present)]
+        )
+    print_table("imported", ["recording", "s", *(f"{name}, Hz" for name in present)], [rows], texts=1)
     lines = Counter(line for one in kept for line in _said(one.recording))
-    console.print(f"\n{'all' if len(kept) > 1 else kept[0].recording.name}:")
+    print(f"\n{'all' if len(kept) > 1 else kept[0].recording.name}:")
     for line in (line for line, count in lines.items() if count == len(kept)):
-        console.print(f"  {line}")
+        print(f"  {line}")
     for one in kept:
         own = [line for line in _said(one.recording) if lines[line] < len(kept)]
         if own:
-            console.print(f"{one.recording.name}:")
+            print(f"{one.recording.name}:")
         for line in own:
-            console.print(f"  {line}")
-    console.print(f"\n{len(kept)} written to {kept[0].file.parent}")
+            print(f"  {line}")
+    print(f"\n{len(kept)} written to {kept[0].file.parent}")
 
 
 def _said(recording: Recording) -> list[str]:

@@ -5,8 +5,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.table import Table
 
 from stillpoint.datasets.recording import Recording, Times, rate_hz
 from stillpoint.datasets.store import read
@@ -14,7 +12,10 @@ from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 from stillpoint.scripts.inputs import mcap_files
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.tables import print_table
 from stillpoint.smoother.rest import find_rests
+
+COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
 
 def info(
@@ -113,25 +114,28 @@ def _spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
 
 
 def _show(facts: dict[str, Any]) -> None:
-    console = Console(highlight=False, markup=False, soft_wrap=True)
-    console.print(f"{facts['file']}: {facts['kind']} {facts['name']}")
-    table = Table("stream", box=None)
-    for heading in ("samples", "Hz", "start s", "length s", "gaps", "longest s"):
-        table.add_column(heading, justify="right")
-    for one in facts["streams"]:
-        row = (str(one["samples"]), *(f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s")))
-        table.add_row(one["stream"], *row, str(one["gaps"]), f"{one['longest_gap_s']:.3f}" if one["gaps"] else "-")
-    console.print(table)
+    rows = [
+        [
+            one["stream"],
+            str(one["samples"]),
+            *(f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s")),
+            str(one["gaps"]),
+            f"{one['longest_gap_s']:.3f}" if one["gaps"] else "-",
+        ]
+        for one in facts["streams"]
+    ]
+    print(f"{facts['file']}: {facts['kind']} {facts['name']}")
+    print_table("streams", COLUMNS, [rows], texts=1)
     if "rests" in facts:
-        console.print(f"  {'rests':17} {_rests_line(facts['rests'])}")
+        print(f"  {'rests':17} {_rests_line(facts['rests'])}")
     shown = {"file", "kind", "name", "streams", "rests", "duration_s"}
     for key, value in facts.items():
         if key in shown or value in (None, "", [], {}, False):
             continue
         for line in _lines(value):
-            console.print(f"  {key:17} {line}")
+            print(f"  {key:17} {line}")
             key = ""
-    console.print()
+    print()
 
 
 def _rests_line(rests: list[dict[str, float]]) -> str:

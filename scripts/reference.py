@@ -1,6 +1,5 @@
 """``stillpoint reference``: make the reference trajectory of recordings."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,14 +11,13 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets import Reference, write
-from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.settings import Settings
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.scripts import inputs
-from stillpoint.scripts.jobs import Outcome, run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.batch import SetFlag, assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.json_file import JsonFile
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.reference import settings_of
@@ -40,7 +38,7 @@ def reference(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
     method: str = DEFAULT_METHOD,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
+    set_: SetFlag = None,
     jobs: int | None = None,
     json: JsonFile = None,
 ) -> int:
@@ -66,31 +64,16 @@ def reference(
         Also write the table's facts as JSON to this file; - is the standard output.
     """
     methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
-    changes = _changes(set_ or [])
+    changes = assignments(set_, "returns.tilt_gate_rad=0.02")
     settings = {name: settings_of(name, changes) for name in methods}
     sources = inputs.recordings(paths)
     work = _jobs(sources, methods, inputs.output_dir(out))
     outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
-    if len(work) == 1 and outcomes[0].error is not None:
-        raise StillpointError(outcomes[0].error)
-    rows = [_row(job, outcome) for job, outcome in zip(work, outcomes, strict=True)]
-    if json != STDOUT:
-        print_table("references", COLUMNS, [[_cells(row) for row in rows]])
-        for row in rows:
-            if row["error"] is not None:
-                print(f"not made: {row['error']}")
-    write_json(json, rows)
-    return 2 if any(row["error"] is not None for row in rows) else 0
-
-
-def _changes(pairs: Sequence[str]) -> dict[str, str]:
-    changes = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not equals:
-            raise BadParameter(f"--set {pair}: write NAME=VALUE, for example returns.tilt_gate_rad=0.02")
-        changes[name.strip()] = value.strip()
-    return changes
+    rows = [
+        made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
+        for job, outcome in zip(work, outcomes, strict=True)
+    ]
+    return report_made("references", COLUMNS, rows, _cells, json)
 
 
 def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list[_Job]:
@@ -99,9 +82,7 @@ def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list
         for source in sources
         for name in methods
     ]
-    twice = [target for target, count in Counter(job.target for job in work).items() if count > 1]
-    if twice:
-        raise BadParameter(f"{twice[0].name}: two recordings have this name; write them to different folders")
+    require_distinct(job.target for job in work)
     return work
 
 
@@ -130,13 +111,6 @@ def _facts(made: Reference) -> dict[str, Any]:
         "sd_max_deg": float(sd_deg.max()),
         "diagnostics": dict(made.diagnostics),
     }
-
-
-def _row(job: _Job, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
-    named = {"recording": job.source.stem, "method": job.method}
-    if outcome.value is None:
-        return {**named, "file": None, "error": outcome.error}
-    return {**named, "file": str(job.target), **outcome.value, "error": None}
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -14,6 +14,7 @@ from stillpoint.datasets.store import read_estimate, read_recording, read_refere
 from stillpoint.scoring import AlignKind
 from stillpoint.scoring.report import Material, judge, report_html
 from stillpoint.scripts import inputs
+from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
 
 PAGE = ".report.html"
@@ -109,7 +110,5 @@ def _targets(recordings: Sequence[Path], out: Path) -> list[Path]:
         return [out]
     folder = inputs.output_dir(out)
     targets = [folder / f"{recording_name(path)}{PAGE}" for path in recordings]
-    twice = next((target for target in targets if targets.count(target) > 1), None)
-    if twice is not None:
-        raise BadParameter(f"{twice.name}: two of the recordings have this name; report them into different folders")
+    require_distinct(targets)
     return targets

@@ -14,7 +14,7 @@ from stillpoint.scoring.validation import validate as validate_recording
 from stillpoint.scripts import inputs
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.tables import print_refusals, print_table
 
 COLUMNS = (
     "recording",
@@ -84,12 +84,7 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -
         for row in means
     ]
     print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below])
-    refused: dict[str, list[str]] = {}
-    for row in rows:
-        if row.error is not None:
-            refused.setdefault(row.error, []).append(row.method)
-    for message, methods in refused.items():
-        print(f"not scored ({', '.join(dict.fromkeys(methods))}): {message}")
+    print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))
 
 
 def _figures(row: dict[str, Any]) -> list[str]:

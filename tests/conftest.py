@@ -1,6 +1,7 @@
 """Where the real recordings are, for the tests that need them."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,20 @@ def data_dir() -> Path:
     if not Path(folder).is_dir():
         pytest.fail(f"STILLPOINT_DATA={folder} is not a folder")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def call() -> Callable[..., int]:
+    """The command in this process: words in, exit code out."""
+    from stillpoint.scripts.main import main
+
+    def words_to_code(*words: object) -> int:
+        with pytest.raises(SystemExit) as stopped:
+            main([str(word) for word in words])
+        assert isinstance(stopped.value.code, int)
+        return stopped.value.code
+
+    return words_to_code
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -11,14 +11,6 @@ from stillpoint.scripts import main as command
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
 
 
-def run(*words: str) -> int:
-    with pytest.raises(SystemExit) as stopped:
-        command.main(words)
-    code = stopped.value.code
-    assert isinstance(code, int)
-    return code
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -33,10 +25,15 @@ def run(*words: str) -> int:
     ],
 )
 def test_a_wrong_call_is_one_line_and_exit_code_2(
-    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    call,
+    words: list[str],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(*words) == 2
+    assert call(*words) == 2
     printed = capsys.readouterr()
     assert len(printed.err.strip().splitlines()) == 1, printed.err
     assert printed.err.startswith("stillpoint: ")
@@ -64,8 +61,8 @@ def test_help_names_every_verb_and_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("verb", sorted(command.VERBS))
-def test_every_verb_explains_itself_and_its_options(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(verb, "--help") == 0
+def test_every_verb_explains_itself_and_its_options(call, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(verb, "--help") == 0
     page = capsys.readouterr().out
     assert f"Usage: stillpoint {verb}" in page
     options = [line for line in page.splitlines() if line.startswith("│") and "--" in line]

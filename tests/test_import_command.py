@@ -11,13 +11,6 @@ from stillpoint.datasets import Recording
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.store import read_recording, write
 from stillpoint.scripts.import_flags import Flags
-from stillpoint.scripts.main import main
-
-
-def run(*words: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    return int(ended.value.code or 0)
 
 
 @pytest.fixture
@@ -31,8 +24,8 @@ def log(tmp_path: Path) -> Path:
 FLAGS = ("--time", "t:ms", "--gyro", "-gx,gy,gz:deg/s", "--accel", "ax,ay,-az:g")
 
 
-def test_import_writes_the_recording_and_says_what_it_converted(log, tmp_path, capsys):
-    assert run("import", "csv", log, "-o", tmp_path / "out", *FLAGS, "--licence", "CC0", "--json", "-") == 0
+def test_import_writes_the_recording_and_says_what_it_converted(call, log, tmp_path, capsys):
+    assert call("import", "csv", log, "-o", tmp_path / "out", *FLAGS, "--licence", "CC0", "--json", "-") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     recording = read_recording(rows[0]["file"])
     assert recording.name == rows[0]["recording"] == "still"
@@ -43,10 +36,10 @@ def test_import_writes_the_recording_and_says_what_it_converted(log, tmp_path, c
     assert rows[0]["streams"]["imu"] == {"samples": 1200, "rate_hz": 100.0}
 
 
-def test_import_prints_each_conversion_once_and_notes_with_their_recording(log, tmp_path, capsys):
+def test_import_prints_each_conversion_once_and_notes_with_their_recording(call, log, tmp_path, capsys):
     other = log.with_name("other.csv")
     other.write_text(log.read_text().replace("\n100,0.5,", "\n100,,"))
-    assert run("import", "csv", log, other, "-o", tmp_path / "out", *FLAGS) == 0
+    assert call("import", "csv", log, other, "-o", tmp_path / "out", *FLAGS) == 0
     out = capsys.readouterr().out
     assert out.count("sign of x flipped") == 1
     assert out.index("other:") < out.index("gyro: 1 of 1200 rows")
@@ -64,23 +57,23 @@ def test_import_prints_each_conversion_once_and_notes_with_their_recording(log, 
         (("broad", "X"), "X: there is no such file"),
     ],
 )
-def test_wrong_words_are_one_line_and_exit_code_2(tmp_path, capsys, monkeypatch, words, said):
+def test_wrong_words_are_one_line_and_exit_code_2(call, tmp_path, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
-    assert run("import", *words, "-o", tmp_path) == 2
+    assert call("import", *words, "-o", tmp_path) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
 
 
-def test_two_recordings_of_one_name_are_not_written_over_each_other(log, tmp_path, capsys):
+def test_two_recordings_of_one_name_are_not_written_over_each_other(call, log, tmp_path, capsys):
     (tmp_path / "again").mkdir()
     twin = tmp_path / "again" / "still.csv"
     twin.write_text(log.read_text())
-    assert run("import", "csv", log, twin, "-o", tmp_path / "out", *FLAGS) == 2
+    assert call("import", "csv", log, twin, "-o", tmp_path / "out", *FLAGS) == 2
     assert "already imported from" in capsys.readouterr().err
 
 
-def test_info_finds_rates_gaps_and_rests(tmp_path, capsys):
+def test_info_finds_rates_gaps_and_rests(call, tmp_path, capsys):
     """20 s of rest, a second without samples, 20 s of swinging, 20 s of rest; 100 Hz with 1 mrad/s of noise."""
     t_s = np.concatenate([np.arange(0, 20, 0.01), np.arange(21, 61, 0.01)])
     swinging = (t_s > 21) & (t_s < 41)
@@ -90,7 +83,7 @@ def test_info_finds_rates_gaps_and_rests(tmp_path, capsys):
     accel = np.array([0, 0, 9.81]) + rng.normal(0, 0.01, (len(t_s), 3))
     accel[swinging] += 3 * np.cos(4 * t_s[swinging, None])
     write(tmp_path / "swing.mcap", Recording.from_arrays("swing", t_s, gyro, accel, source="a test"))
-    assert run("info", tmp_path / "*.mcap", "--json", "-") == 0
+    assert call("info", tmp_path / "*.mcap", "--json", "-") == 0
     facts = json.loads(capsys.readouterr().out)["rows"][0]
     stream = facts["streams"][0]
     assert (stream["samples"], stream["gaps"]) == (6000, 1)
@@ -98,15 +91,15 @@ def test_info_finds_rates_gaps_and_rests(tmp_path, capsys):
     assert stream["longest_gap_s"] == pytest.approx(1.01)
     assert len(facts["rests"]) == 2
     assert facts["rests"][1]["start_s"] == pytest.approx(41, abs=1)
-    assert run("info", tmp_path) == 0
+    assert call("info", tmp_path) == 0
     out = capsys.readouterr().out
     assert "a test" in out
     assert "6000" in out
 
 
-def test_info_of_what_is_no_recording(tmp_path, capsys):
+def test_info_of_what_is_no_recording(call, tmp_path, capsys):
     (tmp_path / "x.mcap").write_bytes(b"nothing of the kind")
-    assert run("info", tmp_path / "x.mcap") == 2
+    assert call("info", tmp_path / "x.mcap") == 2
     assert "x.mcap" in capsys.readouterr().err
 
 
@@ -133,21 +126,21 @@ def noisy(tmp_path: Path, size: float) -> Path:
 UNITS_OF_THE_VOCABULARY = ("--time", "t:ms", "--gyro", "gx,gy,gz:rad/s", "--accel", "ax,ay,az:m/s^2")
 
 
-def test_repair_mends_what_would_be_refused_and_records_it(tmp_path, capsys):
+def test_repair_mends_what_would_be_refused_and_records_it(call, tmp_path, capsys):
     file = noisy(tmp_path, 1.0)
-    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY) == 2
+    assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY) == 2
     assert "looks in g" in capsys.readouterr().err
-    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 0
+    assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 0
     recording = read_recording(tmp_path / "rest.mcap")
     assert recording.imu.accel_b_mps2[:, 2].mean() == pytest.approx(9.80665, rel=1e-3)
     assert any(line.startswith("doctor: accel") for line in recording.info.conversions)
     assert not recording.info.units_unchecked
 
 
-def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(tmp_path, capsys):
+def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(call, tmp_path, capsys):
     file = noisy(tmp_path, 4.0)
-    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 2
+    assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 2
     assert "at rest" in capsys.readouterr().err
-    assert run("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--units-unchecked") == 0
-    assert run("info", tmp_path / "rest.mcap", "--units-unchecked") == 0
+    assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--units-unchecked") == 0
+    assert call("info", tmp_path / "rest.mcap", "--units-unchecked") == 0
     assert "units_unchecked" in capsys.readouterr().out

@@ -10,7 +10,6 @@ from stillpoint.datasets import BadParameter, Imu, Recording, read, write
 from stillpoint.datasets.settings import names_of
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
-from stillpoint.scripts.main import main
 from stillpoint.scripts.settings_pages import refreshed
 from stillpoint.smoother import METHODS, reference
 from stillpoint.smoother.redistribution import RedistributionParams
@@ -26,12 +25,6 @@ def recording():
 def folder(tmp_path, recording):
     write(tmp_path / "good.mcap", recording)
     return tmp_path
-
-
-def run(*tokens):
-    with pytest.raises(SystemExit) as stopped:
-        main([str(token) for token in tokens])
-    return stopped.value.code
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -86,8 +79,8 @@ def test_wrong_names_and_values_are_refused_with_the_nearest(recording, method, 
         reference(recording, method, params)
 
 
-def test_the_verb_writes_what_reference_gives(folder, recording, capsys):
-    assert run("reference", folder, "-o", folder / "out", "--json", folder / "r.json") == 0
+def test_the_verb_writes_what_reference_gives(call, folder, recording, capsys):
+    assert call("reference", folder, "-o", folder / "out", "--json", folder / "r.json") == 0
     made = read(folder / "out" / "good.reference.mcap")
     np.testing.assert_array_equal(made.q_nb, reference(recording).q_nb)
     assert made.made_from == {"good.mcap": sha256(folder / "good.mcap")}
@@ -97,9 +90,9 @@ def test_the_verb_writes_what_reference_gives(folder, recording, capsys):
     assert "good" in capsys.readouterr().out
 
 
-def test_the_verb_with_several_methods_and_settings(folder):
+def test_the_verb_with_several_methods_and_settings(call, folder):
     names = ",".join(METHODS)
-    code = run("reference", folder / "good.mcap", "-o", folder, "--method", names, "--set", "rest.min_rest_s=2")
+    code = call("reference", folder / "good.mcap", "-o", folder, "--method", names, "--set", "rest.min_rest_s=2")
     assert code == 0
     for name in METHODS:
         made = read(folder / f"good.{name}.reference.mcap")
@@ -113,9 +106,9 @@ def restless():
     return Recording("restless", imu=Imu(t_ns, gyro, gyro + np.array([0, 0, 9.81])))
 
 
-def test_a_refused_recording_is_named_and_the_others_are_made(folder, capsys):
+def test_a_refused_recording_is_named_and_the_others_are_made(call, folder, capsys):
     write(folder / "restless.mcap", restless())
-    assert run("reference", folder, "-o", folder / "out", "--json", "-", "--jobs", 1) == 2
+    assert call("reference", folder, "-o", folder / "out", "--json", "-", "--jobs", 1) == 2
     rows = {row["recording"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["good"]["error"] is None
     assert "no rest" in rows["restless"]["error"]
@@ -131,25 +124,25 @@ def test_a_refused_recording_is_named_and_the_others_are_made(folder, capsys):
         (["--jobs", "0"], "give 1 or more"),
     ],
 )
-def test_errors_of_the_verb_are_one_line(folder, capsys, tokens, said):
-    assert run("reference", folder / "good.mcap", "-o", folder / "out", *tokens) == 2
+def test_errors_of_the_verb_are_one_line(call, folder, capsys, tokens, said):
+    assert call("reference", folder / "good.mcap", "-o", folder / "out", *tokens) == 2
     message = capsys.readouterr().err.strip()
     assert said in message
     assert "\n" not in message
 
 
-def test_one_refused_recording_is_one_line(tmp_path, capsys):
+def test_one_refused_recording_is_one_line(call, tmp_path, capsys):
     write(tmp_path / "restless.mcap", restless())
-    assert run("reference", tmp_path / "restless.mcap", "-o", tmp_path) == 2
+    assert call("reference", tmp_path / "restless.mcap", "-o", tmp_path) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("stillpoint: restless: no rest")
 
 
-def test_two_recordings_of_one_name_do_not_overwrite_each_other(folder, recording, capsys):
+def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, recording, capsys):
     (folder / "more").mkdir()
     write(folder / "more" / "good.mcap", recording)
-    assert run("reference", folder, "-o", folder / "out") == 2
+    assert call("reference", folder, "-o", folder / "out") == 2
     assert "two recordings have this name" in capsys.readouterr().err
 
 

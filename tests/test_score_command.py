@@ -8,20 +8,12 @@ import pytest
 from stillpoint.datasets.store import read_estimate, write
 from stillpoint.filters import ESTIMATORS
 from stillpoint.scripts.beside import files_of, recording_name
-from stillpoint.scripts.main import main
 
 NAME = "phone-3-seed0"
 
 
-def call(*arguments):
-    """Exit code of the command."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code
-
-
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(call, tmp_path_factory):
     """The folder of a short demo."""
     folder = tmp_path_factory.mktemp("demo")
     assert call("demo", "-o", folder, "--minutes", "2") == 0
@@ -34,7 +26,7 @@ def folder(made, tmp_path):
     return shutil.copytree(made, tmp_path / "demo")
 
 
-def rows_of(capsys, *arguments):
+def rows_of(call, capsys, *arguments):
     capsys.readouterr()
     code = call("score", *arguments, "--json", "-")
     return code, json.loads(capsys.readouterr().out)["rows"]
@@ -46,8 +38,8 @@ def test_demo_leaves_the_files_of_every_step(made):
     assert {path.name for path in made.iterdir()} == expected
 
 
-def test_score_takes_the_reference_beside_the_estimates(made, capsys):
-    code, rows = rows_of(capsys, made)
+def test_score_takes_the_reference_beside_the_estimates(call, made, capsys):
+    code, rows = rows_of(call, capsys, made)
     assert code == 0
     assert sorted(row["method"] for row in rows) == sorted(ESTIMATORS)
     assert {row["against"] for row in rows} == {"reference (redistribution)"}
@@ -55,19 +47,19 @@ def test_score_takes_the_reference_beside_the_estimates(made, capsys):
     assert set(rows[0]["found"]) == {"heading_deg", "mounting_deg", "mounting_rotvec_deg", "time_s"}
 
 
-def test_score_takes_the_truth_where_there_is_no_reference(folder, capsys):
+def test_score_takes_the_truth_where_there_is_no_reference(call, folder, capsys):
     (folder / f"{NAME}.reference.mcap").unlink()
-    code, rows = rows_of(capsys, folder / f"{NAME}.vqf.estimate.mcap")
+    code, rows = rows_of(call, capsys, folder / f"{NAME}.vqf.estimate.mcap")
     assert (code, rows[0]["against"], rows[0]["reference_sd_deg"]) == (0, "truth", None)
 
 
-def test_score_of_a_reference_is_against_the_truth(made, capsys):
-    code, rows = rows_of(capsys, made / f"{NAME}.reference.mcap")
+def test_score_of_a_reference_is_against_the_truth(call, made, capsys):
+    code, rows = rows_of(call, capsys, made / f"{NAME}.reference.mcap")
     assert (code, rows[0]["method"], rows[0]["against"]) == (0, "reference (redistribution)", "truth")
     assert 0 <= rows[0]["coverage95"] <= 1
 
 
-def test_table_has_a_row_per_estimate(made, capsys):
+def test_table_has_a_row_per_estimate(call, made, capsys):
     capsys.readouterr()
     assert call("score", made, "--align", "heading+mounting", "--frame", "ned") == 0
     out = capsys.readouterr().out
@@ -77,12 +69,12 @@ def test_table_has_a_row_per_estimate(made, capsys):
     assert "the reference's own sd is" in out
 
 
-def test_unknown_alignment_is_one_line(made, capsys):
+def test_unknown_alignment_is_one_line(call, made, capsys):
     assert call("score", made, "--align", "yaw") == 2
     assert "heading+mounting+time" in capsys.readouterr().err
 
 
-def test_estimate_of_another_recording_is_refused(folder, capsys):
+def test_estimate_of_another_recording_is_refused(call, folder, capsys):
     """The name fits, the SHA-256 does not: a score would compare two different runs."""
     file = folder / f"{NAME}.vqf.estimate.mcap"
     estimate = read_estimate(file)
@@ -90,38 +82,38 @@ def test_estimate_of_another_recording_is_refused(folder, capsys):
     write(file, estimate)
     assert call("score", file) == 2
     assert "was made from another recording" in capsys.readouterr().err
-    code, rows = rows_of(capsys, folder)
+    code, rows = rows_of(call, capsys, folder)
     assert code == 2
     assert [row["file"] for row in rows if row["error"]] == [str(file)]
     assert call("report", folder, "-o", folder) == 2
 
 
-def test_nothing_to_score_against_says_what_to_do(folder, capsys):
+def test_nothing_to_score_against_says_what_to_do(call, folder, capsys):
     (folder / f"{NAME}.reference.mcap").unlink()
     (folder / f"{NAME}.mcap").unlink()
     assert call("score", folder / f"{NAME}.vqf.estimate.mcap") == 2
     assert "stillpoint reference" in capsys.readouterr().err
 
 
-def test_several_references_ask_for_one_to_be_named(folder, capsys):
+def test_several_references_ask_for_one_to_be_named(call, folder, capsys):
     first = folder / f"{NAME}.reference.mcap"
     shutil.move(first, folder / f"{NAME}.one.reference.mcap")
     shutil.copy(folder / f"{NAME}.one.reference.mcap", folder / f"{NAME}.two.reference.mcap")
     file = folder / f"{NAME}.vqf.estimate.mcap"
     assert call("score", file) == 2
     assert "--against" in capsys.readouterr().err
-    code, rows = rows_of(capsys, file, "--against", folder / f"{NAME}.two.reference.mcap")
+    code, rows = rows_of(call, capsys, file, "--against", folder / f"{NAME}.two.reference.mcap")
     assert (code, rows[0]["against"]) == (0, "reference (redistribution)")
 
 
-def test_report_writes_a_page_per_recording(made, tmp_path, capsys):
+def test_report_writes_a_page_per_recording(call, made, tmp_path, capsys):
     assert call("report", made, "-o", tmp_path / "pages") == 0
     page = tmp_path / "pages" / f"{NAME}.report.html"
     assert str(page) in capsys.readouterr().out
     assert page.read_bytes() == (made / page.name).read_bytes()
 
 
-def test_report_without_reference_or_truth_says_what_to_do(tmp_path, capsys):
+def test_report_without_reference_or_truth_says_what_to_do(call, tmp_path, capsys):
     assert call("simulate", "phone-1", "-o", tmp_path, "--minutes", "1") == 0
     assert call("report", tmp_path / "phone-1-seed0.mcap", "-o", tmp_path) == 2
     assert "no reference or estimate of it lies beside it" in capsys.readouterr().err

@@ -6,18 +6,23 @@ import pytest
 
 from stillpoint.datasets import read
 from stillpoint.datasets.simulate import SIMULATIONS, simulate
-from stillpoint.scripts.main import main
 
 
-def run(*tokens: str) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(["simulate", *tokens])
-    return int(stop.value.code or 0)
-
-
-def test_writes_one_file_and_one_line_per_seed(tmp_path, capsys):
+def test_writes_one_file_and_one_line_per_seed(call, tmp_path, capsys):
     assert (
-        run("phone-1", "-o", str(tmp_path / "new" / "folder"), "--seed", "7", "--seeds", "2", "--minutes", "0.6") == 0
+        call(
+            "simulate",
+            "phone-1",
+            "-o",
+            str(tmp_path / "new" / "folder"),
+            "--seed",
+            "7",
+            "--seeds",
+            "2",
+            "--minutes",
+            "0.6",
+        )
+        == 0
     )
     files = sorted((tmp_path / "new" / "folder").iterdir())
     assert [file.name for file in files] == ["phone-1-seed7.mcap", "phone-1-seed8.mcap"]
@@ -32,25 +37,28 @@ def test_writes_one_file_and_one_line_per_seed(tmp_path, capsys):
     assert kept.info == made.info
 
 
-def test_same_options_same_bytes(tmp_path):
+def test_same_options_same_bytes(call, tmp_path):
     for folder in ("a", "b"):
-        assert run("phone-2", "-o", str(tmp_path / folder), "--minutes", "1.5", "--rate", "50") == 0
+        assert call("simulate", "phone-2", "-o", str(tmp_path / folder), "--minutes", "1.5", "--rate", "50") == 0
     first, second = (tmp_path / folder / "phone-2-seed0.mcap" for folder in ("a", "b"))
     assert first.read_bytes() == second.read_bytes()
 
 
 @pytest.mark.parametrize("to_stdout", [True, False])
-def test_json_says_what_was_made(tmp_path, capsys, to_stdout):
+def test_json_says_what_was_made(call, tmp_path, capsys, to_stdout):
     target = "-" if to_stdout else str(tmp_path / "made.json")
-    assert run("phone-1", "-o", str(tmp_path), "--minutes", "0.6", "--sensor", "perfect", "--json", target) == 0
+    assert (
+        call("simulate", "phone-1", "-o", str(tmp_path), "--minutes", "0.6", "--sensor", "perfect", "--json", target)
+        == 0
+    )
     printed = capsys.readouterr().out
     made = json.loads(printed if to_stdout else (tmp_path / "made.json").read_text())
     assert [row["file"] for row in made["rows"]] == [str(tmp_path / "phone-1-seed0.mcap")]
     assert made["rows"][0]["rates_hz"]["imu"] == pytest.approx(100.0)
 
 
-def test_the_help_names_every_simulation(capsys):
-    assert run("--help") == 0
+def test_the_help_names_every_simulation(call, capsys):
+    assert call("simulate", "--help") == 0
     text = capsys.readouterr().out
     assert all(kind in text for kind in SIMULATIONS)
 
@@ -66,8 +74,8 @@ def test_the_help_names_every_simulation(capsys):
         (["phone-1", "--minutes", "0.6", "--json", "no/such/folder/x.json"], "cannot be written"),
     ],
 )
-def test_wrong_options_are_one_line_and_exit_code_2(tmp_path, capsys, tokens, message):
-    assert run(*tokens, "-o", str(tmp_path)) == 2
+def test_wrong_options_are_one_line_and_exit_code_2(call, tmp_path, capsys, tokens, message):
+    assert call("simulate", *tokens, "-o", str(tmp_path)) == 2
     error = capsys.readouterr().err.strip()
     assert message in error
     assert "\n" not in error

@@ -8,7 +8,6 @@ import pytest
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
-from stillpoint.scripts.main import main
 from stillpoint.smoother import METHODS, reference
 
 KEYS = {
@@ -26,12 +25,6 @@ KEYS = {
 }
 OFFLINE_VQF_DEG = {"02": 0.44, "10": 0.44, "33": 1.28}  # 9D, heading-aligned, total; measured with vqf 2.1.2
 PROTOTYPE_DEG = {"02": 2.30, "04": 3.26, "10": 0.36, "33": 3.65}
-
-
-def run(*tokens):
-    with pytest.raises(SystemExit) as stopped:
-        main([str(token) for token in tokens])
-    return stopped.value.code
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +45,8 @@ def folder(tmp_path_factory, recording):
     return where
 
 
-def test_rows_keep_the_contract_and_nothing_vanishes(folder, recording, capsys):
-    assert run("validate", folder, "--json", folder / "v.json", "--jobs", 1) == 0
+def test_rows_keep_the_contract_and_nothing_vanishes(call, folder, recording, capsys):
+    assert call("validate", folder, "--json", folder / "v.json", "--jobs", 1) == 0
     rows = json.loads((folder / "v.json").read_text())["rows"]
     methods = [*METHODS, "offline-vqf"]
     names = ["broken", "good", "moving_start", "no_truth"]
@@ -79,25 +72,25 @@ def test_rows_keep_the_contract_and_nothing_vanishes(folder, recording, capsys):
     assert "mean of 2 of 4" in printed
 
 
-def test_methods_and_alignment_are_the_users(folder, capsys):
-    code = run("validate", folder / "good.mcap", "--methods", "cf,redistribution", "--align", "none", "--json", "-")
+def test_methods_and_alignment_are_the_users(call, folder, capsys):
+    code = call("validate", folder / "good.mcap", "--methods", "cf,redistribution", "--align", "none", "--json", "-")
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert code == 0
     assert [(row["method"], row["align"]) for row in rows] == [("cf", "none"), ("redistribution", "none")]
     assert rows[0]["found"] == {"heading_deg": 0.0, "mounting_deg": 0.0, "time_s": 0.0}
 
 
-def test_two_processes_give_what_one_gives(folder, capsys):
+def test_two_processes_give_what_one_gives(call, folder, capsys):
     figures = []
     for jobs in (1, 2):
-        run("validate", folder, "--methods", "redistribution", "--json", "-", "--jobs", jobs)
+        call("validate", folder, "--methods", "redistribution", "--json", "-", "--jobs", jobs)
         rows = json.loads(capsys.readouterr().out)["rows"]
         figures.append([{name: value for name, value in row.items() if name != "seconds"} for row in rows])
     assert figures[0] == figures[1]
 
 
-def test_nothing_scored_is_exit_code_2(folder, capsys):
-    assert run("validate", folder / "no_truth.mcap") == 2
+def test_nothing_scored_is_exit_code_2(call, folder, capsys):
+    assert call("validate", folder / "no_truth.mcap") == 2
     assert "has no independent truth" in capsys.readouterr().out
 
 
@@ -105,20 +98,20 @@ def test_nothing_scored_is_exit_code_2(folder, capsys):
     ("tokens", "said"),
     [(["--methods", "offline-vfq"], "did you mean 'offline-vqf'"), (["--align", "clock"], "--align")],
 )
-def test_errors_are_one_line(folder, capsys, tokens, said):
-    assert run("validate", folder / "good.mcap", *tokens) == 2
+def test_errors_are_one_line(call, folder, capsys, tokens, said):
+    assert call("validate", folder / "good.mcap", *tokens) == 2
     message = capsys.readouterr().err.strip()
     assert said in message
     assert "\n" not in message
 
 
-def test_broad_as_the_command_sees_it(data_dir, tmp_path, capsys):
+def test_broad_as_the_command_sees_it(call, data_dir, tmp_path, capsys):
     """The prototype's figures and those of the best offline peer, from the source's files to the table."""
     for trial in PROTOTYPE_DEG:
         (file,) = (data_dir / "broad").glob(f"{trial}_*.mat")
-        assert run("import", "broad", file, "-o", tmp_path) == 0
+        assert call("import", "broad", file, "-o", tmp_path) == 0
     capsys.readouterr()
-    assert run("validate", tmp_path, "--json", "-", "--jobs", 1) == 0
+    assert call("validate", tmp_path, "--json", "-", "--jobs", 1) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     total = {(row["recording"][:2], row["method"]): row["total_rmse_deg"] for row in rows}
     for trial, known in OFFLINE_VQF_DEG.items():

@@ -1,0 +1,60 @@
+"""What verbs share that make one file per input: settings by name, targets that differ, refusals, exit codes."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.scripts.jobs import Outcome
+from stillpoint.scripts.json_file import STDOUT, write_json
+from stillpoint.scripts.tables import print_refusals, print_table
+
+SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
+
+
+def assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:
+    """``{name: value}`` of the texts NAME=VALUE; raises :class:`BadParameter` with the example for another text."""
+    changes = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not (equals and name.strip()):
+            raise BadParameter(f"--set {pair}: write NAME=VALUE, for example {example}")
+        changes[name.strip()] = value.strip()
+    return changes
+
+
+def require_distinct(targets: Iterable[Path]) -> None:
+    """Raise :class:`BadParameter` when two inputs would be written to one file."""
+    twice = [target for target, count in Counter(targets).items() if count > 1]
+    if twice:
+        raise BadParameter(f"{twice[0].name}: two recordings have this name; write them to different folders")
+
+
+def made_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
+    """The row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
+    if outcome.value is None:
+        return {**named, "file": None, "error": outcome.error}
+    return {**named, "file": str(target), **outcome.value, "error": None}
+
+
+def report_made(
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[dict[str, Any]],
+    cells: Callable[[dict[str, Any]], list[str]],
+    json: str | None,
+) -> int:
+    """Print and write the rows; exit code 2 when one has an error, which is raised when it is the only row.
+
+    The second column is what the file was made by; its heading is the key of that in the rows.
+    """
+    if len(rows) == 1 and rows[0]["error"] is not None:
+        raise StillpointError(rows[0]["error"])
+    if json != STDOUT:
+        print_table(title, columns, [[cells(row) for row in rows]])
+        print_refusals("not made", ((row["error"], row[columns[1]]) for row in rows if row["error"] is not None))
+    write_json(json, rows)
+    return 2 if any(row["error"] is not None for row in rows) else 0
