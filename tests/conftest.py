@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from known import Known, known_recording
 
 settings.register_profile("stillpoint", deadline=None, max_examples=50)
 settings.load_profile("stillpoint")
@@ -20,6 +21,12 @@ def data_dir() -> Path:
     if not Path(folder).is_dir():
         pytest.fail(f"STILLPOINT_DATA={folder} is not a folder")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def known() -> Known:
+    """A recording for importers to give back."""
+    return known_recording()
 
 
 @pytest.fixture(scope="session")

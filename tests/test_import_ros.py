@@ -1,0 +1,106 @@
+"""The known recording through the bags of ROS 1 and ROS 2."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known import START_NS, Known, assert_known, only
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from stillpoint.datasets.frames import to_xyzw
+from stillpoint.datasets.importers.ros import RosOptions
+from stillpoint.datasets.importers.ros_messages import LEAVES, TF
+
+
+def write_bag(store, writer, known: Known, ros1: bool, truth: str = "geometry_msgs/msg/PoseStamped") -> None:
+    types = store.types
+    stamp, point = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Point"]
+    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    nine = np.zeros(9)
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    kinds = {"/imu": "sensor_msgs/msg/Imu", "/mag": "sensor_msgs/msg/MagneticField", "/truth": truth}
+    kinds |= {"/fix": "sensor_msgs/msg/NavSatFix"}
+    to = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+
+    def header(t: int, frame: str):
+        at = stamp(sec=t // 10**9, nanosec=t % 10**9)
+        extra = {"seq": 0} if ros1 else {}
+        return types["std_msgs/msg/Header"](stamp=at, frame_id=frame, **extra)
+
+    for k, t in enumerate((known.t_ns + START_NS).tolist()):
+        q = turn(*to_xyzw(known.q_nb[k]).tolist())
+        messages = {
+            "/imu": types["sensor_msgs/msg/Imu"](
+                header(t, "imu"),
+                turn(0.0, 0.0, 0.0, 1.0),
+                nine,
+                vector(*known.gyro_b_radps[k]),
+                nine,
+                vector(*known.accel_b_mps2[k]),
+                nine,
+            ),
+            "/mag": types["sensor_msgs/msg/MagneticField"](header(t, "imu"), vector(*(known.mag_b_ut[k] * 1e-6)), nine),
+        }
+        if truth.startswith("geometry_msgs"):
+            pose = types["geometry_msgs/msg/Pose"](point(1.0, 2.0, 3.0), q)
+            messages["/truth"] = types[truth](header(t, "map"), pose)
+        else:
+            transform = types["geometry_msgs/msg/Transform"](vector(1.0, 2.0, 3.0), q)
+            still = types["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), turn(0.0, 0.0, 0.0, 1.0))
+            stamped = types["geometry_msgs/msg/TransformStamped"]
+            pair = [stamped(header(t, "map"), "table", still), stamped(header(t, "map"), "phone", transform)]
+            messages["/truth"] = types[truth](pair[k % 2 :])
+        if k % 100 == 0:
+            status = types["sensor_msgs/msg/NavSatStatus"](status=-1 if k == 100 else 0, service=1)
+            messages["/fix"] = types["sensor_msgs/msg/NavSatFix"](header(t, "gps"), status, 52.5, 13.3, 80.0, nine, 0)
+        for topic, message in messages.items():
+            # Logged 5 ms late: the stamps of the headers are what counts.
+            writer.write(to[topic], t + 5_000_000, serialize(message, kinds[topic]))
+
+
+def ros_source(tmp_path: Path, variant: str, known: Known, truth: str) -> Path:
+    if variant == "ros1":
+        store = get_typestore(Stores.ROS1_NOETIC)
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF[0]))
+        with Writer1(tmp_path / "run.bag") as writer:
+            write_bag(store, writer, known, ros1=True, truth=truth)
+        return tmp_path / "run.bag"
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = StoragePlugin.SQLITE3 if variant == "sqlite" else StoragePlugin.MCAP
+    with Writer2(tmp_path / "run", version=9, storage_plugin=plugin) as writer:
+        write_bag(store, writer, known, ros1=False, truth=truth)
+    if variant != "mcap":
+        return tmp_path / "run"
+    (tmp_path / "run" / "run.mcap").rename(tmp_path / "run.mcap")
+    return tmp_path / "run.mcap"
+
+
+@pytest.mark.parametrize("variant", ["ros1", "sqlite", "mcap bag", "mcap"])
+def test_ros_in_each_of_its_containers(known, tmp_path, variant):
+    source = ros_source(tmp_path, variant, known, "geometry_msgs/msg/PoseStamped")
+    recording = only("ros", source)
+    assert_known(recording, known, start_ns=START_NS, near=1e-12)
+    assert recording.name == "run"
+    assert recording.gps.valid.tolist() == [True, False, True, True, True, True]
+    assert (recording.truth.position_n_m == [1, 2, 3]).all()
+
+
+@pytest.mark.parametrize("variant", ["ros1", "sqlite", "mcap"])
+def test_ros_truth_from_one_child_of_tf(known, tmp_path, variant):
+    source = ros_source(tmp_path, variant, known, TF[0])
+    recording = only("ros", source, RosOptions(truth_child="phone"))
+    assert_known(recording, known, start_ns=START_NS, near=1e-12)
+
+
+def test_the_leaves_of_the_ros_table_are_numbers_of_the_messages_they_stand_for():
+    fields = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    for kinds in LEAVES.values():
+        for kind, leaves in kinds.items():
+            for leaf in leaves:
+                at = "geometry_msgs/msg/TransformStamped" if kind in TF else kind
+                for part in leaf.split("."):
+                    _, at = dict(fields[at][1])[part]
+                assert at[0] in ("float64", "int8"), f"{kind}: {leaf}"
