@@ -8,7 +8,7 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
-from stillpoint.datasets.doctor import Diagnosis, apply, diagnose
+from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Remedy, apply, diagnose
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.store import read_recording, write
@@ -23,6 +23,7 @@ def doctor(
     *files: Path,
     repair: Annotated[bool, Parameter(name="--apply", negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
     strict: Annotated[bool, Parameter(negative="")] = False,
     json: JsonFile = None,
 ) -> int:
@@ -38,6 +39,8 @@ def doctor(
         Write recordings with the remedies applied to the folder --out.
     out
         Folder for the repaired recordings; must not be the one they come from.
+    skip
+        Code of a finding whose remedy --apply leaves out; may be given several times.
     strict
         Exit with 2 when a recording has an error or a warning.
     json
@@ -55,8 +58,9 @@ def doctor(
         rows += diagnosis.rows()
         _show(console, path, diagnosis)
         if folder is not None:
-            written = _repair(path, recording, diagnosis, folder)
-            console.print(f"  {len(diagnosis.remedies)} remedies applied: {written}")
+            remedies = _chosen(diagnosis, skip)
+            written = _repair(path, recording, remedies, folder)
+            console.print(f"  {len(remedies)} of {len(diagnosis.remedies)} remedies applied: {written}")
     write_json(json, rows)
     if strict and not clean:
         print("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
@@ -77,18 +81,23 @@ def examine(recording: Recording) -> Diagnosis:
     return diagnose(recording, find_rests(apply(recording, units).require_imu()))
 
 
-def _repair(path: Path, recording: Recording, diagnosis: Diagnosis, folder: Path) -> Path:
+def _chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
+    return [one.remedy for one in diagnosis.findings if one.remedy is not None and one.code not in skip]
+
+
+def _repair(path: Path, recording: Recording, remedies: list[Remedy], folder: Path) -> Path:
     target = folder / path.name
     if target.resolve() == path.resolve():
         raise BadParameter(f"{path}: would be overwritten; name another folder with --out")
-    write(target, apply(recording, diagnosis.remedies))
+    write(target, apply(recording, remedies))
     return target
 
 
 def _show(console: Console, path: Path, diagnosis: Diagnosis) -> None:
-    counts = [f"{len(diagnosis.codes(kind))} {kind}s" for kind in ("error", "warning", "fact")]
+    sizes = [(len(diagnosis.codes(kind)), kind) for kind in SEVERITIES]
+    counts = [f"{count} {kind}{'' if count == 1 else 's'}" for count, kind in sizes]
     console.print(f"{path}: {', '.join(counts)}{': clean' if diagnosis.clean else ''}")
-    for kind in ("error", "warning", "fact"):
+    for kind in SEVERITIES:
         for finding in diagnosis.findings:
             if finding.severity == kind:
                 console.print(f"  {kind:7} {finding.code:18} {finding.message}", style=COLOURS[kind])

@@ -308,6 +308,13 @@ def test_the_verb_applies_remedies_and_records_them(files, tmp_path, capsys):
     assert (files / "flipped.mcap").read_bytes() == before
 
 
+def test_a_remedy_can_be_left_out(files, tmp_path, capsys):
+    assert call(files / "flipped.mcap", "--apply", "-o", tmp_path, "--skip", "gyro-axes") == 0
+    assert "0 of 1 remedies applied" in capsys.readouterr().out
+    kept, before = read_recording(tmp_path / "flipped.mcap"), read_recording(files / "flipped.mcap")
+    assert np.array_equal(kept.imu.gyro_b_radps, before.imu.gyro_b_radps)
+
+
 @pytest.mark.parametrize("flags", [["--apply"], ["-o", "x"], ["--apply", "-o", "."]])
 def test_the_verb_never_overwrites_and_wants_a_folder(files, flags, capsys, monkeypatch):
     monkeypatch.chdir(files)

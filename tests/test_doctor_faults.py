@@ -88,10 +88,10 @@ def stamps(stream: str, change: Callable[[np.ndarray], np.ndarray]) -> Change:
 
 
 def in_bursts(t_ns: np.ndarray) -> np.ndarray:
-    """Receipt in packets of 25, 1 ms apart within one."""
+    """Receipt in packets of 25, 0.2 ms apart within one."""
     k = np.arange(len(t_ns))
     last = np.minimum(k // 25 * 25 + 24, len(k) - 1)
-    return t_ns[last] + (k % 25) * 1_000_000
+    return t_ns[last] + (k % 25) * 200_000
 
 
 def jittered(t_ns: np.ndarray) -> np.ndarray:

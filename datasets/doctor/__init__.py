@@ -5,7 +5,7 @@ finding what it rests on, from where on it is said, and what the remedy is.
 """
 
 from stillpoint.datasets.doctor.diagnose import diagnose
-from stillpoint.datasets.doctor.finding import Diagnosis, Finding, Remedy, Severity
+from stillpoint.datasets.doctor.finding import SEVERITIES, Diagnosis, Finding, Remedy, Severity
 from stillpoint.datasets.doctor.remedy import apply
 
-__all__ = ["Diagnosis", "Finding", "Remedy", "Severity", "apply", "diagnose"]
+__all__ = ["SEVERITIES", "Diagnosis", "Finding", "Remedy", "Severity", "apply", "diagnose"]
