@@ -1,0 +1,175 @@
+"""The calibrating factor graph: what is known about a moving sensor, one small generator for each idea.
+
+    X pose (attitude in n, place)   V velocity   C effective IMU bias of an interval
+    B bias, a step every 10 s       M calibration, one per recording   H field and hard iron (field.py)
+
+      H ----+----------+               B0 ------- B1
+            |          |              / |        /          C_i = B + M [w, a, da/dt]    (linear)
+           X0 -- C0 -- X1 -- C1 -- X2 ...
+           V0 --------- V1 -------- V2 ...      M touches every C_i
+            |           |           |
+        bounded     at rest:    X0 = X2 where the base pose is met again
+        motion      V = 0, X1 = X2
+
+All factors are gtsam's own; a calibration reaches the preintegrated IMU factor through the bias it takes anyway.
+Names of gtsam occur here and in solve.py only.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, C, M, V, X
+
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.graph_params import GraphParams
+from stillpoint.smoother.keys import Keys, Motion
+
+CALIBRATION = 19  # 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
+EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
+INTEGRATION_VARIANCE = 1e-6  # m^2/s of preintegration itself
+FREE = gtsam.imuBias.ConstantBias()
+
+isotropic = gtsam.noiseModel.Isotropic.Sigma
+diagonal = gtsam.noiseModel.Diagonal.Sigmas
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """What fixes the trajectory from outside; keys are indices of states."""
+
+    base: int | None  # the state in the base pose
+    base_q_nb: Floats | None  # its attitude, when it is known
+    base_sd_rad: float
+    returns: tuple[int, ...]  # states in which the base pose is met again
+    first_q_nb: Floats  # (4,) attitude of the first state, weakly
+    first_cov_b_rad2: Floats  # (3, 3) how weakly
+
+
+def steps_of_bias(keys: Keys, params: GraphParams) -> np.ndarray:
+    """Which bias holds at each state, (n,)."""
+    return ((keys.t_s - keys.t_s[0]) / params.inertial.bias_step_s).astype(np.int64)
+
+
+def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float, params: GraphParams) -> Iterator:
+    """Neighbouring states differ by what gyro and accelerometer measured between them, less the bias C."""
+    start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
+    summed = {kind: gtsam.PreintegratedImuMeasurements(noise, start) for kind, noise in _noises(g_mps2, params).items()}
+    accel, gyro, dt_s = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
+    for i in np.flatnonzero(~keys.gap):
+        between = summed["rest" if keys.at_rest[i] else "clipped" if keys.clipped[i] else "moving"]
+        between.resetIntegration()
+        for k in range(keys.row[i] + 1, keys.row[i + 1] + 1):
+            between.integrateMeasurement(accel[k], gyro[k], dt_s[k])
+        yield gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
+
+
+def _noises(g_mps2: float, params: GraphParams) -> dict[str, gtsam.PreintegrationParams]:
+    p = params.inertial
+    sizes = {
+        "moving": (p.gyro_radps_rthz, p.accel_mps2_rthz),
+        "rest": (p.gyro_rest_radps_rthz, p.accel_rest_mps2_rthz),
+        "clipped": (p.gyro_radps_rthz * p.clipped_factor, p.accel_mps2_rthz * p.clipped_factor),
+    }
+    noises = {}
+    for kind, (gyro, accel) in sizes.items():
+        noises[kind] = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
+        noises[kind].setGyroscopeCovariance(gyro**2 * np.eye(3))
+        noises[kind].setAccelerometerCovariance(accel**2 * np.eye(3))
+        noises[kind].setIntegrationCovariance(INTEGRATION_VARIANCE * np.eye(3))
+    return noises
+
+
+def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
+    """The effective bias of an interval: C = B + M [mean force, mean rate, change of the force]."""
+    noise, eye, step = diagonal(EFFECTIVE_BIAS_SD), np.eye(6), steps_of_bias(keys, params)
+    for i in np.flatnonzero(~keys.gap):
+        by_matrix = np.zeros((6, CALIBRATION))
+        for axis in range(3):
+            by_matrix[axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[i]
+            by_matrix[3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[i]
+        by_matrix[:3, 18] = -keys.jerk_b_mps3[i]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
+        linear = gtsam.JacobianFactor(C(i), eye, B(step[i]), -eye, M(0), -by_matrix, np.zeros(6), noise)
+        yield gtsam.LinearContainerFactor(linear)
+
+
+def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:
+    """The bias begins near its start value and walks; the calibration is near identity."""
+    p = params.inertial
+    start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
+    spread = np.concatenate([np.full(3, p.accel_bias_sd_mps2), np.full(3, p.gyro_bias_sd_radps)])
+    yield gtsam.PriorFactorConstantBias(B(0), start, diagonal(spread))
+    walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
+    for k in range(steps_of_bias(keys, params)[-1]):
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, diagonal(walk))
+    sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), [p.accel_late_sd_s]]
+    yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), diagonal(np.concatenate(sizes)))
+
+
+def motion_factors(keys: Keys, params: GraphParams) -> Iterator:
+    """A hand, a table, a vehicle: the place stays within metres, the speed within metres per second."""
+    p, zero = params.motion, np.zeros(3)
+    span_s = np.append(keys.span_s, keys.span_s[-1])
+    resting = np.concatenate([[False], keys.at_rest]) | np.concatenate([keys.at_rest, [False]])
+    for i in range(len(keys.t_s)):
+        share = 1 / np.sqrt(min(span_s[i], 1.0))
+        speed = p.rest_velocity_sd_mps if resting[i] else p.velocity_sd_mps * share
+        yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, speed))
+        yield gtsam.GPSFactor(X(i), zero, isotropic(3, p.position_sd_m * share))
+
+
+def rest_factors(keys: Keys, params: GraphParams) -> Iterator:
+    """At rest nothing turns and nothing moves."""
+    p = params.motion
+    still = diagonal(np.concatenate([np.full(3, p.rest_turn_sd_rad), np.full(3, 1e-3)]))
+    for i in np.flatnonzero(keys.at_rest & ~keys.gap):
+        yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), still)
+
+
+def gap_factors(keys: Keys, params: GraphParams) -> Iterator:
+    """Across a gap the sensor may have turned at any rate up to ``gap_rate_sd`` and gone as far as its speed allows."""
+    rate, speed = params.inertial.gap_rate_sd_radps, params.motion.velocity_sd_mps
+    for i in np.flatnonzero(keys.gap):
+        seconds = keys.span_s[i]
+        loose = diagonal(np.concatenate([np.full(3, min(rate * seconds, np.pi)), np.full(3, speed * seconds)]))
+        yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), loose)
+
+
+def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
+    """The base pose is met again (robustly: it may have been knocked); the first attitude is where it began."""
+    first = gtsam.Pose3(rot3(anchors.first_q_nb), np.zeros(3))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = anchors.first_cov_b_rad2, np.diag([100.0] * 3)
+    yield gtsam.PriorFactorPose3(X(0), first, gtsam.noiseModel.Gaussian.Covariance(covariance))
+    if anchors.base is None:
+        return
+    if anchors.base_q_nb is not None:
+        noise = diagonal(np.concatenate([np.full(3, anchors.base_sd_rad), np.full(3, 100.0)]))
+        yield gtsam.PriorFactorPose3(X(anchors.base), gtsam.Pose3(rot3(anchors.base_q_nb), np.zeros(3)), noise)
+    turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
+    noise = diagonal(np.concatenate([np.full(3, turn), np.full(3, place)]))
+    robust = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(3.0), noise)
+    for state in anchors.returns:
+        yield gtsam.BetweenFactorPose3(X(anchors.base), X(state), gtsam.Pose3(), robust)
+
+
+def start_values(keys: Keys, q_nb: Floats, bias_b_radps: Floats, params: GraphParams) -> gtsam.Values:
+    """Values of all states: the attitudes (n, 4) of the start, standing still."""
+    values = gtsam.Values()
+    bias = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
+    for i, matrix in enumerate(rotation(q_nb).as_matrix()):
+        values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), np.zeros(3)))
+        values.insert(V(i), np.zeros(3))
+    for i in np.flatnonzero(~keys.gap):
+        values.insert(C(i), bias)
+    for k in range(steps_of_bias(keys, params)[-1] + 1):
+        values.insert(B(k), bias)
+    values.insert(M(0), np.zeros(CALIBRATION))
+    return values
+
+
+def rot3(q_nb: Floats) -> gtsam.Rot3:
+    """gtsam's rotation of a quaternion wxyz."""
+    return gtsam.Rot3.Quaternion(*(float(x) for x in q_nb))

@@ -1,0 +1,107 @@
+"""The magnetometer in the graph: b = R^T m + h, with the local field m and the hard iron h as unknowns.
+
+gtsam has no factor with both unknown; this one is linearised here and handed over as a Jacobian factor in every
+iteration, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity).
+"""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import H, X
+from numpy.typing import NDArray
+
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Mag
+from stillpoint.smoother.graph_params import FieldParams
+from stillpoint.smoother.keys import Keys
+
+FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
+SHRINK = 0.6  # from iteration to iteration
+HEADING_SD_UT = 1e-3  # of the field's east part where its direction is north by definition
+
+
+@dataclass(frozen=True, eq=False)
+class FieldMeasurements:
+    """One measurement at each of K states."""
+
+    state: NDArray[np.int64]  # (K,)
+    field_b_ut: Floats  # (K, 3)
+
+
+def measurements_at(keys: Keys, mag: Mag, t0_ns: int, params: FieldParams) -> FieldMeasurements | None:
+    """The field at states ``step_s`` apart, interpolated to their time; None where there are fewer than three.
+
+    States farther than half a step from a sample of the magnetometer's own clock are left out.
+    """
+    t_s = (mag.t_ns - t0_ns) / 1e9
+    wanted_s = np.arange(keys.t_s[0], keys.t_s[-1], params.step_s)
+    state = np.unique(np.searchsorted(keys.t_s, wanted_s))
+    state = state[state < len(keys.t_s)]
+    after = np.clip(np.searchsorted(t_s, keys.t_s[state]), 1, len(t_s) - 1)
+    near = np.minimum(np.abs(t_s[after] - keys.t_s[state]), np.abs(keys.t_s[state] - t_s[after - 1]))
+    state = state[near <= params.step_s / 2]
+    if len(state) < 3:
+        return None
+    field = np.stack([np.interp(keys.t_s[state], t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
+    return FieldMeasurements(state.astype(np.int64), field)
+
+
+def start_of_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
+    """Field and hard iron to begin with, (6,): the median field in n, seen from attitudes ``q_nb`` (K, 4)."""
+    field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
+    return np.concatenate([np.median(field_n, axis=0), iron_b_ut])
+
+
+def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
+    """Around the start; horizontally the field points to ``azimuth_rad`` east of north where n is defined by it."""
+    level = np.hypot(start[0], start[1])
+    mean = np.concatenate([[level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), start[2]], start[3:]])
+    sizes = np.concatenate([np.full(3, params.field_sd_ut), np.full(3, params.iron_sd_ut)])
+    covariance = np.diag(sizes**2)
+    if azimuth_known:
+        across = np.array([np.cos(azimuth_rad), -np.sin(azimuth_rad), 0.0])
+        along = np.array([np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
+        level_cov = HEADING_SD_UT**2 * np.outer(across, across) + params.field_sd_ut**2 * np.outer(along, along)
+        covariance[:2, :2] = level_cov[:2, :2]
+    return gtsam.PriorFactorVector(H(0), mean, gtsam.noiseModel.Gaussian.Covariance(covariance))
+
+
+def residuals(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
+    """R^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and field and hard iron (6,)."""
+    return np.einsum("kji,j->ki", rotations, field[:3]) + field[3:] - measured.field_b_ut
+
+
+def weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
+    """Square roots of the Geman-McClure weights, (K,)."""
+    return 1 / (1 + np.sum(residual**2, axis=1) / (params.robust * scale_ut) ** 2)
+
+
+def linear_factors(
+    measured: FieldMeasurements, rotations: Floats, field: Floats, scale_ut: float, params: FieldParams
+) -> list[gtsam.JacobianFactor]:
+    """The measurement equation linearised at the given attitudes and field, weighted and whitened.
+
+    With the pose's rotation moved by R exp(d): R^T m changes by [R^T m]x d.
+    """
+    residual = residuals(measured, rotations, field)
+    seen = residual + measured.field_b_ut - field[3:]
+    root = weights(residual, scale_ut, params) / scale_ut
+    by_pose = np.zeros((len(seen), 3, 6))
+    by_pose[:, 0, 1], by_pose[:, 0, 2] = -seen[:, 2], seen[:, 1]
+    by_pose[:, 1, 0], by_pose[:, 1, 2] = seen[:, 2], -seen[:, 0]
+    by_pose[:, 2, 0], by_pose[:, 2, 1] = -seen[:, 1], seen[:, 0]
+    by_field = np.concatenate([rotations.transpose(0, 2, 1), np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
+    by_pose, by_field = by_pose * root[:, None, None], by_field * root[:, None, None]
+    unit = gtsam.noiseModel.Unit.Create(3)
+    target = -residual * root[:, None]
+    return [
+        gtsam.JacobianFactor(X(int(state)), by_pose[k], H(0), by_field[k], target[k], unit)
+        for k, state in enumerate(measured.state)
+    ]
+
+
+def next_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:
+    """The scale of the next iteration: smaller, but not below the residuals' own size or ``sd_ut``."""
+    size = float(np.median(np.linalg.norm(residual, axis=1)))  # about sd for three axes
+    return max(params.sd_ut, min(SHRINK * scale_ut, max(size, params.sd_ut)))

@@ -1,0 +1,85 @@
+"""From states to samples: the calibrated gyro between keys, the remaining difference spread: paper 002 at key scale."""
+
+import numba
+import numpy as np
+
+from stillpoint.datasets.recording import Floats, Times
+
+
+@numba.njit(cache=True)
+def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
+    """Attitude (N, 4) of every sample.
+
+    ``key_rows`` (n,) rising, from the first sample to the last; ``key_q_nb`` (n, 4); ``rate_b_radps`` (N, 3) corrected;
+    ``dt_s`` (N,). From each key the gyro is integrated to the next; what then remains to that key's attitude is given
+    back in proportion to time, so that every key is met exactly.
+    """
+    q_nb = np.empty((len(dt_s), 4))
+    for i in range(len(key_rows) - 1):
+        first, last = key_rows[i], key_rows[i + 1]
+        q = (key_q_nb[i, 0], key_q_nb[i, 1], key_q_nb[i, 2], key_q_nb[i, 3])
+        _put(q_nb, first, q)
+        span_s = 0.0
+        for k in range(first + 1, last + 1):
+            a, b, c = rate_b_radps[k, 0] * dt_s[k], rate_b_radps[k, 1] * dt_s[k], rate_b_radps[k, 2] * dt_s[k]
+            q = _product(q, _exponential(a, b, c))
+            _put(q_nb, k, q)
+            span_s += dt_s[k]
+        end = (key_q_nb[i + 1, 0], key_q_nb[i + 1, 1], key_q_nb[i + 1, 2], key_q_nb[i + 1, 3])
+        a, b, c = _logarithm(_product((q[0], -q[1], -q[2], -q[3]), end))
+        elapsed_s = 0.0
+        for k in range(first + 1, last + 1):
+            elapsed_s += dt_s[k]
+            share = elapsed_s / span_s
+            q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
+            _put(q_nb, k, _product(q, _exponential(a * share, b * share, c * share)))
+    _put(q_nb, key_rows[-1], (key_q_nb[-1, 0], key_q_nb[-1, 1], key_q_nb[-1, 2], key_q_nb[-1, 3]))
+    return q_nb
+
+
+@numba.njit(inline="always")
+def _put(q_nb, k, q):  # noqa: ANN202 - compiled
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for axis in range(4):
+        q_nb[k, axis] = q[axis] / norm
+
+
+@numba.njit(inline="always")
+def _product(p, q):  # noqa: ANN202 - compiled
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@numba.njit(inline="always")
+def _exponential(a, b, c):  # noqa: ANN202 - compiled
+    angle = np.sqrt(a * a + b * b + c * c)
+    s = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
+    return (np.cos(angle / 2), a * s, b * s, c * s)
+
+
+@numba.njit(inline="always")
+def _logarithm(q):  # noqa: ANN202 - compiled
+    sign = 1.0 if q[0] >= 0 else -1.0
+    s = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    scale = 2.0 * sign if s < 1e-9 else 2.0 * np.arctan2(s, sign * q[0]) * sign / s
+    return (q[1] * scale, q[2] * scale, q[3] * scale)
+
+
+def covariance_between(
+    t_s: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, gap_rate_sd_radps: float, gap: Floats
+) -> Floats:
+    """Covariance (N, 3, 3) of every sample: linear in time between keys, and in a gap as wide as the hidden rate.
+
+    ``key_cov_b_rad2`` (n, 3, 3); ``gap`` (n - 1,) which intervals are gaps.
+    """
+    right = np.clip(np.searchsorted(key_t_s, t_s, side="right"), 1, len(key_t_s) - 1)
+    left = right - 1
+    share = (t_s - key_t_s[left]) / (key_t_s[right] - key_t_s[left])
+    covariance = (1 - share)[:, None, None] * key_cov_b_rad2[left] + share[:, None, None] * key_cov_b_rad2[right]
+    nearest_s = np.minimum(t_s - key_t_s[left], key_t_s[right] - t_s)
+    hidden = np.where(gap[left], (gap_rate_sd_radps * nearest_s) ** 2, 0.0)
+    return covariance + np.minimum(hidden, np.pi**2)[:, None, None] * np.eye(3)

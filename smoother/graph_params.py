@@ -1,0 +1,97 @@
+"""Settings of the calibrating factor graph, and presets for ways of moving."""
+
+from dataclasses import dataclass, field, replace
+
+from stillpoint.datasets.settings import Settings, degrees, number
+from stillpoint.smoother.base_pose import ReturnParams
+from stillpoint.smoother.rest import RestParams
+
+
+@dataclass(frozen=True)
+class KeyParams(Settings):
+    """Where the graph has states: default, lowest, highest, meaning."""
+
+    moving_s: float = number(0.1, 0.02, 1.0, "between keys in motion; 0.2 costs a tenth of accuracy in fast motion")
+    resting_s: float = number(1.0, 0.1, 10.0, "between keys at rest")
+    window_s: float = number(3600.0, 60.0, 1e6, "longer recordings are solved in windows of this length")
+    overlap_s: float = number(120.0, 10.0, 3600.0, "by which neighbouring windows overlap")
+
+
+@dataclass(frozen=True)
+class InertialNoise(Settings):
+    """Gyro and accelerometer. The densities in motion are larger than a sensor's white noise on purpose.
+
+    They stand for all that a constant calibration does not explain: vibration, clipping, non-linearity, clock jitter.
+    """
+
+    gyro_radps_rthz: float = number(0.003, 1e-6, 1.0, "gyro in motion, white")
+    accel_mps2_rthz: float = number(0.2, 1e-4, 10.0, "accelerometer in motion, white")
+    gyro_rest_radps_rthz: float = number(0.001, 1e-6, 1.0, "gyro at rest")
+    accel_rest_mps2_rthz: float = number(0.02, 1e-4, 10.0, "accelerometer at rest")
+    clipped_factor: float = number(30.0, 1.0, 1e4, "both in motion, between keys with a clipped sample")
+    gyro_bias_sd_radps: float = degrees(1.0, 0.01, 20.0, "the gyro's bias around its start value")
+    gyro_bias_walk: float = number(2e-4, 1e-7, 0.1, "rad/s per sqrt(s): its random walk")
+    accel_bias_sd_mps2: float = number(0.1, 1e-4, 5.0, "the accelerometer's bias")
+    accel_bias_walk: float = number(1e-3, 1e-7, 1.0, "m/s^2 per sqrt(s): its random walk")
+    bias_step_s: float = number(10.0, 1.0, 600.0, "the bias is constant for so long")
+    gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "scale and misalignment of the gyro, relative")
+    accel_matrix_sd: float = number(0.005, 1e-5, 0.2, "the same of the accelerometer")
+    accel_late_sd_s: float = number(0.01, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
+    gap_rate_sd_radps: float = degrees(60.0, 0.1, 3000.0, "rate that a gap in the stamps may hide")
+
+
+@dataclass(frozen=True)
+class MotionPriors(Settings):
+    """How far and how fast the sensor moves: zero-mean, one draw a second."""
+
+    position_sd_m: float = number(5.0, 0.01, 1e7, "around a free origin")
+    velocity_sd_mps: float = number(5.0, 0.01, 1e4, "around standstill")
+    rest_velocity_sd_mps: float = number(0.01, 1e-5, 1.0, "at rest")
+    rest_turn_sd_rad: float = number(1e-3, 1e-5, 0.1, "between neighbouring keys at rest")
+    return_position_sd_m: float = number(0.02, 1e-4, 1e5, "how well the place of the base pose is met again")
+
+
+@dataclass(frozen=True)
+class FieldParams(Settings):
+    """Magnetometer: b = R^T m + h with the local field m and the hard iron h as unknowns."""
+
+    sd_ut: float = number(5.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
+    step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
+    robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
+    field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")
+    iron_sd_ut: float = number(50.0, 0.1, 1000.0, "of the hard iron around its start value")
+
+
+@dataclass(frozen=True)
+class GpsParams(Settings):
+    """Satellite fixes, where a recording has them."""
+
+    position_sd_m: float = number(3.0, 0.01, 1000.0, "horizontally; three times that vertically")
+    velocity_sd_mps: float = number(0.5, 0.01, 100.0, "of speed and course")
+    course_speed_mps: float = number(2.0, 0.1, 50.0, "below this speed the course says nothing")
+
+
+@dataclass(frozen=True)
+class GraphParams(Settings):
+    """Settings of ``method="graph"``, by station."""
+
+    keys: KeyParams = field(default_factory=KeyParams)
+    inertial: InertialNoise = field(default_factory=InertialNoise)
+    motion: MotionPriors = field(default_factory=MotionPriors)
+    magnetic: FieldParams = field(default_factory=FieldParams)
+    gps: GpsParams = field(default_factory=GpsParams)
+    rest: RestParams = field(default_factory=RestParams)
+    returns: ReturnParams = field(default_factory=ReturnParams)
+    turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
+    variance_factor: float = number(0.7, 0.01, 100.0, "on all covariances: calibrated against optical truth")
+    prior_returns: float = number(1.0, 0.01, 100.0, "how many returns' worth of trust the noise sizes deserve")
+    iterations: float = number(20.0, 1.0, 200.0, "that the solution may take")
+
+
+HANDHELD = GraphParams()
+PRESETS: dict[str, GraphParams] = {
+    "handheld": HANDHELD,
+    "phone": HANDHELD,
+    "vehicle": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=1e6, velocity_sd_mps=30.0)),
+    "bench": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=0.3, velocity_sd_mps=0.5)),
+}

@@ -1,0 +1,123 @@
+"""Where the graph has its states, and what the sensors measured between them."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats, Imu, Times
+from stillpoint.smoother.graph_params import KeyParams
+from stillpoint.smoother.strapdown import GAP_STEPS
+
+SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
+SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
+CLIP_COUNT = 5  # so many readings equal to the largest are clipping, fewer are chance
+LONG_GAP_S = 0.5  # a longer gap is not integrated across
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The IMU stream as the graph uses it: N samples in seconds from its first."""
+
+    t_s: Floats  # (N,)
+    dt_s: Floats  # (N,) the interval that ends at the sample
+    gyro_b_radps: Floats  # (N, 3)
+    accel_b_mps2: Floats  # (N, 3)
+    at_rest: NDArray[np.bool_]  # (N,)
+    clipped: NDArray[np.bool_]  # (N,)
+
+
+@dataclass(frozen=True, eq=False)
+class Keys:
+    """n states and the n - 1 intervals between them."""
+
+    row: NDArray[np.int64]  # (n,) the sample at which the state stands
+    t_s: Floats  # (n,)
+    at_rest: NDArray[np.bool_]  # (n - 1,) no motion in the interval
+    gap: NDArray[np.bool_]  # (n - 1,) samples are missing for more than LONG_GAP_S
+    clipped: NDArray[np.bool_]  # (n - 1,)
+    gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
+    accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
+    jerk_b_mps3: Floats  # (n - 1, 3) change of the specific force over the interval
+
+    @property
+    def span_s(self) -> Floats:
+        """Lengths of the intervals, (n - 1,)."""
+        return np.diff(self.t_s)
+
+
+def motion_of(imu: Imu, rests_ns: Times) -> Motion:
+    """The stream with the marks that the graph needs."""
+    t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
+    at_rest = np.zeros(len(t_s), dtype=np.bool_)
+    for start, end in np.searchsorted(imu.t_ns, rests_ns):
+        at_rest[start : end + 1] = True
+    clipped = _clipped(imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
+    clipped |= _clipped(imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
+    step_s = np.diff(t_s)
+    dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
+    return Motion(t_s, dt_s, imu.gyro_b_radps, imu.accel_b_mps2, at_rest, clipped)
+
+
+def choose_keys(motion: Motion, params: KeyParams) -> Keys:
+    """States every ``moving_s`` in motion and every ``resting_s`` at rest, at the ends of rests and gaps."""
+    rows = _rows(motion, params)
+    total_s, turned = _running(motion.dt_s, motion.gyro_b_radps)
+    _, pushed = _running(motion.dt_s, motion.accel_b_mps2)
+    first, last = rows[:-1] + 1, rows[1:] + 1
+    span_s = (total_s[last] - total_s[first])[:, None]
+    moving = np.concatenate([[0], np.cumsum(~motion.at_rest)])
+    clipped = np.concatenate([[0], np.cumsum(motion.clipped)])
+    longest = np.maximum.reduceat(motion.dt_s, first) if len(first) else np.zeros(0)
+    return Keys(
+        row=rows,
+        t_s=motion.t_s[rows],
+        at_rest=(moving[last] - moving[rows[:-1]]) == 0,
+        gap=longest > max(LONG_GAP_S, GAP_STEPS * float(np.median(motion.dt_s))),
+        clipped=(clipped[last] - clipped[first]) > 0,
+        gyro_b_radps=(turned[last] - turned[first]) / span_s,
+        accel_b_mps2=(pushed[last] - pushed[first]) / span_s,
+        jerk_b_mps3=(motion.accel_b_mps2[rows[1:]] - motion.accel_b_mps2[rows[:-1]]) / span_s,
+    )
+
+
+def _rows(motion: Motion, params: KeyParams) -> NDArray[np.int64]:
+    """A regular grid in each stretch of rest, of motion, and on either side of a gap."""
+    n = len(motion.t_s)
+    broken = np.diff(motion.at_rest) | (np.diff(motion.t_s) > LONG_GAP_S)
+    edges = np.unique(np.concatenate([[0], np.flatnonzero(broken), np.flatnonzero(broken) + 1, [n - 1]]))
+    rows = [edges]
+    for start, end in pairwise(edges):
+        step_s = params.resting_s if motion.at_rest[start] and motion.at_rest[end] else params.moving_s
+        length_s = motion.t_s[end] - motion.t_s[start]
+        count = int(np.ceil(length_s / step_s - 0.01))
+        if count > 1 and end - start > 1:
+            wanted_s = motion.t_s[start] + length_s * np.arange(1, count) / count
+            rows.append(np.searchsorted(motion.t_s, wanted_s))
+    merged = np.unique(np.concatenate(rows))
+    spaced = np.diff(motion.t_s[merged]) >= 0.3 * params.moving_s
+    return _without_slivers(merged, spaced, motion).astype(np.int64)
+
+
+def _without_slivers(rows: NDArray[np.int64], spaced: NDArray[np.bool_], motion: Motion) -> NDArray[np.int64]:
+    """Drop keys that stand a sample or two after another, but never one beside a gap or the last."""
+    after_gap = np.concatenate([[True], np.diff(motion.t_s) > LONG_GAP_S])
+    keep = np.concatenate([[True], spaced]) | after_gap[rows]
+    keep[-1] = True
+    before_gap = np.isin(rows + 1, np.flatnonzero(after_gap))
+    return rows[keep | before_gap]
+
+
+def _running(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Time and integral up to each sample, (N + 1,) and (N + 1, 3)."""
+    integral = np.concatenate([np.zeros((1, 3)), np.cumsum(values * dt_s[:, None], axis=0)])
+    return np.concatenate([[0.0], np.cumsum(dt_s)]), integral
+
+
+def _clipped(values: Floats, smallest_range: float) -> NDArray[np.bool_]:
+    """Samples at an end of the range: the largest reading of an axis, met again and again."""
+    size = np.abs(values)
+    at_end = size >= size.max(axis=0) * (1 - 1e-9)
+    stuck = (at_end.sum(axis=0) >= CLIP_COUNT) & (size.max(axis=0) >= smallest_range)
+    return np.asarray((at_end & stuck).any(axis=1))

@@ -1,0 +1,182 @@
+"""The optimum of the graph, its covariances, and in words what the data does not fix."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import H, M, X
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.field import FIRST_SCALE, FieldMeasurements, linear_factors, next_scale, residuals
+from stillpoint.smoother.graph_params import GraphParams
+
+STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The optimum: values of all states, and the linear system there."""
+
+    values: gtsam.Values
+    system: gtsam.GaussianFactorGraph
+    q_steps_rad: tuple[float, ...]  # the largest turn of a state, per iteration
+    field_residual_ut: Floats | None  # (K, 3)
+    cost: float  # of gtsam's own factors
+
+
+def solve(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    states: int,
+    measured: FieldMeasurements | None,
+    name: str,
+    params: GraphParams,
+) -> Solution:
+    """Gauss-Newton; the magnetometer is linearised anew in every iteration.
+
+    Raises :class:`Unobservable` when the system is singular or no optimum is found.
+    """
+    steps: list[float] = []
+    scale_ut = FIRST_SCALE * params.magnetic.sd_ut
+    final = measured is None
+    while len(steps) < params.iterations:
+        system, residual = _linearised(graph, values, measured, scale_ut, params)
+        step = _step(system, name)
+        turn = max(float(np.abs(step.at(X(i))[:3]).max()) for i in range(states))
+        if not np.isfinite(turn):
+            raise _unobservable(name)
+        if turn > STEP_LIMIT_RAD:
+            step = step.scale(STEP_LIMIT_RAD / turn)
+        values = values.retract(step)
+        steps.append(turn)
+        if residual is not None:
+            smaller = next_scale(scale_ut, residual, params.magnetic)
+            final, scale_ut = smaller == scale_ut, smaller
+        if final and turn < params.turn_limit_rad:
+            system, residual = _linearised(graph, values, measured, scale_ut, params)
+            return Solution(values, system, tuple(steps), residual, float(graph.error(values)))
+    raise Unobservable(
+        f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
+        "the sensors contradict each other: run the doctor"
+    )
+
+
+def _linearised(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    measured: FieldMeasurements | None,
+    scale_ut: float,
+    params: GraphParams,
+) -> tuple[gtsam.GaussianFactorGraph, Floats | None]:
+    system = graph.linearize(values)
+    if measured is None:
+        return system, None
+    rotations = rotations_of(values, measured.state)
+    field = values.atVector(H(0))
+    for factor in linear_factors(measured, rotations, field, scale_ut, params.magnetic):
+        system.push_back(factor)
+    return system, residuals(measured, rotations, field)
+
+
+def _step(system: gtsam.GaussianFactorGraph, name: str) -> gtsam.VectorValues:
+    try:
+        return system.optimize()
+    except RuntimeError as error:
+        raise _unobservable(name) from error
+
+
+def _unobservable(name: str) -> Unobservable:
+    return Unobservable(
+        f"{name}: the data does not fix the attitude; it needs seconds of motion, and for the heading a magnetometer, "
+        "a satellite course or returns to a base pose"
+    )
+
+
+def rotations_of(values: gtsam.Values, states: Floats) -> Floats:
+    """Rotation matrices (K, 3, 3) of states."""
+    return np.array([values.atPose3(X(int(i))).rotation().matrix() for i in states])
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Covariances at the optimum."""
+
+    attitude_b_rad2: Floats  # (n, 3, 3) of the states, body axes, relative to the mean heading
+    heading_sd_rad: float  # of the mean heading: an error that all states share
+    calibration: Floats  # (19, 19)
+    field: Floats | None  # (6, 6) of the local field and the hard iron
+    closing_squares: tuple[float, ...]  # of each return: its heading error, squared, over what was expected
+
+
+def accuracy_of(
+    solution: Solution,
+    moving: NDArray[np.bool_],
+    base: int | None,
+    returns: tuple[int, ...],
+    name: str,
+    params: GraphParams,
+) -> Accuracy:
+    """Covariances of all n states; ``moving`` (n,) those whose mean heading the attitudes are relative to.
+
+    They are scaled by what the ``returns`` to the state ``base`` show: a sensor whose heading closes better than its
+    noise promises is better than its noise.
+
+    Raises :class:`Unobservable` when there are none: a converged solve is not an answer until they exist.
+    """
+    states = np.arange(len(moving))
+    try:
+        marginals = gtsam.Marginals(solution.system, solution.values)
+        attitude = np.array([marginals.marginalCovariance(X(int(i)))[:3, :3] for i in states])
+        calibration = marginals.marginalCovariance(M(0))
+        field = marginals.marginalCovariance(H(0)) if solution.values.exists(H(0)) else None
+        closing = [_closing_square(marginals, solution.values, base, state, params) for state in returns]
+    except RuntimeError as error:
+        raise _unobservable(name) from error
+    if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
+        raise _unobservable(name)
+    up_b = rotations_of(solution.values, states)[:, 2]
+    shared, variance = _with_mean_heading(solution.system, up_b, moving if moving.any() else ~moving)
+    cross = shared[:, :, None] * up_b[:, None, :]
+    relative = attitude - cross - cross.transpose(0, 2, 1) + variance * up_b[:, :, None] * up_b[:, None, :]
+    scale = params.variance_factor * (params.prior_returns + sum(closing)) / (params.prior_returns + len(closing))
+    return Accuracy(scale * relative, float(np.sqrt(scale * variance)), scale * calibration, field, tuple(closing))
+
+
+def _closing_square(
+    marginals: gtsam.Marginals, values: gtsam.Values, base: int | None, state: int, params: GraphParams
+) -> float:
+    """Normalised square of the heading's closing error at a return, as if the return had not been used.
+
+    With e what is left of it and C its covariance in the solution, and R the variance of the return itself, the error
+    without the return is R/(R - C) e with variance R^2/(R - C): its normalised square is e^2 / (R - C).
+    """
+    assert base is not None
+    between = values.atPose3(X(base)).rotation().between(values.atPose3(X(state)).rotation())
+    keys = gtsam.KeyVector([X(base), X(state)])
+    joint = marginals.jointMarginalCovariance(keys)
+    up_b = values.atPose3(X(state)).rotation().matrix()[2]
+    both = [joint.at(X(i), X(j))[:3, :3] for i in (base, state) for j in (base, state)]
+    left = float(up_b @ gtsam.Rot3.Logmap(between))
+    covariance = float(up_b @ (both[0] - both[1] - both[2] + both[3]) @ up_b)
+    variance = params.returns.repeat_sd_rad**2
+    return left**2 / max(variance - covariance, 1e-3 * variance)
+
+
+def _with_mean_heading(
+    system: gtsam.GaussianFactorGraph, up_b: Floats, counted: NDArray[np.bool_]
+) -> tuple[Floats, float]:
+    """Covariance of every state's rotation with the mean heading s, (n, 3), and the variance of s.
+
+    s = b' d with b = up / K at the K states that count; a solve with b for its right side gives cov(d, s) = P b.
+    """
+    pushed = system.clone()
+    nothing = np.zeros((6, 6))
+    count = counted.sum()
+    for i in np.flatnonzero(counted):
+        gradient = np.concatenate([up_b[i] / count, np.zeros(3)])
+        pushed.push_back(gtsam.HessianFactor(X(int(i)), nothing, gradient, 0.0))
+    at_rest, moved = system.optimize(), pushed.optimize()
+    shared = np.array([moved.at(X(i))[:3] - at_rest.at(X(i))[:3] for i in range(len(up_b))])
+    return shared, float(np.mean(np.sum(shared * up_b, axis=1)[counted]))

@@ -1,0 +1,246 @@
+"""A start value for the graph that needs no rest and no other filter: gyro bias, hard iron, tilt and heading.
+
+In a block of a few seconds the gyro ties all attitudes to the block's first one. Seen from there, the mean specific
+force of every half second points up and the field is constant; whatever turns them is the gyro's bias, whatever makes
+the field's length change with the attitude is the hard iron. Both follow from least squares over all blocks,
+
+    R_k a_k = u_block,   R_k (m_k - h) = m_block,   d(R_k v)/db = -[R_k v]x (-int R dt),
+
+robustly weighted, first with short blocks in which even 6 deg/s of bias does little harm, then with longer ones. Up and
+field then give each block's attitude in n, with no memory from block to block that could carry an error on.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
+from stillpoint.datasets.recording import Floats, Mag
+from stillpoint.smoother.keys import LONG_GAP_S, Motion
+from stillpoint.smoother.strapdown import integrate
+
+BLOCKS_S = (3.0, 12.0, 24.0)
+LEVEL_BLOCK_S = 12.0  # of the attitudes that are returned
+NEIGHBOURS = 5  # blocks that decide on a heading together
+WINDOW_S = 0.5  # over which specific force and field are averaged
+FORCE_SD_MPS2 = 0.3  # of such a mean of the specific force, at the least
+FIELD_SD_UT = 2.0  # of such a mean of the field, at the least
+FIELD_WEIGHT_UT = 5.0  # that counts as much as 1 m/s^2
+BIAS_STEP_RADPS = 0.05  # the most that one iteration changes it
+ITERATIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where the optimiser begins."""
+
+    q_nb: Floats  # (N, 4) north is magnetic with a magnetometer, arbitrary without
+    gyro_bias_b_radps: Floats  # (3,)
+    hard_iron_b_ut: Floats  # (3,) zeros without magnetometer
+    misfit: float  # median of the residuals in units of their sd: about 1 when the model holds
+
+
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """Half-second means in the frame of each block's first sample, and their derivatives."""
+
+    force: Floats  # (W, 3)
+    field: Floats  # (W, 3) without hard iron
+    turn: Floats  # (W, 3, 3) mean rotation: derivative of the field by the hard iron
+    drift: Floats  # (W, 3, 3) rotation by a unit bias since the block's start
+
+
+def find_start(motion: Motion, mag: Mag | None, t0_ns: int, rest_bias_b_radps: Floats | None) -> Start:
+    """The start value; ``rest_bias_b_radps`` (3,) is the gyro's mean at rest when there was a rest."""
+    field_b = None if mag is None else _on_clock(motion, mag, t0_ns)
+    guesses = [rest_bias_b_radps] if rest_bias_b_radps is not None else [np.median(motion.gyro_b_radps, axis=0)]
+    if rest_bias_b_radps is None:
+        guesses.append(np.zeros(3))
+    found = [_bias_and_iron(motion, field_b, guess) for guess in guesses]
+    bias, iron, misfit = min(found, key=lambda each: each[2])
+    return Start(_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
+
+
+def _on_clock(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
+    t_s = (mag.t_ns - t0_ns) / 1e9
+    return np.stack([np.interp(motion.t_s, t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
+
+
+def _blocks(motion: Motion, length_s: float) -> NDArray[np.int64]:
+    """First sample of each block; gaps end a block."""
+    starts = [0]
+    pieces = np.concatenate([[0], np.flatnonzero(motion.dt_s > LONG_GAP_S), [len(motion.t_s)]])
+    for first, last in pairwise(pieces):
+        if last > first:
+            span_s = motion.t_s[last - 1] - motion.t_s[first]
+            count = max(1, round(span_s / length_s))
+            edges_s = motion.t_s[first] + span_s * np.arange(count) / count
+            starts.extend(np.searchsorted(motion.t_s, edges_s - 1e-9).tolist())
+    return np.unique(np.array(starts, dtype=np.int64))
+
+
+def _bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> tuple[Floats, Floats, float]:
+    """Gauss-Newton over blocks of growing length."""
+    iron, misfit = np.zeros(3), np.inf
+    bias = np.array(bias, dtype=np.float64)
+    field = np.zeros_like(motion.gyro_b_radps) if field_b is None else field_b
+    for length_s in BLOCKS_S:
+        starts = _blocks(motion, length_s)
+        for _ in range(ITERATIONS):
+            windows, block = _windows(motion, starts)
+            means = _Means(
+                *_block_means(motion.gyro_b_radps - bias, motion.accel_b_mps2, field, motion.dt_s, starts, windows)
+            )
+            step, misfit = _solve(means, iron, block, field_b is not None)
+            bias = bias + np.clip(step[:3], -BIAS_STEP_RADPS, BIAS_STEP_RADPS)
+            iron = iron + step[3:]
+            if np.abs(step[:3]).max() < 1e-5:
+                break
+    return bias, iron, misfit
+
+
+def _windows(motion: Motion, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First sample of each half second within each block, (W + 1,) with the end, and the block it belongs to."""
+    within_s = motion.t_s - motion.t_s[starts][np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1]
+    number = np.floor(within_s / WINDOW_S).astype(np.int64)
+    block_of = np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1
+    first = np.flatnonzero(np.diff(number, prepend=-1) | np.diff(block_of, prepend=-1))
+    return np.append(first, len(motion.t_s)).astype(np.int64), block_of[first].astype(np.int64)
+
+
+@numba.njit(cache=True)
+def _block_means(
+    rate: Floats, force: Floats, field: Floats, dt_s: Floats, starts: NDArray[np.int64], windows: NDArray[np.int64]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """The four arrays of :class:`_Means` in one pass over the samples."""
+    n_windows = len(windows) - 1
+    mean_force, mean_field = np.zeros((n_windows, 3)), np.zeros((n_windows, 3))
+    mean_turn, drift = np.zeros((n_windows, 3, 3)), np.zeros((n_windows, 3, 3))
+    turn, swept, step, turned = np.eye(3), np.zeros((3, 3)), np.eye(3), np.eye(3)
+    block = 0
+    for w in range(n_windows):
+        share = 1.0 / (windows[w + 1] - windows[w])
+        for k in range(windows[w], windows[w + 1]):
+            fresh = block < len(starts) and k == starts[block]
+            if fresh:
+                block += 1
+                turned[:] = np.eye(3)
+                swept[:] = 0.0
+            else:
+                _rotate_by(rate[k, 0] * dt_s[k], rate[k, 1] * dt_s[k], rate[k, 2] * dt_s[k], step)
+            for i in range(3):
+                if not fresh:
+                    for j in range(3):
+                        turned[i, j] = turn[i, 0] * step[0, j] + turn[i, 1] * step[1, j] + turn[i, 2] * step[2, j]
+                        swept[i, j] -= turned[i, j] * dt_s[k]
+                for j in range(3):
+                    mean_force[w, i] += share * turned[i, j] * force[k, j]
+                    mean_field[w, i] += share * turned[i, j] * field[k, j]
+                    mean_turn[w, i, j] += share * turned[i, j]
+                    drift[w, i, j] += share * swept[i, j]
+            turn[:] = turned
+    return mean_force, mean_field, mean_turn, drift
+
+
+@numba.njit(cache=True)
+def _rotate_by(x: float, y: float, z: float, out: Floats) -> None:
+    """Rotation matrix of a rotation vector (Rodrigues)."""
+    angle = np.sqrt(x * x + y * y + z * z)
+    s = 1.0 if angle < 1e-9 else np.sin(angle) / angle
+    c = 0.5 if angle < 1e-9 else (1.0 - np.cos(angle)) / (angle * angle)
+    out[0, 0], out[0, 1], out[0, 2] = 1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    out[1, 0], out[1, 1], out[1, 2] = c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x
+    out[2, 0], out[2, 1], out[2, 2] = c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)
+
+
+def _solve(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool) -> tuple[Floats, float]:
+    """One weighted least-squares step of (bias, hard iron), (6,), and the misfit before it."""
+    force, force_by_bias = means.force, -_cross(means.force) @ means.drift
+    weight, size = _robust(_centred(force, block), block, FORCE_SD_MPS2)
+    residual = _centred(force, block, weight)
+    design = np.concatenate([_centred(force_by_bias, block, weight), np.zeros((len(force), 3, 3))], axis=2)
+    rows, values = [np.sqrt(weight)[:, None, None] * design], [np.sqrt(weight)[:, None] * residual]
+    misfit = size / FORCE_SD_MPS2
+    if magnetic:
+        field = means.field - means.turn @ iron
+        field_by_bias = -_cross(field) @ means.drift
+        weight, size = _robust(_centred(field, block), block, FIELD_SD_UT)
+        both = np.concatenate([field_by_bias, -means.turn], axis=2)
+        scale = np.sqrt(weight) / FIELD_WEIGHT_UT
+        rows.append(scale[:, None, None] * _centred(both, block, weight))
+        values.append(scale[:, None] * _centred(field, block, weight))
+        misfit += size / FIELD_SD_UT
+    design = np.concatenate([np.concatenate(rows).reshape(-1, 6), np.diag([0.1] * 3 + [1e-3] * 3)])
+    target = np.concatenate([-np.concatenate(values).ravel(), np.zeros(6)])
+    return np.linalg.lstsq(design, target, rcond=None)[0], misfit
+
+
+def _centred(values: Floats, block: NDArray[np.int64], weight: Floats | None = None) -> Floats:
+    """Values less the weighted mean of their block."""
+    weight = np.ones(len(values)) if weight is None else weight
+    flat = values.reshape(len(values), -1)
+    edges = np.flatnonzero(np.diff(block, prepend=-1))
+    total = np.add.reduceat(flat * weight[:, None], edges, axis=0) / np.add.reduceat(weight, edges)[:, None]
+    return (flat - total[block]).reshape(values.shape)
+
+
+def _robust(residual: Floats, block: NDArray[np.int64], least: float) -> tuple[Floats, float]:
+    """Geman-McClure weights, and the robust size of the residuals."""
+    length = np.linalg.norm(residual, axis=1)
+    size = float(np.median(length))
+    return 1 / (1 + (length / (2 * max(least, 1.48 * size))) ** 2) ** 2, size
+
+
+def _cross(v: Floats) -> Floats:
+    """Cross-product matrices (W, 3, 3)."""
+    x, y, z = v.T
+    o = np.zeros_like(x)
+    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], axis=1)
+
+
+def _attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iron: Floats) -> Floats:
+    """Attitude of every sample: the gyro within a block, up over the block, and the field over its neighbours too.
+
+    The gyro carries the heading from block to block; the field corrects it by the angle on which most of the blocks
+    around agree, so that a magnet passing by does not turn a block.
+    """
+    starts = _blocks(motion, LEVEL_BLOCK_S)
+    ends = np.append(starts[1:], len(motion.t_s))
+    identity = np.array([1.0, 0.0, 0.0, 0.0])
+    chained: list[Rotation] = []
+    offsets = np.zeros(len(starts))
+    for block, (first, last) in enumerate(zip(starts, ends, strict=True)):
+        step_s = np.where(np.arange(first, last) == first, 0.0, motion.dt_s[first:last])
+        turn = rotation(integrate(identity, motion.gyro_b_radps[first:last] - bias, step_s))
+        up = np.median(turn.apply(motion.accel_b_mps2[first:last].copy()), axis=0)
+        before = chained[-1][-1] if chained else None
+        level = _level_like(up, before, motion.gyro_b_radps[first] - bias, motion.dt_s[first])
+        chained.append(level * turn)
+        if field_b is not None:
+            east, north, _ = level.apply(np.median(turn.apply(field_b[first:last] - iron), axis=0))
+            offsets[block] = np.arctan2(east, north)
+    piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
+    corrected = [_agreed(offsets[piece == number]) for number in np.unique(piece)] if field_b is not None else [offsets]
+    turned = zip(np.concatenate(corrected), chained, strict=True)
+    return np.concatenate([quaternion(heading_rotation(float(angle)) * block) for angle, block in turned])
+
+
+def _agreed(angles: Floats) -> Floats:
+    """Each angle replaced by the one among its neighbours that is nearest to all of them (a circular median)."""
+    half = NEIGHBOURS // 2
+    agreed = np.empty(len(angles))
+    for k in range(len(angles)):
+        around = angles[max(0, k - half) : k + half + 1]
+        agreed[k] = around[np.abs(wrap(around[:, None] - around[None, :])).sum(axis=1).argmin()]
+    return agreed
+
+
+def _level_like(up: Floats, before: Rotation | None, rate: Floats, dt_s: float) -> Rotation:
+    """Block to level, with the heading that continues the attitude before it."""
+    predicted = Rotation.identity() if before is None else before * Rotation.from_rotvec(rate * min(dt_s, LONG_GAP_S))
+    tilt = Rotation.align_vectors([[0.0, 0.0, 1.0]], [predicted.apply(up / np.linalg.norm(up))])[0]
+    return tilt * predicted
