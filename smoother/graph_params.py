@@ -83,8 +83,8 @@ class GraphParams(Settings):
     rest: RestParams = field(default_factory=RestParams)
     returns: ReturnParams = field(default_factory=ReturnParams)
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
-    variance_factor: float = number(0.7, 0.01, 100.0, "on all covariances: calibrated against optical truth")
-    prior_returns: float = number(1.0, 0.01, 100.0, "how many returns' worth of trust the noise sizes deserve")
+    variance_factor: float = number(0.65, 0.01, 100.0, "on all covariances: calibrated against optical truth")
+    prior_returns: float = number(2.0, 0.01, 100.0, "how many returns' worth of trust the noise sizes deserve")
     iterations: float = number(20.0, 1.0, 200.0, "that the solution may take")
 
 

@@ -4,13 +4,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.datasets.trajectory import Reference
+from stillpoint.smoother.graph_params import PRESETS, GraphParams
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 
-DEFAULT_METHOD = "redistribution"
+DEFAULT_METHOD = "graph"
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,24 @@ class Method:
     summary: str
 
 
+def _graph(recording: Recording, params: GraphParams) -> Reference:
+    """The factor graph; gtsam is loaded when it is needed, as it is not to be had everywhere."""
+    try:
+        from stillpoint.smoother.calibrating import calibrating_graph
+    except ImportError as error:
+        raise BadParameter(
+            f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
+            "use --method redistribution here"
+        ) from error
+    return calibrating_graph(recording, params)
+
+
 METHODS: dict[str, Method] = {
+    "graph": Method(
+        _graph,
+        PRESETS["handheld"],
+        "one calibrating factor graph over the whole recording, with covariances (the default)",
+    ),
     "redistribution": Method(
         redistribution,
         RedistributionParams(),
