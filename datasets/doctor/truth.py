@@ -12,6 +12,7 @@ from stillpoint.datasets.recording import Floats, Imu, Truth
 RATE_WINDOW_S = 0.04
 FORCE_WINDOW_S = 0.06  # half of the span of the second difference of the positions
 FEWEST = 50
+ACCEL_GAP = 0.05  # nats a sample by which one candidate must fit better than the next
 GRAVITY_MPS2 = 9.81
 
 
@@ -103,15 +104,21 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
         return np.asarray(np.log1p((residual / usual) ** 2))
 
     lag = find_lag(loss) if truth.position_n_m is not None else None
-    felt = measured(lag.lag_s if lag else 0.0)
+    return _accel_axes(expected, measured(lag.lag_s if lag else 0.0)), lag
+
+
+def _accel_axes(expected: Floats, felt: Floats) -> Floats | None:
+    """The signed permutation that takes the felt forces (n, 3) closest to the expected ones; None when several do.
+
+    Without turning several fit the one direction of gravity; the identity is then taken where it is one of them.
+    """
     felt = felt * np.median(np.linalg.norm(expected, axis=1)) / (np.median(np.linalg.norm(felt, axis=1)) + 1e-300)
-    mean = np.array([np.log(((expected - felt @ m.T) ** 2).sum(axis=1) + usual**2).mean() for m in CANDIDATES])
-    second = float(np.sort(mean)[1] - mean.min())
+    floor = (0.1 * GRAVITY_MPS2) ** 2
+    mean = np.array([np.log(((expected - felt @ m.T) ** 2).sum(axis=1) + floor).mean() for m in CANDIDATES])
     best = int(mean.argmin())
-    # Without turning, several candidates fit the one direction of gravity: the simplest is the identity or none.
-    if second < 0.05:
-        return (CANDIDATES[0], lag) if mean[0] - mean[best] < 0.05 else (None, lag)
-    return CANDIDATES[best], lag
+    if np.sort(mean)[1] - mean[best] >= ACCEL_GAP:
+        return np.asarray(CANDIDATES[best])
+    return np.asarray(CANDIDATES[0]) if mean[0] - mean[best] < ACCEL_GAP else None
 
 
 def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:

@@ -26,7 +26,6 @@ from stillpoint.datasets.doctor.turning import (
 from stillpoint.datasets.recording import Floats, Imu, Mag
 
 OVERLAP = 3.0  # windows start every third of their length
-UNIT_SCALES = np.array([1.0, np.pi / 180])
 STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
 FEWEST_SWINGS = 6
 HAND_TREMOR_M = 0.02  # displacements below this tell nothing
@@ -86,18 +85,23 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
         return Witness("accel", None)
     seen = swings.at_lag(0.0)
     floor = HAND_TREMOR_M**2
-    by_unit = [np.log(displacement(seen, unit * CANDIDATES) + floor) for unit in UNIT_SCALES]
-    unit = int(np.argmin([loss.mean(axis=1).min() for loss in by_unit]))
-    nothing = np.log(displacement(seen, np.zeros((1, 3, 3)))[0] + floor)
-    choice = choose(by_unit[unit], nothing, overlap=1.0)
-    losses = by_unit[unit].sum(axis=1)
+
+    def loss(matrices: Floats) -> Floats:
+        return np.log(displacement(seen, matrices) + floor)
+
+    nothing = loss(np.zeros((1, 3, 3)))[0]
+    usual = float(STEPS_OF_SCALE[int(loss(STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
+    for scale in (1.0, np.pi / 180, usual):
+        losses = loss(scale * CANDIDATES)
+        choice = choose(losses, nothing, overlap=1.0)
+        if choice is not None:
+            break
     if choice is None:
-        return Witness("accel", None, losses=losses)
-    scale = UNIT_SCALES[unit]
+        return Witness("accel", None, losses=loss(CANDIDATES).sum(axis=1))
     for factors in (STEPS_OF_SCALE, STEPS_OF_SCALE**0.1):
-        loss = np.log(displacement(seen, (scale * factors)[:, None, None] * choice.matrix) + floor).sum(axis=1)
-        scale = float(scale * factors[int(loss.argmin())])
-    return Witness("accel", choice, scale, losses=losses)
+        scales = scale * factors
+        scale = float(scales[int(loss(scales[:, None, None] * choice.matrix).sum(axis=1).argmin())])
+    return Witness("accel", choice, scale, losses=losses.sum(axis=1))
 
 
 def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
