@@ -10,10 +10,10 @@ from stillpoint.datasets.errors import BadRecording
 if TYPE_CHECKING:
     from stillpoint.datasets.recording import Recording
 
-GRAVITY_RANGE_MPS2 = (9.0, 10.6)  # at rest: the Earth's 9.76-9.84 and a MEMS scale and bias error of 8 %
+GRAVITY_RANGE_MPS2 = (8.0, 12.0)  # a question of units only; a steady bend or braking adds 1-2 m/s^2 to gravity
 FIELD_RANGE_UT = (20.0, 70.0)
 STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at rest or close to it
-STILL_RATE_RADPS = 0.5  # faster than that for a whole second is a spin, whose centripetal force is no gravity
+STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
 WINDOW_S = 1.0
 

@@ -29,7 +29,6 @@ from stillpoint.smoother.keys import Keys, Motion
 
 CALIBRATION = 19  # 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
-INTEGRATION_VARIANCE = 1e-6  # m^2/s of preintegration itself
 FREE = gtsam.imuBias.ConstantBias()
 
 isotropic = gtsam.noiseModel.Isotropic.Sigma
@@ -78,7 +77,7 @@ def _noises(g_mps2: float, params: GraphParams) -> dict[str, gtsam.Preintegratio
         noises[kind] = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
         noises[kind].setGyroscopeCovariance(gyro**2 * np.eye(3))
         noises[kind].setAccelerometerCovariance(accel**2 * np.eye(3))
-        noises[kind].setIntegrationCovariance(INTEGRATION_VARIANCE * np.eye(3))
+        noises[kind].setIntegrationCovariance(params.motion.integration_sd_m_rts**2 * np.eye(3))
     return noises
 
 
@@ -108,16 +107,22 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
     yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), diagonal(np.concatenate(sizes)))
 
 
-def motion_factors(keys: Keys, params: GraphParams) -> Iterator:
-    """A hand, a table, a vehicle: the place stays within metres, the speed within metres per second."""
+def motion_factors(keys: Keys, placed: bool, params: GraphParams) -> Iterator:
+    """A hand, a table, a vehicle: the place stays within metres, the speed within metres per second.
+
+    Where satellites say where it is (``placed``), only rests are added.
+    """
     p, zero = params.motion, np.zeros(3)
     span_s = np.append(keys.span_s, keys.span_s[-1])
     resting = np.concatenate([[False], keys.at_rest]) | np.concatenate([keys.at_rest, [False]])
     for i in range(len(keys.t_s)):
         share = 1 / np.sqrt(min(span_s[i], 1.0))
-        speed = p.rest_velocity_sd_mps if resting[i] else p.velocity_sd_mps * share
-        yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, speed))
-        yield gtsam.GPSFactor(X(i), zero, isotropic(3, p.position_sd_m * share))
+        if resting[i]:
+            yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, p.rest_velocity_sd_mps))
+        elif not placed:
+            yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, p.velocity_sd_mps * share))
+        if not placed:
+            yield gtsam.GPSFactor(X(i), zero, isotropic(3, p.position_sd_m * share))
 
 
 def rest_factors(keys: Keys, params: GraphParams) -> Iterator:
@@ -155,13 +160,15 @@ def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
         yield gtsam.BetweenFactorPose3(X(anchors.base), X(state), gtsam.Pose3(), robust)
 
 
-def start_values(keys: Keys, q_nb: Floats, bias_b_radps: Floats, params: GraphParams) -> gtsam.Values:
-    """Values of all states: the attitudes (n, 4) of the start, standing still."""
+def start_values(
+    keys: Keys, q_nb: Floats, place_n_m: Floats, velocity_n_mps: Floats, bias_b_radps: Floats, params: GraphParams
+) -> gtsam.Values:
+    """Values of all states: attitudes (n, 4), places and velocities (n, 3) of the start."""
     values = gtsam.Values()
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     for i, matrix in enumerate(rotation(q_nb).as_matrix()):
-        values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), np.zeros(3)))
-        values.insert(V(i), np.zeros(3))
+        values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), place_n_m[i]))
+        values.insert(V(i), velocity_n_mps[i])
     for i in np.flatnonzero(~keys.gap):
         values.insert(C(i), bias)
     for k in range(steps_of_bias(keys, params)[-1] + 1):

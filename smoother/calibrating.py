@@ -24,6 +24,7 @@ from stillpoint.smoother.full_rate import between_keys, covariance_between
 from stillpoint.smoother.graph_params import GraphParams
 from stillpoint.smoother.keys import Keys, Motion, choose_keys, motion_of
 from stillpoint.smoother.rest import find_rests
+from stillpoint.smoother.satellite import Fixes, fix_factors, fixes_at, heading_of_fixes, path_of_fixes, standing
 from stillpoint.smoother.solve import Solution, accuracy_of, rotations_of, solve
 from stillpoint.smoother.start import Start, find_start
 from stillpoint.smoother.strapdown import GyroErrors
@@ -45,6 +46,7 @@ class Evidence:
     base: BasePose | None
     returns: Returns | None
     measured: FieldMeasurements | None
+    fixes: Fixes | None
     heading: str  # what the heading refers to
 
 
@@ -75,8 +77,10 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     measured = None
     if recording.mag is not None:
         measured = measurements_at(keys, recording.mag, int(imu.t_ns[0]), params.magnetic)
+    fixes = None if recording.gps is None else fixes_at(keys, recording.gps, int(imu.t_ns[0]), params.gps)
     base, returns = _base(recording, rests_ns, params)
-    return Evidence(motion, keys, start, rests_ns, base, returns, measured, _heading(recording, measured))
+    heading = _heading(recording, measured, fixes)
+    return Evidence(motion, keys, start, rests_ns, base, returns, measured, fixes, heading)
 
 
 def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[BasePose | None, Returns | None]:
@@ -88,9 +92,11 @@ def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[B
     return base, find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
 
 
-def _heading(recording: Recording, measured: FieldMeasurements | None) -> str:
+def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fixes | None) -> str:
     if recording.base_pose is not None:
         return "of the base pose that the recording carries"
+    if measured is None and fixes is not None:
+        return "true north, from the satellite course"
     if measured is None:
         return "relative to the first attitude: there is no magnetometer"
     return "true north" if _declination(recording.info) is not None else "magnetic north: date or place is not known"
@@ -123,14 +129,16 @@ def build(
         factors.imu_factors(evidence.motion, keys, bias, gravity_mps2(recording.info), params),
         factors.calibration_factors(keys, params),
         factors.bias_factors(keys, bias, params),
-        factors.motion_factors(keys, params),
+        factors.motion_factors(keys, evidence.fixes is not None, params),
+        () if evidence.fixes is None else fix_factors(evidence.fixes, params.gps),
         factors.rest_factors(keys, params),
         factors.gap_factors(keys, params),
         factors.anchor_factors(_anchors(recording, evidence, q_nb[0], params), params),
     )
     for factor in everything:
         graph.push_back(factor)
-    values = factors.start_values(keys, q_nb, bias, params)
+    place, velocity = standing(keys) if evidence.fixes is None else path_of_fixes(evidence.fixes, keys)
+    values = factors.start_values(keys, q_nb, place, velocity, bias, params)
     if evidence.measured is not None:
         seen_from = q_nb[evidence.measured.state]
         begin = start_of_field(evidence.measured, seen_from, evidence.start.hard_iron_b_ut)
@@ -152,13 +160,18 @@ def _start_turn(recording: Recording, evidence: Evidence) -> float:
         known, found = rotation(recording.base_pose), rotation(evidence.start.q_nb[evidence.base.start])
         difference = quaternion(known * found.inv())
         return float(2 * np.arctan2(difference[3], difference[0]))
-    return -(_declination(recording.info) or 0.0) if evidence.measured is not None else 0.0
+    if evidence.measured is not None:
+        return -(_declination(recording.info) or 0.0)
+    if evidence.fixes is not None:
+        return heading_of_fixes(evidence.fixes, evidence.motion, evidence.start.q_nb) or 0.0
+    return 0.0
 
 
 def _anchors(recording: Recording, evidence: Evidence, first_q_nb: Floats, params: GraphParams) -> factors.Anchors:
     """Rests in the base pose as states, and how well the first attitude is known."""
     base, returns = _return_states(evidence)
-    absolute = evidence.measured is not None or (recording.base_pose is not None and base is not None)
+    posed = recording.base_pose is not None and base is not None
+    absolute = evidence.measured is not None or evidence.fixes is not None or posed
     spread = np.diag([UNKNOWN_RAD**2, UNKNOWN_RAD**2, UNKNOWN_RAD**2 if absolute else DEFINED_RAD**2])
     turn = rotation(first_q_nb).as_matrix()
     return factors.Anchors(

@@ -46,6 +46,7 @@ class MotionPriors(Settings):
 
     position_sd_m: float = number(5.0, 0.01, 1e7, "around a free origin")
     velocity_sd_mps: float = number(5.0, 0.01, 1e4, "around standstill")
+    integration_sd_m_rts: float = number(1e-3, 1e-5, 10.0, "m per sqrt(s): error of integrating twice")
     rest_velocity_sd_mps: float = number(0.01, 1e-5, 1.0, "at rest")
     rest_turn_sd_rad: float = number(1e-3, 1e-5, 0.1, "between neighbouring keys at rest")
     return_position_sd_m: float = number(0.02, 1e-4, 1e5, "how well the place of the base pose is met again")
@@ -92,6 +93,8 @@ HANDHELD = GraphParams()
 PRESETS: dict[str, GraphParams] = {
     "handheld": HANDHELD,
     "phone": HANDHELD,
-    "vehicle": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=1e6, velocity_sd_mps=30.0)),
+    "vehicle": replace(
+        HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=1000.0, velocity_sd_mps=30.0, integration_sd_m_rts=0.1)
+    ),
     "bench": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=0.3, velocity_sd_mps=0.5)),
 }

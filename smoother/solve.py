@@ -59,7 +59,7 @@ def solve(
             return Solution(values, system, tuple(steps), residual, float(graph.error(values)))
     raise Unobservable(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
-        "the sensors contradict each other: run the doctor"
+        "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
     )
 
 

@@ -1,0 +1,85 @@
+"""Satellite fixes in the graph: where the sensor is and how fast, and through that which way it heads."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import V, X
+from numpy.typing import NDArray
+
+from stillpoint.datasets.earth import enu_m
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Gps
+from stillpoint.smoother.graph_params import GpsParams
+from stillpoint.smoother.keys import Keys, Motion
+
+VERTICAL = 3.0  # a fix is so many times worse in height
+NEAR_S = 0.15  # a fix belongs to a state that is so close in time
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """Valid fixes at K states; NaN velocity where the course says nothing."""
+
+    state: NDArray[np.int64]  # (K,)
+    t_s: Floats  # (K,)
+    position_n_m: Floats  # (K, 3) from the first fix
+    velocity_n_mps: Floats  # (K, 3)
+
+
+def fixes_at(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes | None:
+    """The valid fixes that have a state within NEAR_S; None where there are fewer than two."""
+    t_s = (gps.t_ns - t0_ns) / 1e9
+    after = np.clip(np.searchsorted(keys.t_s, t_s), 1, len(keys.t_s) - 1)
+    state = np.where(t_s - keys.t_s[after - 1] < keys.t_s[after] - t_s, after - 1, after)
+    use = gps.valid & (np.abs(keys.t_s[state] - t_s) <= NEAR_S)
+    if use.sum() < 2:
+        return None
+    known_height = np.isfinite(gps.alt_m[use])
+    height_m = np.where(known_height, gps.alt_m[use], np.nanmean(gps.alt_m[use]) if known_height.any() else 0.0)
+    level = np.stack([np.sin(gps.course_rad), np.cos(gps.course_rad), np.zeros(len(t_s))], axis=1)
+    velocity = level * gps.speed_mps[:, None]
+    velocity[~(gps.speed_mps >= params.course_speed_mps)] = np.nan
+    lat_deg, lon_deg = gps.lat_deg[use], gps.lon_deg[use]
+    position = enu_m(lat_deg, lon_deg, height_m, (float(lat_deg[0]), float(lon_deg[0]), float(height_m[0])))
+    return Fixes(state[use].astype(np.int64), t_s[use], position, velocity[use])
+
+
+def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFactor]:
+    """The place of each fix, and the velocity of each with a course."""
+    place = gtsam.noiseModel.Diagonal.Sigmas(params.position_sd_m * np.array([1.0, 1.0, VERTICAL]))
+    speed = gtsam.noiseModel.Isotropic.Sigma(3, params.velocity_sd_mps)
+    for state, position, velocity in zip(fixes.state, fixes.position_n_m, fixes.velocity_n_mps, strict=True):
+        yield gtsam.GPSFactor(X(int(state)), position, place)
+        if np.isfinite(velocity).all():
+            yield gtsam.PriorFactorVector(V(int(state)), velocity, speed)
+
+
+def path_of_fixes(fixes: Fixes, keys: Keys) -> tuple[Floats, Floats]:
+    """Places and velocities (n, 3) of the states to start from: straight lines from fix to fix."""
+    place = np.stack([np.interp(keys.t_s, fixes.t_s, axis) for axis in fixes.position_n_m.T], axis=1)
+    return place, np.gradient(place, keys.t_s, axis=0)
+
+
+def standing(keys: Keys) -> tuple[Floats, Floats]:
+    """The same where nothing is known: at the origin, at a standstill."""
+    return np.zeros((len(keys.t_s), 3)), np.zeros((len(keys.t_s), 3))
+
+
+def heading_of_fixes(fixes: Fixes, motion: Motion, q_nb: Floats) -> float | None:
+    """The angle about up that turns level attitudes ``q_nb`` (N, 4) to true north; None where nothing accelerates.
+
+    Between fixes with a velocity the mean level force, turned by that angle, is the change of velocity.
+    """
+    force = rotation(q_nb).apply(motion.accel_b_mps2.copy())
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(force * motion.dt_s[:, None], axis=0)])
+    moving = np.isfinite(fixes.velocity_n_mps).all(axis=1)
+    t_s, velocity = fixes.t_s[moving], fixes.velocity_n_mps[moving]
+    if len(t_s) < 3:
+        return None
+    gained = total[np.searchsorted(motion.t_s, t_s)]
+    measured, known = np.diff(gained[:, :2], axis=0), np.diff(velocity[:, :2], axis=0)
+    product = np.sum((known[:, 0] + 1j * known[:, 1]) * (measured[:, 0] - 1j * measured[:, 1]))
+    strength = np.sqrt(np.sum(measured**2) * np.sum(known**2))
+    return float(np.angle(product)) if strength > 0 and abs(product) > 0.3 * strength else None
