@@ -30,6 +30,8 @@ WINDOW_S = 0.5  # over which specific force and field are averaged
 FORCE_SD_MPS2 = 0.3  # of such a mean of the specific force, at the least
 FIELD_SD_UT = 2.0  # of such a mean of the field, at the least
 FIELD_WEIGHT_UT = 5.0  # that counts as much as 1 m/s^2
+EARTH_FIELD_UT = 45.0  # to which the field's size tends where the motion does not tell it from hard iron
+SIZE_SHARE = 0.05  # weight of the size: 20 uT off count like 1 uT of misfit
 BIAS_STEP_RADPS = 0.05  # the most that one iteration changes it
 ITERATIONS = 12
 
@@ -173,10 +175,25 @@ def _solve(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool
         scale = np.sqrt(weight) / FIELD_WEIGHT_UT
         rows.append(scale[:, None, None] * _centred(both, block, weight))
         values.append(scale[:, None] * _centred(field, block, weight))
+        size_row, size_value = _earth_sized(field, means.turn, scale)
+        rows.append(size_row)
+        values.append(size_value)
         misfit += size / FIELD_SD_UT
-    design = np.concatenate([np.concatenate(rows).reshape(-1, 6), np.diag([0.1] * 3 + [1e-3] * 3)])
-    target = np.concatenate([-np.concatenate(values).ravel(), np.zeros(6)])
-    return np.linalg.lstsq(design, target, rcond=None)[0], misfit
+    design = np.concatenate([row.reshape(-1, 6) for row in rows])
+    target = -np.concatenate([value.ravel() for value in values])
+    normal = design.T @ design + np.diag([0.1] * 3 + [1e-3] * 3) ** 2
+    return np.linalg.solve(normal, design.T @ target), misfit
+
+
+def _earth_sized(field: Floats, turn: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Rows (W, 6) and values (W,) that pull the field's size to the earth's.
+
+    Turning about the vertical only, the vertical parts of field and hard iron cannot be told apart otherwise.
+    """
+    size = np.linalg.norm(field, axis=1)
+    along = -np.einsum("wi,wij->wj", field / np.maximum(size, 1e-9)[:, None], turn)
+    weight = SIZE_SHARE * scale
+    return np.concatenate([np.zeros_like(along), weight[:, None] * along], axis=1), weight * (size - EARTH_FIELD_UT)
 
 
 def _centred(values: Floats, block: NDArray[np.int64], weight: Floats | None = None) -> Floats:
