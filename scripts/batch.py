@@ -3,16 +3,12 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scripts.jobs import Outcome
 from stillpoint.scripts.json_file import STDOUT, write_json
 from stillpoint.scripts.tables import print_refusals, print_table
-
-SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 
 
 def assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:

@@ -5,10 +5,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
 
 import numpy as np
-from cyclopts import Parameter
 from rich.console import Console
 
 from stillpoint.datasets import Recording, write
@@ -18,9 +16,11 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.scoring.report import judge, report_html
+from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.report import PAGE, gather
 from stillpoint.scripts.score import print_scores
+from stillpoint.scripts.text_file import write_text
 from stillpoint.smoother import DEFAULT_METHOD, find_rests, reference
 
 KIND = "phone-3"
@@ -28,9 +28,9 @@ KIND = "phone-3"
 
 def demo(
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path("demo"),
+    out: OutDir = Path("demo"),
     minutes: float = 4.0,
-    seed: int = 0,
+    seed: Whole = 0,
 ) -> None:
     """Simulate a phone in the hand and follow it the whole way to a report.
 
@@ -46,10 +46,10 @@ def demo(
     seed
         Another seed gives another motion and another sensor.
     """
-    folder = output_dir(out)
     with _step(f"simulate {KIND}"):
         recording = simulate(KIND, seed=seed, minutes=minutes)
         path = folder / f"{recording.name}.mcap"
+        folder = output_dir(out)
         write(path, recording)
     with _step("doctor"):
         rests_ns = find_rests(recording.require_imu())
@@ -67,7 +67,7 @@ def demo(
         material = gather(path)
         verdicts = judge(material)
         page = folder / f"{recording.name}{PAGE}"
-        page.write_text(report_html(material, verdicts), encoding="utf-8")
+        write_text(page, report_html(material, verdicts))
     print_scores([score for verdict in verdicts for score in verdict.scores])
     print(f"report: {page}")
 

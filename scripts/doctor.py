@@ -1,6 +1,8 @@
 """``stillpoint doctor``: test recordings by physics and say what to do."""
 
 import sys
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -8,19 +10,24 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
-from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Remedy, apply, diagnose
+from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, apply, diagnose
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.store import read_recording, write
-from stillpoint.scripts.inputs import output_dir, recordings
+from stillpoint.scripts.batch import require_distinct
+from stillpoint.scripts.flags import Inputs
+from stillpoint.scripts.inputs import each_read, output_dir, recordings
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.smoother.rest import find_rests
 
+UNREADABLE = "unreadable"  # the code of a file that could not be opened
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
 
 
 def doctor(
-    *files: Path,
+    paths: Inputs,
+    /,
+    *,
     repair: Annotated[bool, Parameter(name="--apply", negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
@@ -29,12 +36,13 @@ def doctor(
 ) -> int:
     """Test recordings by physics and say what to do.
 
-    Axes, signs, units, clocks, lags, clipping, the field, noise and bias. Findings do not change the exit code.
+    Axes, signs, units, clocks, lags, clipping, the field, noise and bias. Findings do not change the exit code;
+    a file that cannot be read makes it 2, and the others are tested.
 
     Parameters
     ----------
-    files
-        Recordings (NAME.mcap), folders of them, or globs.
+    paths
+        Recordings: MCAP files, folders or globs.
     repair
         Write recordings with the remedies applied to the folder --out.
     out
@@ -48,24 +56,29 @@ def doctor(
     """
     if repair != (out is not None):
         raise BadParameter("doctor: --apply and --out DIR belong together; give both or neither")
-    folder = None if out is None else output_dir(out)
+    sources = recordings(paths)
+    targets = {} if out is None else _targets(sources, output_dir(out))
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
-    rows, clean = [], True
-    for path in recordings(files):
-        recording = read_recording(path, units_unchecked=True)
+    made: list[Diagnosis] = []
+    for path, recording, error in each_read(sources, partial(read_recording, units_unchecked=True)):
+        if recording is None:
+            made.append(Diagnosis(path.stem, (Finding(UNREADABLE, "error", error),)))
+            continue
         diagnosis = examine(recording)
-        clean &= diagnosis.clean
-        rows += diagnosis.rows()
+        made.append(diagnosis)
         _show(console, path, diagnosis)
-        if folder is not None:
+        if targets:
             remedies = _chosen(diagnosis, skip)
-            written = _repair(path, recording, remedies, folder)
-            console.print(f"  {len(remedies)} of {len(diagnosis.remedies)} remedies applied: {written}")
-    write_json(json, rows)
-    if strict and not clean:
+            write(targets[path], apply(recording, remedies))
+            console.print(f"  {len(remedies)} of {len(diagnosis.remedies)} remedies applied: {targets[path]}")
+    codes = {code for diagnosis in made for code in diagnosis.codes()}
+    for code in sorted(set(skip) - codes):
+        console.print(f"--skip {code}: nothing of this name was found")
+    write_json(json, [row for diagnosis in made for row in diagnosis.rows()])
+    if strict and not all(diagnosis.clean for diagnosis in made):
         print("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
         return 2
-    return 0
+    return 2 if UNREADABLE in codes else 0
 
 
 def examine(recording: Recording) -> Diagnosis:
@@ -85,12 +98,14 @@ def _chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
     return [one.remedy for one in diagnosis.findings if one.remedy is not None and one.code not in skip]
 
 
-def _repair(path: Path, recording: Recording, remedies: list[Remedy], folder: Path) -> Path:
-    target = folder / path.name
-    if target.resolve() == path.resolve():
-        raise BadParameter(f"{path}: would be overwritten; name another folder with --out")
-    write(target, apply(recording, remedies))
-    return target
+def _targets(sources: Sequence[Path], folder: Path) -> dict[Path, Path]:
+    """Where the repaired recordings go: never over those that were read, nor over each other."""
+    targets = {source: folder / source.name for source in sources}
+    for source, target in targets.items():
+        if target.resolve() == source.resolve():
+            raise BadParameter(f"{source}: would be overwritten; name another folder with --out")
+    require_distinct(targets.values())
+    return targets
 
 
 def _show(console: Console, path: Path, diagnosis: Diagnosis) -> None:

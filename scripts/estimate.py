@@ -16,7 +16,8 @@ from stillpoint.filters import estimate as run
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import Peer, find
 from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import SetFlag, assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
 
@@ -34,14 +35,14 @@ class _Job:
 
 
 def estimate(
-    paths: Annotated[list[Path], Parameter(negative=())],
+    paths: Inputs,
     /,
     *,
     estimators: Annotated[str, Parameter(name=["--estimators", "-e"])] = "cf",
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
+    out: OutDir = Path(),
     set_: SetFlag = None,
     single: Annotated[bool, Parameter(negative=())] = False,
-    jobs: int | None = None,
+    jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
     """Run streaming estimators over recordings.

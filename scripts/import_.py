@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from cyclopts import Parameter
 from rich.console import Console
 
-from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.store import write
+from stillpoint.scripts.flags import OutDir
 from stillpoint.scripts.import_flags import Flags
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
@@ -37,7 +38,7 @@ def import_(
     kind: str,
     /,
     *sources: Path,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    out: OutDir,
     repair: Annotated[bool, Parameter(negative="")] = False,
     json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
@@ -109,7 +110,7 @@ def _choices(annotation: Any) -> tuple[str, ...]:
 def _recordings(
     importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool
 ) -> Iterator[tuple[Path, Recording]]:
-    for source in sources:
+    for source in dict.fromkeys(sources):
         if not repair:
             yield from ((source, recording) for recording in importer(source, options))
             continue
@@ -119,12 +120,10 @@ def _recordings(
 
 
 def _repaired(recording: Recording, source: Path, units_unchecked: bool) -> Recording:
-    from stillpoint.datasets.doctor import apply, diagnose
-    from stillpoint.datasets.errors import BadRecording
-    from stillpoint.smoother.rest import find_rests
+    from stillpoint.datasets.doctor import apply
+    from stillpoint.scripts.doctor import examine
 
-    diagnosis = diagnose(recording, find_rests(recording.require_imu()))
-    mended = apply(recording, diagnosis.remedies)
+    mended = apply(recording, examine(recording).remedies)
     try:
         return replace(mended, info=replace(mended.info, units_unchecked=units_unchecked))
     except BadRecording as error:

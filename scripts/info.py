@@ -1,5 +1,6 @@
 """``stillpoint info``: what is in a recording, reference or estimate."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +11,8 @@ from stillpoint.datasets.recording import Recording, Times, rate_hz
 from stillpoint.datasets.store import read
 from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
-from stillpoint.scripts.inputs import mcap_files
+from stillpoint.scripts.flags import Inputs
+from stillpoint.scripts.inputs import each_read, mcap_files
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 from stillpoint.smoother.rest import find_rests
@@ -19,28 +21,36 @@ COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest,
 
 
 def info(
-    *files: Path,
+    paths: Inputs,
+    /,
+    *,
     units_unchecked: Annotated[bool, Parameter(negative="")] = False,
     json: JsonFile = None,
-) -> None:
+) -> int:
     """Say what is in a file: streams, rates, gaps, duration, rests, provenance.
+
+    A file that cannot be read is named, the others are shown, and the exit code is 2.
 
     Parameters
     ----------
-    files
+    paths
         MCAP files, folders or globs: recordings, references and estimates.
     units_unchecked
         Open recordings whose sizes do not fit their units.
     json
         Also write the facts as JSON to this file; - is the standard output.
     """
-    rows = []
-    for path in mcap_files(files):
-        facts = facts_of(path, read(path, units_unchecked=units_unchecked))
-        rows.append(facts)
+    rows: list[dict[str, Any]] = []
+    for path, thing, error in each_read(mcap_files(paths), partial(read, units_unchecked=units_unchecked)):
+        if thing is None:
+            rows.append({"file": str(path), "error": error})
+            continue
+        facts = facts_of(path, thing)
+        rows.append({**facts, "error": None})
         if json != STDOUT:
             _show(facts)
     write_json(json, rows)
+    return 2 if any(row["error"] is not None for row in rows) else 0
 
 
 def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:

@@ -4,14 +4,19 @@ The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, an
 """
 
 import glob
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, StillpointError
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
 RECORDING = "recording"
+A = {RECORDING: "a recording", "reference": "a reference", "estimate": "an estimate"}
+
+Thing = TypeVar("Thing")
 
 
 def kind_of(path: Path) -> str:
@@ -43,6 +48,21 @@ def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
     return list(dict.fromkeys(file for path in paths for file in _expand(Path(path))))
 
 
+def each_read(files: Sequence[Path], read: Callable[[Path], Thing]) -> Iterator[tuple[Path, Thing | None, str]]:
+    """Every file with what ``read`` makes of it, or None and the reason, which goes to stderr too.
+
+    The error of a single file is raised: there is nothing to go on with.
+    """
+    for file in files:
+        try:
+            yield file, read(file), ""
+        except StillpointError as error:
+            if len(files) == 1:
+                raise
+            print(f"stillpoint: {error}", file=sys.stderr)
+            yield file, None, str(error)
+
+
 def output_dir(path: str | Path) -> Path:
     """The folder to write into, made when it is not there; raises :class:`BadParameter` when that cannot be."""
     folder = Path(path)
@@ -61,7 +81,7 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
     for path in named:
         if path.is_file() and path.name.endswith(SUFFIX) and kind_of(path) != kind:
-            raise BadParameter(f"{path}: is a {kind_of(path)} by its name; give a {kind}")
+            raise BadParameter(f"{path}: is {A[kind_of(path)]} by its name; give {A[kind]}")
     found = [file for file in mcap_files(named) if kind_of(file) == kind]
     if not found:
         wanted = KINDS.get(kind, SUFFIX)
@@ -75,8 +95,8 @@ def _expand(path: Path) -> list[Path]:
         if not found:
             raise BadParameter(f"{path}: this folder holds no MCAP file; import recordings first: stillpoint import")
         return found
-    if path.is_file():
-        if not path.name.endswith(SUFFIX):
+    if path.exists():
+        if not path.is_file() or not path.name.endswith(SUFFIX):
             raise BadParameter(f"{path}: is not an MCAP file; turn it into one first: stillpoint import")
         return [path]
     matches = sorted(Path(match) for match in glob.glob(str(path), recursive=True))

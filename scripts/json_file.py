@@ -8,11 +8,24 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.text_file import write_text
 
 STDOUT = "-"
+
+
+def writable(_: Any, target: str | None) -> None:
+    """Raise ``ValueError`` before the work starts where the file could not be written after it."""
+    if target in (None, STDOUT):
+        return
+    path = Path(str(target))
+    if path.is_dir():
+        raise ValueError("It is a folder; name a file.")
+    if not path.absolute().parent.is_dir():
+        raise ValueError("Its folder is not there; make it, or name another file.")
+
+
 # A lone hyphen would be read as an option otherwise.
-JsonFile = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True)]
+JsonFile = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True, validator=writable)]
 
 
 def write_json(target: str | None, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -26,10 +39,7 @@ def write_json(target: str | None, rows: Sequence[Mapping[str, Any]]) -> None:
     if target == STDOUT:
         print(text)
         return
-    try:
-        Path(target).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BadParameter(f"--json {target}: cannot be written ({error.strerror}); name another file") from None
+    write_text(Path(target), text + "\n")
 
 
 def _plain(value: Any) -> Any:

@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from cyclopts import Parameter
 
 from stillpoint.datasets import Reference, write
 from stillpoint.datasets.settings import Settings
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import SetFlag, assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
 from stillpoint.smoother import DEFAULT_METHOD
@@ -33,13 +33,13 @@ class _Job:
 
 
 def reference(
-    paths: Annotated[list[Path], Parameter(negative=())],
+    paths: Inputs,
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
+    out: OutDir = Path(),
     method: str = DEFAULT_METHOD,
     set_: SetFlag = None,
-    jobs: int | None = None,
+    jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
     """Make the reference trajectory of recordings.

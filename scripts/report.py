@@ -1,10 +1,9 @@
 """``stillpoint report``: write one HTML page about a recording, its reference and its estimates."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import track
 
@@ -16,15 +15,17 @@ from stillpoint.scoring.report import Material, judge, report_html
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.flags import Inputs, OutDir
+from stillpoint.scripts.text_file import write_text
 
 PAGE = ".report.html"
 
 
 def report(
-    paths: Annotated[list[Path], Parameter(negative=())],
+    paths: Inputs,
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
+    out: OutDir = Path(),
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
 ) -> int:
@@ -58,7 +59,7 @@ def report(
             if len(pairs) == 1:
                 raise
             failed += 1
-            print(f"no report: {error}")
+            print(f"no report: {error}", file=sys.stderr)
             continue
         print(target)
     return 2 if failed else 0
@@ -99,7 +100,7 @@ def write_report(target: Path, material: Material, align: AlignKind, frame: Eule
     verdicts = judge(material, align, frame)
     if not verdicts:
         raise BadParameter(f"{material.name}: nothing to score; make estimates of it: stillpoint estimate")
-    target.write_text(report_html(material, verdicts), encoding="utf-8")
+    write_text(target, report_html(material, verdicts))
 
 
 def _targets(recordings: Sequence[Path], out: Path) -> list[Path]:

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import track
 
@@ -19,6 +18,7 @@ from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
 from stillpoint.scripts import inputs
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.flags import Inputs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
@@ -36,7 +36,7 @@ class Judge:
 
 
 def score(
-    paths: Annotated[list[Path], Parameter(negative=())],
+    paths: Inputs,
     /,
     *,
     against: Path | None = None,

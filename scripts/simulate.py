@@ -2,9 +2,8 @@
 
 from json import loads
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import track
 
@@ -14,6 +13,7 @@ from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import SENSORS, SIMULATIONS
 from stillpoint.datasets.simulate import simulate as make
+from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 
@@ -22,9 +22,9 @@ def simulate(
     kind: str,
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path(),
-    seed: int = 0,
-    seeds: int = 1,
+    out: OutDir = Path(),
+    seed: Whole = 0,
+    seeds: Whole = 1,
     minutes: float | None = None,
     rate: float = 100.0,
     sensor: str | None = None,
@@ -60,12 +60,11 @@ def simulate(
         require_known(sensor, SENSORS, "sensor")
     chosen = None if sensor is None else SENSORS[sensor]
     require_known(kind, SIMULATIONS, "simulation")
-    folder = output_dir(out)
     rows = []
     numbers = range(seed, seed + seeds)
     for number in track(numbers, "simulate", disable=seeds == 1, transient=True, console=Console(stderr=True)):
         recording = make(kind, seed=number, minutes=minutes, rate_hz=rate, sensor=chosen)
-        path = folder / f"{recording.name}.mcap"
+        path = output_dir(out) / f"{recording.name}.mcap"
         write(path, recording)
         rows.append(_facts(path, recording))
         if json != STDOUT:

@@ -3,15 +3,15 @@
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
+from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.store import read_recording
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
 from stillpoint.scoring.validation import validate as validate_recording
 from stillpoint.scripts import inputs
+from stillpoint.scripts.flags import Inputs, Jobs
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_refusals, print_table
@@ -32,12 +32,12 @@ COLUMNS = (
 
 
 def validate(
-    paths: Annotated[list[Path], Parameter(negative=())],
+    paths: Inputs,
     /,
     *,
     align: AlignKind = "heading",
     methods: str | None = None,
-    jobs: int | None = None,
+    jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
     """Score references against independent truth: one row per recording and method, then mean and median.
@@ -69,7 +69,10 @@ def validate(
     if json != STDOUT:
         _print(rows, summary(rows), align)
     write_json(json, [asdict(row) for row in rows])
-    return 0 if any(row.error is None for row in rows) else 2
+    reasons = {row.error for row in rows}
+    if len(reasons) == 1 and None not in reasons:
+        raise StillpointError(*reasons)
+    return 0 if None in reasons else 2
 
 
 def _validate(source: Path, methods: list[str], align: AlignKind) -> list[ValidationRow]:

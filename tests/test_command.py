@@ -1,11 +1,14 @@
 """The root of the command line: one line and exit code 2 for what the user can put right, and a light help page."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from stillpoint.datasets import write
+from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts import main as command
 
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
@@ -22,6 +25,12 @@ HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
         (["info", "no-such-file.mcap"], "no-such-file.mcap"),
         (["validate", "no-such-folder"], "no-such-folder"),
         (["import", "broad", "no-such-folder", "-o", "x"], "no-such-folder"),
+        (["info"], "PATHS requires an argument"),
+        (["doctor"], "PATHS requires an argument"),
+        (["simulate", "phone-1", "--seed", "1.5"], "'1.5' is not a whole number"),
+        (["demo", "--minutes", "0.1"], "at least 1.38"),
+        (["simulate", "phone-1", "--json", "no/such/folder/x.json"], "Its folder is not there"),
+        (["simulate", "phone-1", "--json", "."], "It is a folder"),
     ],
 )
 def test_a_wrong_call_is_one_line_and_exit_code_2(
@@ -40,6 +49,74 @@ def test_a_wrong_call_is_one_line_and_exit_code_2(
     assert says in printed.err
     assert printed.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+READERS = ("info", "doctor", "reference", "estimate", "validate", "report")
+IMPORTED = ("broad", "tyrex", "bench", "csv", "sensorlogger", "phyphox", "ros")
+
+
+@pytest.fixture
+def oddities(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Things that are no recordings, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("empty", "full"):
+        (tmp_path / name).mkdir()
+    for name in ("text.mcap", "notes.txt", "full/text.mcap"):
+        (tmp_path / name).write_text("hello\n" * 30)
+    (tmp_path / "zero.mcap").touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["empty", "full", "text.mcap", "notes.txt", "zero.mcap", "*.nope", "/dev/null"])
+@pytest.mark.parametrize("verb", [*READERS, "score"])
+def test_what_is_no_recording_is_named_in_one_line(call, oddities, capsys, verb: str, name: str) -> None:
+    assert call(verb, name) == 2
+    printed = capsys.readouterr()
+    assert len(printed.err.strip().splitlines()) == 1, printed.err
+    assert printed.err.startswith(f"stillpoint: {name}")
+    assert printed.out == ""
+
+
+@pytest.mark.parametrize("name", ["empty", "full", "text.mcap", "zero.mcap"])
+@pytest.mark.parametrize("kind", IMPORTED)
+def test_what_is_no_source_is_named_in_one_line(call, oddities, capsys, kind: str, name: str) -> None:
+    assert call("import", kind, name, "-o", "out", *(["--rate", 100] if kind == "csv" else [])) == 2
+    printed = capsys.readouterr()
+    assert len(printed.err.strip().splitlines()) == 1, printed.err
+    assert printed.err.startswith(f"stillpoint: {name}")
+    assert printed.out == ""
+    assert not (oddities / "out").exists()
+
+
+@pytest.mark.parametrize("verb", ["reference", "estimate", "report"])
+@pytest.mark.parametrize("out", ["notes.txt", "notes.txt/below", "/proc/nowhere"])
+def test_a_folder_that_cannot_be_written_is_one_line(call, oddities, capsys, verb: str, out: str) -> None:
+    write(oddities / "good.mcap", simulate("phone-1", minutes=0.6))
+    assert call(verb, "good.mcap", "-o", out) == 2
+    printed = capsys.readouterr()
+    assert len(printed.err.strip().splitlines()) == 1, printed.err
+    assert printed.err.startswith(f"stillpoint: {out}")
+
+
+@pytest.mark.parametrize("words", [["reference"], ["estimate"], ["report"], ["doctor", "--apply"]])
+def test_two_recordings_of_one_name_are_not_written_over_each_other(call, oddities, capsys, words: list[str]) -> None:
+    for folder in ("empty", "full"):
+        write(oddities / folder / "good.mcap", simulate("phone-1", minutes=0.6))
+    assert call(*words, "empty/good.mcap", "full/good.mcap", "-o", "out") == 2
+    assert "two recordings have this name" in capsys.readouterr().err
+    assert list((oddities / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("verb", ["info", "doctor"])
+def test_the_readable_files_are_shown_and_the_others_named(call, oddities, capsys, verb: str) -> None:
+    write(oddities / "full" / "good.mcap", simulate("phone-1", minutes=0.6))
+    assert call(verb, "full") == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("stillpoint: full/text.mcap: ")
+    assert "full/good.mcap: " in printed.out
+    assert call(verb, "full", "--json", "-") == 2
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert any("text.mcap" in str(row.get("error") or row.get("message")) for row in rows)
 
 
 def test_the_installed_command_ends_with_these_codes() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import scipy.io
+from scipy.io.matlab import MatReadError
 
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.bundle import digests, existing
@@ -82,7 +83,7 @@ def _fields(file: Path) -> dict[str, Floats]:
                 raw |= {key: trial.attrs[key] for key in FIELDS if key in trial.attrs}
         else:
             raw = {key: value for key, value in scipy.io.loadmat(file).items() if key in FIELDS}
-    except (OSError, ValueError, TypeError, NotImplementedError) as error:
+    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError) as error:
         reason = str(error).splitlines()[0]
         raise BadSource(f"{file}: cannot be read as a BROAD trial ({reason}); download it again") from None
     missing = [key for key in FIELDS if key not in raw]

@@ -66,6 +66,8 @@ def open_source(source: Path) -> Iterator[Source]:
         return
     if source.is_file() and source.suffix not in (".bag", ".db3"):
         raise BadSource(f"{source}: is no bag; name a ROS 1 .bag, the folder of a ROS 2 bag, or an .mcap")
+    if source.is_dir() and not (source / "metadata.yaml").is_file():
+        raise BadSource(f"{source}: holds no metadata.yaml; name the folder of a ROS 2 bag, a ROS 1 .bag, or an .mcap")
     try:
         with AnyReader([source], default_typestore=get_typestore(Stores.LATEST)) as reader:
             yield BagSource(source, reader, {c.topic: c.msgtype for c in reader.connections})
@@ -89,7 +91,8 @@ class McapSource:
                 return BagSource(self.path, reader, self.types).read(topic, leaves, child, log)
         found = read_log(self.path, [topic])
         if topic not in found.topics:
-            raise BadSource(f"{self.path}: {topic} cannot be read: {found.unread.get(topic, 'it has no message')}")
+            reason = found.unread.get(topic, "it has no message")
+            raise BadSource(f"{self.path}: {topic} cannot be read: {reason}; name another topic, or record it again")
         if found.lost:
             log.noted(f"{topic}: {found.lost}")
         columns = found.topics[topic]

@@ -1,0 +1,22 @@
+"""The types of arguments that several verbs take: how they are named on the command line and read from it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter, Token
+
+
+def whole_number(_: Any, tokens: Sequence[Token]) -> int:
+    """An integer as it is written: cyclopts alone would round 1.5 in silence."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"{tokens[0].value!r} is not a whole number.") from None
+
+
+Inputs = Annotated[list[Path], Parameter(negative=())]
+OutDir = Annotated[Path, Parameter(name=["--out", "-o"])]
+SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
+Whole = Annotated[int, Parameter(converter=whole_number)]
+Jobs = Annotated[int | None, Parameter(converter=whole_number)]
