@@ -48,8 +48,8 @@ def demo(
     """
     with _step(f"simulate {KIND}"):
         recording = simulate(KIND, seed=seed, minutes=minutes)
-        path = folder / f"{recording.name}.mcap"
         folder = output_dir(out)
+        path = folder / f"{recording.name}.mcap"
         write(path, recording)
     with _step("doctor"):
         rests_ns = find_rests(recording.require_imu())
