@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import inside
 from stillpoint.datasets.trajectory import Estimate, Reference
@@ -23,7 +24,7 @@ class Comparison:
     t_ns: Times  # (N,) the truth's clock
     q_est: Floats  # (N, 4) after alignment
     q_true: Floats  # (N, 4)
-    cov_b_rad2: Floats | None  # (N, 3, 3) of the estimate, in the truth's body axes
+    cov_b_rad2: Floats | None  # (N, 3, 3) of the estimate, in the truth's body axes; all that was not aligned
     true_cov_b_rad2: Floats | None  # (N, 3, 3) of the reference; None against a truth
     moving: Mask  # (N,) the samples that are scored
     moving_share: float  # of all samples of the truth, with or without an estimate
@@ -50,14 +51,17 @@ def compare(
     at_ns = truth.t_ns + alignment.time_offset_ns
     matched = match(source, at_ns)
     kept = matched.found
+    q_est = attitude_at(source, at_ns[kept])
     cov = covariance_at(source, at_ns[kept])
+    if cov is not None and align == "none" and isinstance(estimated, Reference):
+        cov = cov + heading_covariance(q_est, estimated.heading_sd_rad)
     return Comparison(
         estimated=name_of(estimated),
         against=name_of(truth),
         recording=estimated.recording if isinstance(estimated, Estimate) else estimated.name,
         alignment=alignment,
         t_ns=truth.t_ns[kept],
-        q_est=alignment.attitude(attitude_at(source, at_ns[kept])),
+        q_est=alignment.attitude(q_est),
         q_true=truth.q_nb[kept],
         cov_b_rad2=None if cov is None else alignment.covariance(cov),
         true_cov_b_rad2=truth.cov_b_rad2[kept] if isinstance(truth, Reference) else None,
@@ -67,6 +71,15 @@ def compare(
         samples_in_gap=int((matched.in_gap & counted).sum()),
         samples_unready=int((matched.unready & counted).sum()),
     )
+
+
+def heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
+    """Covariance (N, 3, 3) in body axes of a heading error about up that all samples share, at attitudes (N, 4).
+
+    It counts where no heading was aligned away; ``Reference.cov_b_rad2`` is relative to the mean heading.
+    """
+    up_b = rotation(q_nb).as_matrix()[:, 2]
+    return heading_sd_rad**2 * up_b[:, :, None] * up_b[:, None, :]
 
 
 def name_of(thing: Estimate | Reference | Truth) -> str:

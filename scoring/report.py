@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from stillpoint.datasets.frames import EulerFrame
@@ -16,6 +15,7 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.compare import Comparison, compare, name_of
 from stillpoint.scoring.figures import COLOURS, ON_DARK, View, draw_angles, draw_band, draw_errors, draw_scores, view_of
 from stillpoint.scoring.pictures import Picture, picture
+from stillpoint.scoring.reference_section import reference_section
 from stillpoint.scoring.score import Score, score_of
 
 BUSY_S = 20.0  # length of the stretch that is shown in close-up
@@ -24,7 +24,7 @@ VERSIONS_OF = ("stillpoint", "numpy", "scipy", "numba", "gtsam", "vqf", "matplot
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What there is about one recording. At least one of ``recording.truth`` and ``references`` judges the rest."""
+    """What there is about one recording. The first of ``references`` and ``recording.truth`` judge the rest."""
 
     name: str
     recording: Recording | None = None
@@ -43,9 +43,9 @@ class Verdict:
 
 
 def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = "nwu") -> tuple[Verdict, ...]:
-    """Score all estimates against each reference, and them and the references against the truth."""
+    """Score everything else against the first reference, and everything against the truth, where these are there."""
     judges: list[tuple[Reference | Truth, tuple[Reference | Estimate, ...]]] = [
-        (reference, material.estimates) for reference in material.references
+        (first, (*material.references[1:], *material.estimates)) for first in material.references[:1]
     ]
     if material.recording is not None and material.recording.truth is not None:
         judges.append((material.recording.truth, (*material.references, *material.estimates)))
@@ -71,6 +71,7 @@ def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         colours_on_dark=ON_DARK,
         name=material.name,
         facts=_facts(material),
+        references=[reference_section(reference) for reference in material.references],
         sections=[_section(verdict) for verdict in verdicts],
         shared_gyro=any(isinstance(verdict.truth, Reference) for verdict in verdicts),
         pictures=_pictures(verdicts),
@@ -150,13 +151,6 @@ def _facts(material: Material) -> dict[str, str]:
             facts[title] = getattr(info, title)
         facts["conversions"] = "; ".join(info.conversions)
         facts["notes"] = "; ".join(info.notes)
-    for reference in material.references:
-        rested_s = float(np.diff(reference.rests_ns, axis=1).sum()) / 1e9
-        accepted = sum(back.accepted for back in reference.returns)
-        facts[name_of(reference)] = (
-            f"{len(reference.rests_ns)} rests ({rested_s:.0f} s), "
-            f"{accepted} of {len(reference.returns)} returns to the base pose accepted"
-        )
     return {title: fact for title, fact in facts.items() if fact}
 
 

@@ -19,7 +19,15 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.score import score
 from stillpoint.smoother import METHODS, reference
 
-FIGURES = ("total_rmse_deg", "heading_rmse_deg", "inclination_rmse_deg", "max_deg", "coverage95", "seconds")
+FIGURES = (
+    "total_rmse_deg",
+    "heading_rmse_deg",
+    "inclination_rmse_deg",
+    "max_deg",
+    "coverage95",
+    "nees_per_dof",
+    "seconds",
+)
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,7 @@ class ValidationRow:
     inclination_rmse_deg: float | None = None
     max_deg: float | None = None
     coverage95: float | None = None  # None also for a method that states no covariance
+    nees_per_dof: float | None = None  # the same
     seconds: float | None = None  # of making the reference or estimate
     found: Found = field(default_factory=Found)
     error: str | None = None  # why there are no figures
@@ -90,6 +99,7 @@ def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: Al
         inclination_rmse_deg=scored.inclination_rmse_deg,
         max_deg=scored.total_max_deg,
         coverage95=scored.coverage95,
+        nees_per_dof=scored.nees_per_dof,
         seconds=seconds,
         found=Found(
             heading_deg=float(np.rad2deg(scored.alignment.heading_rad)),
@@ -100,13 +110,18 @@ def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: Al
 
 
 def summary(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
-    """Mean and median of each figure per method, over the recordings that it did not refuse."""
+    """Mean, median and worst of each figure per method, over the recordings that it did not refuse.
+
+    The worst coverage is the smallest, the worst of all others the largest.
+    """
     table: list[dict[str, object]] = []
     for method in dict.fromkeys(row.method for row in rows):
         mine = [asdict(row) for row in rows if row.method == method]
         scored = [row for row in mine if row["error"] is None]
-        for name, of in (("mean", mean), ("median", median)):
-            columns = {figure: [row[figure] for row in scored if row[figure] is not None] for figure in FIGURES}
+        columns = {figure: [row[figure] for row in scored if row[figure] is not None] for figure in FIGURES}
+        for name, of in (("mean", mean), ("median", median), ("worst", max)):
             figures = {figure: of(values) if values else None for figure, values in columns.items()}
+            if name == "worst" and columns["coverage95"]:
+                figures["coverage95"] = min(columns["coverage95"])
             table.append({"statistic": name, "method": method, "scored": len(scored), "of": len(mine), **figures})
     return table

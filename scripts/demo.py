@@ -24,6 +24,7 @@ from stillpoint.scripts.text_file import write_text
 from stillpoint.smoother import DEFAULT_METHOD, find_rests, reference
 
 KIND = "phone-3"
+COMPARED = "redistribution"  # the method of the literature, scored beside ours
 
 
 def demo(
@@ -59,6 +60,9 @@ def demo(
     with _step(f"reference by {DEFAULT_METHOD}"):
         made = replace(reference(recording), made_from=made_from)
         write(folder / f"{recording.name}.reference.mcap", made)
+    with _step(f"reference by {COMPARED}, to compare"):
+        compared = replace(reference(recording, COMPARED), made_from=made_from)
+        write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
     for name in ESTIMATORS:
         with _step(f"estimate by {name}"):
             found = replace(estimate(recording, name), made_from=made_from)

@@ -70,6 +70,7 @@ def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate
         facts |= {"kind": "reference", "method": thing.method, "rests": _spans(thing.rests_ns, thing.t_ns)}
         facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
+        facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
     elif isinstance(thing, RollReference):
         sd_deg = np.rad2deg(thing.angle_sd_rad)
         facts |= {"kind": "roll reference", "method": thing.method, "streams": [_clock("angle", thing.t_ns)]}

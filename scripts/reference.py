@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets import Reference, write
-from stillpoint.datasets.settings import Settings
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.scripts import inputs
@@ -20,9 +22,21 @@ from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
+from stillpoint.smoother.graph_params import PRESETS
 from stillpoint.smoother.reference import settings_of
 
-COLUMNS = ("recording", "method", "rests", "returns", "closing error, deg", "sd median, deg", "sd max, deg", "s")
+COLUMNS = (
+    "recording",
+    "method",
+    "rests",
+    "returns",
+    "closing error, deg",
+    "sd median, deg",
+    "sd max, deg",
+    "sd of heading, deg",
+    "iterations",
+    "s",
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +52,7 @@ def reference(
     *,
     out: OutDir = Path(),
     method: str = DEFAULT_METHOD,
+    preset: str | None = None,
     set_: SetFlag = None,
     jobs: Jobs = None,
     json: JsonFile = None,
@@ -55,9 +70,12 @@ def reference(
     out
         Folder to write into; made when it is not there.
     method
-        How: redistribution (paper 002), redistribution-earth; several with commas between.
+        How: graph, redistribution (paper 002), redistribution-earth; several with commas between.
+    preset
+        How the sensor is moved, for the method graph: handheld (the default), phone, vehicle or bench.
     set_
-        A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them).
+        A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them); on top
+        of the preset.
     jobs
         Processes; by default one per core, fewer for few recordings.
     json
@@ -65,7 +83,7 @@ def reference(
     """
     methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
     changes = assignments(set_, "returns.tilt_gate_rad=0.02")
-    settings = {name: settings_of(name, changes) for name in methods}
+    settings = _settings(methods, preset, changes)
     sources = inputs.recordings(paths)
     work = _jobs(sources, methods, inputs.output_dir(out))
     outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
@@ -74,6 +92,17 @@ def reference(
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     return report_made("references", COLUMNS, rows, _cells, json)
+
+
+def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str]) -> dict[str, Settings]:
+    """The settings of each method; raises :class:`BadParameter` for a preset that is not there or not the method's."""
+    if preset is None:
+        return {name: settings_of(name, changes) for name in methods}
+    require_known(preset, PRESETS, "preset")
+    others = [name for name in methods if name != "graph"]
+    if others:
+        raise BadParameter(f"--preset {preset}: is for the method graph, not {', '.join(others)}; leave one out")
+    return {"graph": chosen(PRESETS[preset], changes, "graph")}
 
 
 def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list[_Job]:
@@ -109,6 +138,7 @@ def _facts(made: Reference) -> dict[str, Any]:
         ],
         "sd_median_deg": float(np.median(sd_deg)),
         "sd_max_deg": float(sd_deg.max()),
+        "heading_sd_deg": float(np.rad2deg(made.heading_sd_rad)),
         "diagnostics": dict(made.diagnostics),
     }
 
@@ -126,5 +156,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
         ", ".join(f"{error:.1f}" for error in closing) or "-",
         f"{row['sd_median_deg']:.2f}",
         f"{row['sd_max_deg']:.2f}",
+        f"{row['heading_sd_deg']:.2f}",
+        str(row["diagnostics"].get("iterations", "-")),
         f"{row['seconds']:.1f}",
     ]

@@ -33,7 +33,8 @@ def report(
 
     Finds NAME.reference.mcap and NAME.ESTIMATOR.estimate.mcap in the folder of NAME.mcap, scores the estimates against
     the reference, and both against the recording's truth where it holds one, and writes NAME.report.html: tables,
-    pictures and provenance in one file that needs no network.
+    pictures and provenance in one file that needs no network. Further references, NAME.METHOD.reference.mcap, are
+    scored beside the estimates.
 
     Parameters
     ----------

@@ -24,6 +24,7 @@ COLUMNS = (
     "inclination, deg",
     "max, deg",
     "in 95 %",
+    "NEES/3",
     "s",
     "found: heading, deg",
     "mounting, deg",
@@ -40,10 +41,11 @@ def validate(
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
-    """Score references against independent truth: one row per recording and method, then mean and median.
+    """Score references against independent truth: one row per recording and method, then mean, median and worst.
 
     Errors are RMSEs over the moving samples of the truth, as in BROAD. "in 95 %" is the share of these whose error lies
-    in the 95 % ellipsoid of the stated covariance. Exit code 2 when nothing could be scored.
+    in the 95 % ellipsoid of the stated covariance; NEES/3, the mean square of the error over it, is 1 when it fits.
+    Exit code 2 when nothing could be scored.
 
     Parameters
     ----------
@@ -66,12 +68,12 @@ def validate(
     for source, outcome in zip(sources, outcomes, strict=True):
         lost = [ValidationRow(source.stem, method, align, error=outcome.error) for method in chosen]
         rows += lost if outcome.value is None else outcome.value
-    if json != STDOUT:
-        _print(rows, summary(rows), align)
     write_json(json, [asdict(row) for row in rows])
     reasons = {row.error for row in rows}
     if len(reasons) == 1 and None not in reasons:
         raise StillpointError(*reasons)
+    if json != STDOUT:
+        _print(rows, summary(rows), align)
     return 0 if None in reasons else 2
 
 

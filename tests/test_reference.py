@@ -12,6 +12,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
 from stillpoint.scripts.settings_pages import refreshed
 from stillpoint.smoother import METHODS, reference
+from stillpoint.smoother.graph_params import PRESETS
 from stillpoint.smoother.redistribution import RedistributionParams
 from stillpoint.smoother.rest import RestParams
 
@@ -86,7 +87,9 @@ def test_the_verb_writes_what_reference_gives(call, folder, recording, capsys):
     assert made.made_from == {"good.mcap": sha256(folder / "good.mcap")}
     (row,) = json.loads((folder / "r.json").read_text())["rows"]
     assert row["error"] is None
-    assert sum(one["accepted"] for one in row["returns"]) == row["diagnostics"]["returns_accepted"] > 0
+    assert sum(one["accepted"] for one in row["returns"]) > 0
+    assert row["heading_sd_deg"] == pytest.approx(np.rad2deg(made.heading_sd_rad))
+    assert row["diagnostics"]["iterations"] > 0
     assert "good" in capsys.readouterr().out
 
 
@@ -100,6 +103,14 @@ def test_the_verb_with_several_methods_and_settings(call, folder):
         assert made.params["rest"]["min_rest_s"] == 2.0
 
 
+def test_settings_come_on_top_of_the_preset(call, folder):
+    words = ("--preset", "bench", "--set", "motion.velocity_sd_mps=0.4", "--set", "keys.moving_s=0.2")
+    assert call("reference", folder / "good.mcap", "-o", folder / "out", *words) == 0
+    motion = read(folder / "out" / "good.reference.mcap").params["motion"]
+    assert (motion["position_sd_m"], motion["velocity_sd_mps"]) == (PRESETS["bench"].motion.position_sd_m, 0.4)
+    assert motion["position_sd_m"] != PRESETS["handheld"].motion.position_sd_m
+
+
 def restless():
     t_ns = np.arange(2000) * 10_000_000
     gyro = np.random.default_rng(0).normal(0, 1, (2000, 3))
@@ -108,7 +119,8 @@ def restless():
 
 def test_a_refused_recording_is_named_and_the_others_are_made(call, folder, capsys):
     write(folder / "restless.mcap", restless())
-    assert call("reference", folder, "-o", folder / "out", "--json", "-", "--jobs", 1) == 2
+    words = ("--method", "redistribution", "--json", "-", "--jobs", 1)
+    assert call("reference", folder, "-o", folder / "out", *words) == 2
     rows = {row["recording"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["good"]["error"] is None
     assert "no rest" in rows["restless"]["error"]
@@ -122,6 +134,10 @@ def test_a_refused_recording_is_named_and_the_others_are_made(call, folder, caps
         (["--set", "rest.window_s"], "write NAME=VALUE"),
         (["--set", "rest.window=2"], "did you mean 'rest.window_s'"),
         (["--jobs", "0"], "give 1 or more"),
+        (["--preset", "phoen"], "did you mean 'phone'"),
+        (["--preset", "vehicle", "--method", "redistribution"], "is for the method graph, not redistribution"),
+        (["--preset", "vehicle", "--method", "graph,redistribution"], "is for the method graph, not redistribution"),
+        (["--preset", "vehicle", "--set", "motion.position_sd_m=-1"], "give a number from"),
     ],
 )
 def test_errors_of_the_verb_are_one_line(call, folder, capsys, tokens, said):
@@ -133,7 +149,7 @@ def test_errors_of_the_verb_are_one_line(call, folder, capsys, tokens, said):
 
 def test_one_refused_recording_is_one_line(call, tmp_path, capsys):
     write(tmp_path / "restless.mcap", restless())
-    assert call("reference", tmp_path / "restless.mcap", "-o", tmp_path) == 2
+    assert call("reference", tmp_path / "restless.mcap", "-o", tmp_path, "--method", "redistribution") == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("stillpoint: restless: no rest")

@@ -381,3 +381,24 @@ def test_comparison_carries_the_series_of_the_score():
     assert np.abs(series.q_est - series.q_true).max() < 1e-12
     with pytest.raises(dataclasses.FrozenInstanceError):
         series.recording = "other"
+
+
+def test_shared_heading_error_counts_where_heading_was_not_aligned():
+    """An error of one sd about up, and nothing else: d' C^-1 d = 1. Aligned away, nothing is left of it to count."""
+    t_ns, q_true = swing()
+    turned = quaternion(heading_rotation(0.05) * rotation(q_true))
+    made = as_reference(t_ns, turned, sd_rad=1e-5, heading_sd_rad=0.05)
+    assert score(made, as_truth(t_ns, q_true), align="none").nees_per_dof == pytest.approx(1 / 3, rel=1e-6)
+    aligned = compare(made, as_truth(t_ns, q_true), align="heading")
+    assert np.abs(aligned.cov_b_rad2 - made.cov_b_rad2).max() < 1e-20
+
+
+@given(st.floats(-0.3, 0.3), st.floats(0, 0.2))
+def test_shared_heading_variance_is_about_up_alone(tilt, sd_rad):
+    t_ns, q_true = swing(200)
+    q_nb = quaternion(Rotation.from_rotvec([tilt, 0, 0]) * rotation(q_true))
+    made = as_reference(t_ns, q_nb, heading_sd_rad=sd_rad)
+    more_b = compare(made, as_truth(t_ns, q_true), align="none").cov_b_rad2 - made.cov_b_rad2
+    turn = rotation(q_nb).as_matrix()
+    more_n = turn @ more_b @ turn.transpose(0, 2, 1)
+    np.testing.assert_allclose(more_n, np.tile(np.diag([0, 0, sd_rad**2]), (200, 1, 1)), atol=1e-15)

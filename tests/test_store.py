@@ -175,6 +175,7 @@ def references(draw):
         draw(floats(n, 3)),
         method=draw(st.text()),
         name=draw(st.text()),
+        heading_sd_rad=draw(st.floats(0, 3)),
         calibration=calibration,
         rests_ns=rests.reshape(-1, 2),
         returns=tuple(draw(st.lists(back, max_size=2))),

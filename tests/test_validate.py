@@ -19,6 +19,7 @@ KEYS = {
     "inclination_rmse_deg",
     "max_deg",
     "coverage95",
+    "nees_per_dof",
     "seconds",
     "found",
     "error",
@@ -59,13 +60,16 @@ def test_rows_keep_the_contract_and_nothing_vanishes(call, folder, recording, ca
         figures = [row["total_rmse_deg"], row["max_deg"], row["seconds"], row["found"]["heading_deg"]]
         assert all((value is None) == (row["error"] is not None) for value in figures)
     by = {(row["recording"], row["method"]): row for row in rows}
-    expected = score(reference(recording), recording.truth, align="heading")
+    expected = score(reference(recording, "redistribution"), recording.truth, align="heading")
     assert by["good", "redistribution"]["total_rmse_deg"] == pytest.approx(expected.total_rmse_deg, rel=1e-12)
     assert by["good", "redistribution"]["coverage95"] == pytest.approx(expected.coverage95)
     assert by["good", "offline-vqf"]["coverage95"] is None
     assert "no independent truth" in by["no_truth", "offline-vqf"]["error"]
     assert "at its start" in by["moving_start", "redistribution"]["error"]
     assert by["moving_start", "offline-vqf"]["error"] is None
+    assert by["moving_start", "graph"]["error"] is None  # it needs no rest at the start
+    assert by["good", "graph"]["total_rmse_deg"] < by["good", "redistribution"]["total_rmse_deg"]
+    assert by["good", "graph"]["nees_per_dof"] > 0
     assert by["broken", "redistribution"]["error"] is not None
     printed = capsys.readouterr().out
     assert "mean of 1 of 4" in printed
@@ -119,3 +123,4 @@ def test_broad_as_the_command_sees_it(call, data_dir, tmp_path, capsys):
     for trial, known in PROTOTYPE_DEG.items():
         assert total[trial, "redistribution"] == pytest.approx(known, rel=0.15)
         assert total[trial, "redistribution-earth"] < total[trial, "redistribution"]
+        assert total[trial, "graph"] < 0.75  # the clock and the mounting of the source are in it

@@ -1,0 +1,121 @@
+"""Recordings, references and estimates as columns of rerun; what each entity holds stands in its name."""
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import euler, rotation
+from stillpoint.datasets.recording import Floats, Recording, Times
+from stillpoint.datasets.times import inside
+from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
+
+TIMELINE = "time"
+AXIS_LENGTH = 0.5
+ANGLES, SD_ABOUT, SD, BIAS = "roll pitch yaw, deg, NWU", "sd about east north up, deg", "sd, deg", "gyro bias, deg/s"
+RATE, FORCE, FIELD, REST = "rate, deg/s", "specific force, m/s2", "field, uT", "at rest"
+QUANTITIES = (ANGLES, SD_ABOUT, SD, BIAS, RATE, FORCE, FIELD, REST)
+LABELS = {ANGLES: ("roll", "pitch", "yaw"), SD_ABOUT: ("east", "north", "up"), SD: ("",), REST: ("",)}
+AXES = ("x", "y", "z")
+
+
+def open_scene(save: Path | None) -> rr.RecordingStream:
+    """A stream into a file, or into a window of its own; raises :class:`BadParameter` when neither can be had."""
+    scene = rr.RecordingStream("stillpoint")
+    try:
+        if save is None:
+            rr.spawn(recording=scene)
+        else:
+            rr.save(save, recording=scene)
+    except (OSError, RuntimeError) as error:
+        raise BadParameter(
+            f"view: {' '.join(str(error).split())}; without a screen, write a file: --save NAME.rrd"
+        ) from None
+    rr.send_blueprint(_layout(), recording=scene)
+    rr.log("body", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=scene)
+    return scene
+
+
+def show(scene: rr.RecordingStream, name: str, thing: Recording | Reference | Estimate) -> None:
+    """Send all columns of a thing to entities that end in its name."""
+    if isinstance(thing, Recording):
+        _show_recording(scene, name, thing)
+        return
+    if thing.q_nb is not None:
+        _attitude(scene, name, thing.t_ns, thing.q_nb)
+        if thing.cov_b_rad2 is not None:
+            _spread(scene, name, thing.t_ns, thing.q_nb, thing.cov_b_rad2)
+    if thing.gyro_bias_b_radps is not None:
+        _lines(scene, BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
+    if isinstance(thing, Reference):
+        at_rest = inside(thing.t_ns, thing.rests_ns)
+        _lines(scene, REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
+        _log_returns(scene, name, thing)
+
+
+def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) -> None:
+    if recording.imu is not None:
+        _lines(scene, RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
+        _lines(scene, FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
+    if recording.mag is not None:
+        _lines(scene, FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
+    if recording.truth is not None:
+        _attitude(scene, f"{name} truth", recording.truth.t_ns, recording.truth.q_nb)
+
+
+def _attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
+    """The body as three axes that turn, and its angles."""
+    entity = _entity("body", name)
+    rr.log(entity, rr.TransformAxes3D(AXIS_LENGTH), static=True, recording=scene)
+    columns = rr.Transform3D.columns(quaternion=np.roll(q_nb, -1, axis=1))  # rerun writes xyzw
+    rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
+    _lines(scene, ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
+
+
+def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov_b_rad2: Floats) -> None:
+    """Standard deviations about east, north and up, and of the whole."""
+    turn = rotation(q_nb).as_matrix()
+    variance = np.einsum("nij,njk,nik->ni", turn, cov_b_rad2, turn)
+    _lines(scene, SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
+    _lines(scene, SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
+
+
+def _lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
+    """One line per column of (N, k)."""
+    entity = _entity(quantity, name)
+    labels = [f"{name} {axis}".strip() for axis in LABELS.get(quantity, AXES)]
+    rr.log(entity, rr.SeriesLines(names=labels), static=True, recording=scene)
+    columns = rr.Scalars.columns(scalars=values.ravel()).partition(np.full(len(t_ns), values.shape[1]))
+    rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
+
+
+def _log_returns(scene: rr.RecordingStream, name: str, reference: Reference) -> None:
+    if not reference.returns:
+        return
+    t_ns = np.array([back.start_ns for back in reference.returns], dtype=np.int64)
+    texts = [f"return {'used' if back.accepted else 'rejected'}: {back.reason}" for back in reference.returns]
+    levels = ["INFO" if back.accepted else "WARN" for back in reference.returns]
+    columns = rr.TextLog.columns(text=texts, level=levels)
+    rr.send_columns(_entity("returns", name), indexes=[_time(t_ns)], columns=columns, recording=scene)
+
+
+def _time(t_ns: Times) -> rr.TimeColumn:
+    """Stamps are ns since 1970, or since the source's own start, which rerun then shows as 1970."""
+    return rr.TimeColumn(TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
+
+
+def _entity(quantity: str, name: str) -> str:
+    return rr.new_entity_path([quantity, name])
+
+
+def _layout() -> rrb.Blueprint:
+    """Bodies and returns on the left, then one plot per quantity over the same time."""
+    plots = [rrb.TimeSeriesView(name=one, origin=rr.new_entity_path([one])) for one in QUANTITIES]
+    left = rrb.Vertical(
+        rrb.Spatial3DView(name="bodies", origin="/body"),
+        rrb.TextLogView(name="returns", origin="/returns"),
+        row_shares=[3, 1],
+    )
+    return rrb.Blueprint(rrb.Horizontal(left, rrb.Grid(*plots, grid_columns=2), column_shares=[1, 2]))

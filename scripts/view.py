@@ -1,0 +1,65 @@
+"""``stillpoint view``: look at recordings, references and estimates in rerun."""
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from stillpoint.datasets import Estimate, Recording, Reference, read
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.beside import files_of, neighbours, recording_name
+from stillpoint.scripts.flags import Inputs
+from stillpoint.scripts.inputs import kind_of, mcap_files
+
+NEEDED = "0.41.0"  # rerun's files and columns change between versions
+
+
+def view(
+    paths: Inputs,
+    /,
+    *,
+    save: Annotated[Path | None, Parameter(negative=())] = None,
+    alone: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Look at recordings, references and estimates in rerun: attitudes, measurements, covariance, bias, rests.
+
+    Opens a window, or writes a file that rerun opens. Needs the extra "view": pip install 'stillpoint[view]'.
+
+    Parameters
+    ----------
+    paths
+        MCAP files, folders or globs. With a recording come the references that lie beside it.
+    save
+        Write to this file, NAME.rrd, instead of opening a window.
+    alone
+        Show the named files only.
+    """
+    if importlib.util.find_spec("rerun") is None:
+        raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={NEEDED}")
+    from stillpoint.scripts.rerun_scene import open_scene, show
+
+    if save is not None and not save.absolute().parent.is_dir():
+        raise BadParameter(f"--save {save}: the folder is not there; make it or name another")
+    files = mcap_files(paths)
+    if not alone:
+        files = _with_references(files)
+    scene = open_scene(save)
+    for file in files:
+        thing = read(file)
+        if not isinstance(thing, Recording | Reference | Estimate):
+            raise BadParameter(f"{file}: is an angle about one axis; view shows recordings, references and estimates")
+        show(scene, file.name.removesuffix(".mcap"), thing)
+    scene.flush()
+    if save is not None:
+        print(f"{save}: {len(files)} files; open it with: rerun {save}")
+
+
+def _with_references(files: list[Path]) -> list[Path]:
+    """The files, each recording followed by the references beside it."""
+    found: dict[Path, None] = {}
+    for file in files:
+        found[file.absolute()] = None
+        if kind_of(file) == "recording":
+            found |= dict.fromkeys(files_of(recording_name(file), "reference", neighbours(file)))
+    return list(found)
