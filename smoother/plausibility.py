@@ -1,0 +1,151 @@
+"""Is the solution one that a sensor can have? An optimum exists for swapped axes too: it only fits nothing.
+
+What separates them was measured on 12 BROAD trials, 10 Tyrex phones and the simulated phones, as they are and with
+swapped or turned axes. The mean square of the IMU's residuals in motion, over what the noise sizes allow, is 0.00003 to
+0.005 for good recordings and 0.01 to 3 for spoiled ones; calibration and biases stay within 3.4 of their sd, or go to
+5 to 100; the field fits within 4.1 uT, or is missed by more in a third of the measurements.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import H, M
+
+from stillpoint.datasets.earth import magnetic_field_n_ut
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Info
+from stillpoint.datasets.trajectory import BasePoseReturn
+from stillpoint.smoother.base_pose import BasePose, Returns
+from stillpoint.smoother.field import weights
+from stillpoint.smoother.graph_params import GraphParams
+from stillpoint.smoother.keys import Keys
+from stillpoint.smoother.solve import Solution
+
+IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, over what the noise sizes allow
+PRIOR_LIMIT_SD = 5.0  # calibration and biases, of their prior's sd
+INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, whose median is small though
+MISFIT_LIMIT_SD = 0.9  # the median size of the field's residuals, of ``FieldParams.sd_ut``
+DIP_LIMIT_RAD = np.deg2rad(45.0)  # of the field's inclination against the place's
+RETURN_LIMIT_SD = 3.0  # where the robust kernel of a return halves its weight
+
+KINDS = {
+    gtsam.ImuFactor: "imu",
+    gtsam.BetweenFactorConstantBias: "bias walk",
+    gtsam.PriorFactorVector: "velocity and calibration",
+    gtsam.GPSFactor: "position",
+    gtsam.BetweenFactorPose3: "rests, returns and gaps",
+    gtsam.LinearContainerFactor: "effective bias",
+}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a solution fits its data."""
+
+    squares: dict[str, float]  # mean square of normalised residuals per degree of freedom, by kind of factor
+    field_inlier_share: float | None  # of the magnetometer's measurements; None without one
+    field_misfit_ut: float | None  # median size of their residuals
+
+
+def fit_of(graph: gtsam.NonlinearFactorGraph, solution: Solution, keys: Keys, params: GraphParams) -> Fit:
+    """Residuals by kind of factor: "imu" is in motion, "imu at rest" is not."""
+    total: dict[str, list[float]] = {}
+    for i in range(graph.size()):
+        factor = graph.at(i)
+        kind = KINDS.get(type(factor), "anchors")
+        if kind == "imu" and keys.at_rest[gtsam.Symbol(factor.keys()[0]).index()]:
+            kind = "imu at rest"
+        degrees = 9 if isinstance(factor, gtsam.ImuFactor) else factor.dim()  # gtsam names only its first part's
+        total.setdefault(kind, []).append(2 * factor.error(solution.values) / degrees)
+    squares = {kind: float(np.mean(values)) for kind, values in total.items()}
+    residual = solution.field_residual_ut
+    if residual is None:
+        return Fit(squares, None, None)
+    inlier = weights(residual, params.magnetic.sd_ut, params.magnetic) > 0.5
+    return Fit(squares, float(inlier.mean()), float(np.median(np.linalg.norm(residual, axis=1))))
+
+
+def refuse_contradictions(
+    fit: Fit, solution: Solution, bias_b_radps: Floats, info: Info, name: str, params: GraphParams
+) -> None:
+    """Raise :class:`Unobservable` that names the contradiction when no sensor can be as the solution says.
+
+    ``bias_b_radps`` (3,) is where the gyro's bias began.
+    """
+    found = _inertial(fit, solution, bias_b_radps, params) or _magnetic(fit, solution, info, params)
+    if found:
+        raise Unobservable(f"{name}: {found}; run the doctor: an axis, sign, scale, unit or clock may be wrong")
+
+
+def _inertial(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphParams) -> str:
+    p = params.inertial
+    if fit.squares.get("imu", 0.0) > IMU_LIMIT:
+        times = np.sqrt(fit.squares["imu"] / IMU_LIMIT)
+        return f"gyro and accelerometer contradict each other ({times:.1f} times the residuals that a sensor may have)"
+    vector = solution.values.atVector(M(0))
+    sizes = {
+        "accelerometer's scale and axes": (vector[:9], p.accel_matrix_sd, 100.0, "%"),
+        "gyro's scale and axes": (vector[9:18], p.gyro_matrix_sd, 100.0, "%"),
+        "accelerometer's clock": (vector[18:19], p.accel_late_sd_s, 1e3, "ms"),
+    }
+    biases = [key for key in solution.values.keys() if gtsam.Symbol(key).chr() == ord("b")]  # noqa: SIM118 - not a dict
+    if biases:
+        bias = np.array([solution.values.atConstantBias(key).vector() for key in biases])
+        sizes["accelerometer's bias"] = (bias[:, :3], p.accel_bias_sd_mps2, 1.0, "m/s^2")
+        moved = bias[:, 3:] - bias_b_radps
+        sizes["gyro's bias"] = (moved, p.gyro_bias_sd_radps, float(np.rad2deg(1.0)), "deg/s")
+    for what, (values, sd, factor, unit) in sizes.items():
+        largest = float(np.abs(values).max())
+        if largest > PRIOR_LIMIT_SD * sd:
+            return f"to fit the data the {what} would have to be off by {largest * factor:.2g} {unit}"
+    return ""
+
+
+def _magnetic(fit: Fit, solution: Solution, info: Info, params: GraphParams) -> str:
+    if fit.field_inlier_share is None or fit.field_misfit_ut is None:
+        return ""
+    if fit.field_inlier_share < INLIER_SHARE and fit.field_misfit_ut > MISFIT_LIMIT_SD * params.magnetic.sd_ut:
+        return (
+            f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
+            f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless); leave it out if the place is full of iron"
+        )
+    if info.place_lat_lon_alt is None or not info.date:
+        return ""
+    east, north, up = solution.values.atVector(H(0))[:3]
+    there = magnetic_field_n_ut(info.place_lat_lon_alt, info.date)
+    found_rad = np.arctan2(-up, np.hypot(east, north))
+    known_rad = np.arctan2(-there[2], np.hypot(*there[:2]))
+    if abs(found_rad - known_rad) > DIP_LIMIT_RAD:
+        return (
+            f"the field dips by {np.rad2deg(found_rad):.0f} deg, at this place it does by {np.rad2deg(known_rad):.0f}; "
+            "accelerometer or magnetometer has the wrong sign"
+        )
+    return ""
+
+
+def judged_again(base: BasePose, returns: Returns, q_nb: Floats, params: GraphParams) -> tuple[BasePoseReturn, ...]:
+    """The verdicts with the solution's attitudes (N, 4): returns whose weight the robust kernel halved are rejected."""
+    limit_rad = RETURN_LIMIT_SD * params.returns.repeat_sd_rad
+    base_b = rotation(q_nb[(base.start + base.end) // 2]).inv()
+    off_rad = iter([(base_b * rotation(q_nb[sum(span) // 2])).magnitude() for span in returns.spans])
+    return tuple(_judged(each, next(off_rad) if each.accepted else 0.0, limit_rad) for each in returns.verdicts)
+
+
+def _judged(verdict: BasePoseReturn, off_rad: float, limit_rad: float) -> BasePoseReturn:
+    if off_rad <= limit_rad:
+        return verdict
+    off, limit = np.rad2deg(off_rad), np.rad2deg(limit_rad)
+    reason = f"{verdict.reason}; the other data put it {off:.1f} deg off, above {limit:.1f}: not the base pose"
+    return replace(verdict, accepted=False, reason=reason)
+
+
+def mean_fit(fits: Sequence[Fit]) -> Fit:
+    """Of several windows."""
+    kinds = {kind for fit in fits for kind in fit.squares}
+    squares = {k: float(np.mean([fit.squares[k] for fit in fits if k in fit.squares])) for k in sorted(kinds)}
+    shares = [fit.field_inlier_share for fit in fits if fit.field_inlier_share is not None]
+    misfits = [fit.field_misfit_ut for fit in fits if fit.field_misfit_ut is not None]
+    return Fit(squares, float(np.mean(shares)) if shares else None, float(np.mean(misfits)) if misfits else None)
