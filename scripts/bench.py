@@ -1,13 +1,13 @@
 """``stillpoint bench``: time a part of stillpoint beside its peers."""
 
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import require_known
+from stillpoint.scripts.flags import whole_number
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
@@ -22,7 +22,7 @@ def bench(
     name: str,
     /,
     *,
-    runs: Annotated[int, Parameter(validator=Number(gte=1))] = 5,
+    runs: Annotated[int, Parameter(converter=whole_number, validator=Number(gte=1))] = 5,
     json: JsonFile = None,
 ) -> None:
     """Time a part of stillpoint beside its peers, run by run in turn, so that a busy machine slows all alike.
@@ -36,10 +36,7 @@ def bench(
     json
         Also write the rows as JSON to this file; - is the standard output.
     """
-    if name not in BENCHES:
-        near = get_close_matches(name, BENCHES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(BENCHES)}"
-        raise BadParameter(f"no bench {name!r}; {hint}")
+    require_known(name, BENCHES, "bench")
     module, function = BENCHES[name].split(":")
     timings = getattr(import_module(module), function)(runs)
     rows = [timing.row() for timing in timings]

@@ -5,9 +5,9 @@ import numpy as np
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
 from stillpoint.datasets.recording import Floats, Recording, Times
+from stillpoint.datasets.times import longest_step_ns
 
-GAP_STEPS = 5.0  # medians; a longer step is a gap
-GAP_S = 0.05  # ... if it is also longer than this
+GAP_S = 0.05  # a shorter step is no gap, whatever the median
 BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
 JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
 LOST_SHARE = 0.01  # of the samples
@@ -33,7 +33,7 @@ def _check_stream(name: str, t_ns: Times) -> list[Finding]:
     median = float(np.median(steps_s))
     mean = float(np.mean(steps_s[steps_s < LONGEST_BURST_S])) if (steps_s < LONGEST_BURST_S).any() else median
     bursts = name in SAMPLED and median < BURST_SHARE * mean
-    limit = LONGEST_BURST_S if bursts else max(GAP_STEPS * median, GAP_S)
+    limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, GAP_S)
     gaps = steps_s > limit
     findings = [_rate(name, t_ns, mean if bursts else median)]
     if gaps.any():

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.still import calm_seconds, inside
+from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.doctor.witness import Witness
 from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
+from stillpoint.datasets.times import inside
 
 BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
 # White noise per sqrt(Hz) above which a MEMS sensor is not at its best: ten times what data sheets promise.

@@ -3,9 +3,10 @@
 import numpy as np
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.still import calm_seconds, inside
+from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
+from stillpoint.datasets.times import inside
 
 GRAVITY_MPS2 = 9.80665
 UNITS_OF_FORCE = {"g": GRAVITY_MPS2, "milli-g": GRAVITY_MPS2 / 1000, "cm/s^2": 0.01, "g twice": 1 / GRAVITY_MPS2}

@@ -23,14 +23,6 @@ def calm_seconds(imu: Imu) -> Times:
     return np.stack([imu.t_ns[first[starts[calm]]], imu.t_ns[ends[calm]]], axis=1)
 
 
-def inside(t_ns: Times, spans_ns: Times) -> NDArray[np.bool_]:
-    """Which stamps lie in one of the spans (R, 2), ends included."""
-    mask = np.zeros(len(t_ns), dtype=np.bool_)
-    for first, last in spans_ns:
-        mask[np.searchsorted(t_ns, first) : np.searchsorted(t_ns, last, side="right")] = True
-    return mask
-
-
 def _bins(t_ns: Times, width_s: float) -> Times:
     return np.asarray((t_ns - t_ns[0]) // int(width_s * 1e9))
 
