@@ -30,6 +30,7 @@ def _facts(reference: Reference) -> dict[str, str]:
         "sd of the attitude": f"{np.median(sd_deg):.2f} deg (median), {sd_deg.max():.2f} deg (largest)",
         "rests": f"{len(reference.rests_ns)}, {rested_s:.0f} s in all",
         "returns": f"{accepted} of {len(reference.returns)} to the base pose used",
+        "closing squares": ", ".join(f"{square:.2f}" for square in said.get("closing_squares", ())),
         "gyro bias": _bias(reference.gyro_bias_b_radps),
         "iterations": str(said.get("iterations", "")),
     }
@@ -72,8 +73,6 @@ def _calibration_rows(found: Calibration) -> Mapping[str, Sequence[str]]:
 
 
 def _returns(reference: Reference) -> list[dict[str, Any]]:
-    """Closing squares belong to the accepted returns, in their order."""
-    squares = iter(reference.diagnostics.get("closing_squares", ()))
     zero_ns = int(reference.t_ns[0])
     return [
         {
@@ -81,7 +80,6 @@ def _returns(reference: Reference) -> list[dict[str, Any]]:
             "length_s": (back.end_ns - back.start_ns) / 1e9,
             "tilt_deg": float(np.rad2deg(back.tilt_difference_rad)),
             "used": back.accepted,
-            "closing_square": next(squares, None) if back.accepted else None,
             "reason": back.reason,
         }
         for back in reference.returns

@@ -39,8 +39,9 @@ def test_every_method_says_which_it_is_and_with_what_settings(recording, method)
 
 
 def test_a_mapping_and_the_settings_object_give_the_same(recording):
-    by_name = reference(recording, params={"rest.min_rest_s": "2.5", "prior_returns": 3})
-    by_object = reference(recording, params=RedistributionParams(rest=RestParams(min_rest_s=2.5), prior_returns=3.0))
+    given = RedistributionParams(rest=RestParams(min_rest_s=2.5), prior_returns=3.0)
+    by_name = reference(recording, "redistribution", {"rest.min_rest_s": "2.5", "prior_returns": 3})
+    by_object = reference(recording, "redistribution", given)
     np.testing.assert_array_equal(by_name.q_nb, by_object.q_nb)
     np.testing.assert_array_equal(by_name.cov_b_rad2, by_object.cov_b_rad2)
     assert by_name.params == by_object.params
@@ -52,21 +53,20 @@ def test_the_same_recording_gives_the_same_bits(recording):
     np.testing.assert_array_equal(one.cov_b_rad2, two.cov_b_rad2)
 
 
-@pytest.mark.parametrize("name", names_of(RedistributionParams()))
-def test_every_setting_can_be_changed_by_its_name(name):
-    *path, last = name.split(".")
-    station = RedistributionParams()
-    for part in path:
-        station = getattr(station, part)
-    with pytest.raises(BadParameter, match=last):
-        reference(None, params={name: "1e9"})  # out of every range, so that the setting is known to be reached
+@pytest.mark.parametrize(
+    ("method", "name"),
+    [(method, name) for method in ("graph", "redistribution") for name in names_of(METHODS[method].defaults)],
+)
+def test_every_setting_can_be_changed_by_its_name(method, name):
+    with pytest.raises(BadParameter, match=name.rpartition(".")[2]):
+        reference(None, method, {name: "1e9"})  # out of every range, so that the setting is known to be reached
 
 
 @pytest.mark.parametrize(
     ("method", "params", "said"),
     [
         ("redistributoin", None, "did you mean 'redistribution'"),
-        ("magic", None, "there are redistribution"),
+        ("magic", None, "there are graph, redistribution"),
         ("redistribution", {"rest.windows": 1}, "did you mean 'rest.window_s'"),
         ("redistribution", {"tilt_gate_rad": 1}, "did you mean 'returns.tilt_gate_rad'"),
         ("redistribution", {"rest": 1}, "no setting 'rest'"),

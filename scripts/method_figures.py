@@ -1,0 +1,84 @@
+"""``python -m stillpoint.scripts.method_figures VALIDATED.json... RECORDING.mcap...``: the pictures of docs/method.md.
+
+The JSON files are those of ``stillpoint validate --json``. Of the recordings, which hold a truth, the error over time
+is drawn within the band that the graph states.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.store import read_recording
+from stillpoint.scoring import AlignKind, compare
+from stillpoint.scoring.figures import COLOURS, draw_band, view_of
+from stillpoint.scripts.readme_figure import STYLE
+from stillpoint.smoother import DEFAULT_METHOD, reference
+
+ALIGN: AlignKind = "heading+mounting+time"
+TRIALS, BANDS = Path("docs/figures/method_trials.png"), Path("docs/figures/method_bands.png")
+MARKS = ("o", "s", "^", "D")
+DPI = 80
+
+
+def main(*files: Path) -> None:
+    """Draw both pictures."""
+    tables = [file for file in files if file.suffix == ".json"]
+    recordings = [file for file in files if file.suffix == ".mcap"]
+    TRIALS.parent.mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context(STYLE):
+        _trials(tables).savefig(TRIALS, dpi=DPI, metadata={"Software": None})
+        _bands(recordings).savefig(BANDS, dpi=DPI, metadata={"Software": None})
+
+
+def _trials(tables: Sequence[Path]) -> Figure:
+    """One panel per table: total RMSE of each recording and method."""
+    rows = [json.loads(table.read_text(encoding="utf-8"))["rows"] for table in tables]
+    widths = [len({row["recording"] for row in each}) for each in rows]
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(rows), sharey=True, width_ratios=widths))
+    methods = list(dict.fromkeys(row["method"] for each in rows for row in each))
+    for ax, each in zip(axes, rows, strict=True):
+        _draw_trials(ax, each, methods)
+    axes[0].set_ylabel("total RMSE (deg)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(methods), frameon=False)
+    return figure
+
+
+def _draw_trials(ax: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str]) -> None:
+    names = list(dict.fromkeys(row["recording"] for row in rows))
+    for k, method in enumerate(methods):
+        found = {row["recording"]: row["total_rmse_deg"] for row in rows if row["method"] == method}
+        values = [np.nan if found[name] is None else found[name] for name in names]
+        ax.plot(values, MARKS[k % len(MARKS)], color=COLOURS[k], label=method, ms=7 if k == 0 else 5)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
+    ax.set_title(f"aligned: {rows[0]['align']}", loc="left", fontsize=9)
+
+
+def _bands(recordings: Sequence[Path]) -> Figure:
+    """A column per recording: the error about east, north and up."""
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    axes = figure.subplots(3, len(recordings), squeeze=False, sharex="col")
+    for column, file in zip(axes.T, recordings, strict=True):
+        recording = read_recording(file)
+        if recording.truth is None:
+            raise BadParameter(f"{file}: has no independent truth to draw the error against")
+        comparison = compare(reference(recording, DEFAULT_METHOD), recording.truth, ALIGN)
+        draw_band(list(column), view_of([comparison], recording.truth, "nwu", int(recording.truth.t_ns[0])))
+        column[0].set_title(recording.name, loc="left", fontsize=9)
+        column[-1].set_xlabel("time (s)")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
