@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets import Estimate, Imu, Recording, Reference, Truth
+from stillpoint.datasets import BasePoseReturn, Calibration, Estimate, Imu, Recording, Reference, Truth
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.scoring.envelope import break_line, envelope
 from stillpoint.scoring.figures import draw_angles, draw_errors, draw_scores, view_of
@@ -76,6 +77,31 @@ def test_page_says_how_it_came_about(page):
     for said in ("0123456789abcdef" * 4, "rest.window_s = 1", "kappa = 0.7", "stillpoint 0.", "aligned by heading"):
         assert said in page
     assert "Only independent truth shows accuracy" in page
+
+
+def test_page_says_what_the_reference_found_and_which_returns_it_used(material):
+    backs = (
+        BasePoseReturn(int(8e9), int(9e9), 0.01, True, "gravity fits"),
+        BasePoseReturn(int(20e9), int(21e9), 0.2, False, "gravity is 11.5 deg off"),
+    )
+    calibration = Calibration(gyro_matrix=np.eye(3) * 1.0123, gyro_matrix_sd=np.full((3, 3), 0.0042))
+    said = {"closing_squares": [0.73], "iterations": 7, "heading": "true north"}
+    (plain,) = material.references
+    rich = replace(plain, returns=backs, calibration=calibration, diagnostics=said, heading_sd_rad=np.deg2rad(0.31))
+    shown = replace(material, references=(rich,))
+    page = report_html(shown, judge(shown))
+    for words in ("1 of 2 to the base pose used", "gravity is 11.5 deg off", "1.0123 ± 0.0042", "0.73", "true north"):
+        assert words in page
+    assert "0.31 deg, an error all samples share" in page
+    assert "±" not in report_html(material, judge(material)).partition("The reference (redistribution)</h2>")[2][:2000]
+
+
+def test_further_references_are_judged_by_the_first(material):
+    (first,) = material.references
+    second = replace(first, method="graph")
+    by_reference, _ = judge(replace(material, references=(first, second)))
+    assert by_reference.truth is first
+    assert by_reference.scores[0].estimated == "reference (graph)"
 
 
 def test_page_asks_nothing_of_the_network(page):
