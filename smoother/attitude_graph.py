@@ -29,6 +29,7 @@ from stillpoint.smoother.keys import Keys, Motion
 
 CALIBRATION = 19  # 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
+RETURN_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
 FREE = gtsam.imuBias.ConstantBias()
 
 isotropic = gtsam.noiseModel.Isotropic.Sigma
@@ -37,13 +38,13 @@ diagonal = gtsam.noiseModel.Diagonal.Sigmas
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """What fixes the trajectory from outside; keys are indices of states."""
+    """What fixes the trajectory from outside; keys are indices of states. None: it is so in no state of the window."""
 
     base: int | None  # the state in the base pose
     base_q_nb: Floats | None  # its attitude, when it is known
     base_sd_rad: float
     returns: tuple[int, ...]  # states in which the base pose is met again
-    first_q_nb: Floats  # (4,) attitude of the first state, weakly
+    first_q_nb: Floats | None  # (4,) attitude of the first state, weakly
     first_cov_b_rad2: Floats  # (3, 3) how weakly
 
 
@@ -57,7 +58,7 @@ def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float,
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     summed = {kind: gtsam.PreintegratedImuMeasurements(noise, start) for kind, noise in _noises(g_mps2, params).items()}
     accel, gyro, dt_s = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
-    for i in np.flatnonzero(~keys.gap):
+    for i in keys.intervals(~keys.gap):
         between = summed["rest" if keys.at_rest[i] else "clipped" if keys.clipped[i] else "moving"]
         between.resetIntegration()
         for k in range(keys.row[i] + 1, keys.row[i + 1] + 1):
@@ -84,7 +85,7 @@ def _noises(g_mps2: float, params: GraphParams) -> dict[str, gtsam.Preintegratio
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
     """The effective bias of an interval: C = B + M [mean force, mean rate, change of the force]."""
     noise, eye, step = diagonal(EFFECTIVE_BIAS_SD), np.eye(6), steps_of_bias(keys, params)
-    for i in np.flatnonzero(~keys.gap):
+    for i in keys.intervals(~keys.gap):
         by_matrix = np.zeros((6, CALIBRATION))
         for axis in range(3):
             by_matrix[axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[i]
@@ -96,13 +97,15 @@ def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
 
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:
     """The bias begins near its start value and walks; the calibration is near identity."""
-    p = params.inertial
+    p, step = params.inertial, steps_of_bias(keys, params)
+    walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
+    for k in range(step[keys.first], step[keys.held[-1]]):
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, diagonal(walk))
+    if keys.first > 0:
+        return
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     spread = np.concatenate([np.full(3, p.accel_bias_sd_mps2), np.full(3, p.gyro_bias_sd_radps)])
     yield gtsam.PriorFactorConstantBias(B(0), start, diagonal(spread))
-    walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
-    for k in range(steps_of_bias(keys, params)[-1]):
-        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, diagonal(walk))
     sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), [p.accel_late_sd_s]]
     yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), diagonal(np.concatenate(sizes)))
 
@@ -115,7 +118,7 @@ def motion_factors(keys: Keys, placed: bool, params: GraphParams) -> Iterator:
     p, zero = params.motion, np.zeros(3)
     span_s = np.append(keys.span_s, keys.span_s[-1])
     resting = np.concatenate([[False], keys.at_rest]) | np.concatenate([keys.at_rest, [False]])
-    for i in range(len(keys.t_s)):
+    for i in keys.states:
         share = 1 / np.sqrt(min(span_s[i], 1.0))
         if resting[i]:
             yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, p.rest_velocity_sd_mps))
@@ -129,14 +132,14 @@ def rest_factors(keys: Keys, params: GraphParams) -> Iterator:
     """At rest nothing turns and nothing moves."""
     p = params.motion
     still = diagonal(np.concatenate([np.full(3, p.rest_turn_sd_rad), np.full(3, 1e-3)]))
-    for i in np.flatnonzero(keys.at_rest & ~keys.gap):
+    for i in keys.intervals(keys.at_rest & ~keys.gap):
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), still)
 
 
 def gap_factors(keys: Keys, params: GraphParams) -> Iterator:
     """Across a gap the sensor may have turned at any rate up to ``gap_rate_sd`` and gone as far as its speed allows."""
     rate, speed = params.inertial.gap_rate_sd_radps, params.motion.velocity_sd_mps
-    for i in np.flatnonzero(keys.gap):
+    for i in keys.intervals(keys.gap):
         seconds = keys.span_s[i]
         loose = diagonal(np.concatenate([np.full(3, min(rate * seconds, np.pi)), np.full(3, speed * seconds)]))
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), loose)
@@ -144,10 +147,11 @@ def gap_factors(keys: Keys, params: GraphParams) -> Iterator:
 
 def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
     """The base pose is met again (robustly: it may have been knocked); the first attitude is where it began."""
-    first = gtsam.Pose3(rot3(anchors.first_q_nb), np.zeros(3))
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3], covariance[3:, 3:] = anchors.first_cov_b_rad2, np.diag([100.0] * 3)
-    yield gtsam.PriorFactorPose3(X(0), first, gtsam.noiseModel.Gaussian.Covariance(covariance))
+    if anchors.first_q_nb is not None:
+        first = gtsam.Pose3(rot3(anchors.first_q_nb), np.zeros(3))
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = anchors.first_cov_b_rad2, np.diag([100.0] * 3)
+        yield gtsam.PriorFactorPose3(X(0), first, gtsam.noiseModel.Gaussian.Covariance(covariance))
     if anchors.base is None:
         return
     if anchors.base_q_nb is not None:
@@ -155,7 +159,7 @@ def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
         yield gtsam.PriorFactorPose3(X(anchors.base), gtsam.Pose3(rot3(anchors.base_q_nb), np.zeros(3)), noise)
     turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
     noise = diagonal(np.concatenate([np.full(3, turn), np.full(3, place)]))
-    robust = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(3.0), noise)
+    robust = gtsam.noiseModel.Robust.Create(RETURN_LOSS, noise)
     for state in anchors.returns:
         yield gtsam.BetweenFactorPose3(X(anchors.base), X(state), gtsam.Pose3(), robust)
 
@@ -163,15 +167,16 @@ def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
 def start_values(
     keys: Keys, q_nb: Floats, place_n_m: Floats, velocity_n_mps: Floats, bias_b_radps: Floats, params: GraphParams
 ) -> gtsam.Values:
-    """Values of all states: attitudes (n, 4), places and velocities (n, 3) of the start."""
+    """Values of the window's states: attitudes (n, 4), places and velocities (n, 3) of the start."""
     values = gtsam.Values()
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
-    for i, matrix in enumerate(rotation(q_nb).as_matrix()):
+    step = steps_of_bias(keys, params)
+    for i, matrix in zip(keys.held, rotation(q_nb[keys.held]).as_matrix(), strict=True):
         values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), place_n_m[i]))
         values.insert(V(i), velocity_n_mps[i])
-    for i in np.flatnonzero(~keys.gap):
+    for i in keys.intervals(~keys.gap):
         values.insert(C(i), bias)
-    for k in range(steps_of_bias(keys, params)[-1] + 1):
+    for k in range(step[keys.first], step[keys.held[-1]] + 1):
         values.insert(B(k), bias)
     values.insert(M(0), np.zeros(CALIBRATION))
     return values

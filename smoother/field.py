@@ -28,6 +28,11 @@ class FieldMeasurements:
     state: NDArray[np.int64]  # (K,)
     field_b_ut: Floats  # (K, 3)
 
+    def at(self, states: range) -> "FieldMeasurements | None":
+        """Those at some of the states, None where there are none."""
+        there = (self.state >= states.start) & (self.state < states.stop)
+        return FieldMeasurements(self.state[there], self.field_b_ut[there]) if there.any() else None
+
 
 def measurements_at(keys: Keys, mag: Mag, t0_ns: int, params: FieldParams) -> FieldMeasurements | None:
     """The field at states ``step_s`` apart, interpolated to their time; None where there are fewer than three.

@@ -2,8 +2,13 @@
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times
+from stillpoint.smoother.keys import Keys
+
+COVARIANCE_STEP_S = 0.3
 
 
 @numba.njit(cache=True)
@@ -69,17 +74,29 @@ def _logarithm(q):  # noqa: ANN202 - compiled
     return (q[1] * scale, q[2] * scale, q[3] * scale)
 
 
-def covariance_between(
-    t_s: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, gap_rate_sd_radps: float, gap: Floats
-) -> Floats:
-    """Covariance (N, 3, 3) of every sample: linear in time between keys, and in a gap as wide as the hidden rate.
+def states_with_covariance(keys: Keys) -> NDArray[np.int64]:
+    """Some of the window's states: it takes long to find a covariance, and from state to state it hardly changes.
 
-    ``key_cov_b_rad2`` (n, 3, 3); ``gap`` (n - 1,) which intervals are gaps.
+    One in COVARIANCE_STEP_S, the window's first and last, those beside gaps and at the ends of rests.
     """
+    states = np.array(keys.held)
+    gap = keys.intervals(keys.gap)
+    rest_end = keys.intervals(np.diff(keys.at_rest, append=keys.at_rest[-1:])) + 1
+    cell = np.floor(keys.t_s[states] / COVARIANCE_STEP_S)
+    regular = states[np.flatnonzero(np.diff(cell, prepend=-1.0))]
+    return np.unique(np.concatenate([regular, states[[0, -1]], gap, gap + 1, rest_end]))
+
+
+def covariance_between(t_s: Floats, q_nb: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, key_q_nb: Floats) -> Floats:
+    """Covariance (N, 3, 3) in body axes at attitudes ``q_nb`` (N, 4): linear in time between keys, in the axes of n.
+
+    ``key_cov_b_rad2`` (m, 3, 3) at attitudes ``key_q_nb`` (m, 4).
+    """
+    turn = rotation(key_q_nb).as_matrix()
+    key_cov_n = turn @ key_cov_b_rad2 @ turn.transpose(0, 2, 1)
     right = np.clip(np.searchsorted(key_t_s, t_s, side="right"), 1, len(key_t_s) - 1)
     left = right - 1
     share = (t_s - key_t_s[left]) / (key_t_s[right] - key_t_s[left])
-    covariance = (1 - share)[:, None, None] * key_cov_b_rad2[left] + share[:, None, None] * key_cov_b_rad2[right]
-    nearest_s = np.minimum(t_s - key_t_s[left], key_t_s[right] - t_s)
-    hidden = np.where(gap[left], (gap_rate_sd_radps * nearest_s) ** 2, 0.0)
-    return covariance + np.minimum(hidden, np.pi**2)[:, None, None] * np.eye(3)
+    covariance_n = (1 - share)[:, None, None] * key_cov_n[left] + share[:, None, None] * key_cov_n[right]
+    turn = rotation(q_nb).as_matrix()
+    return np.asarray(turn.transpose(0, 2, 1) @ covariance_n @ turn)

@@ -1,6 +1,6 @@
 """Where the graph has its states, and what the sensors measured between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,7 +30,11 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Keys:
-    """n states and the n - 1 intervals between them."""
+    """n states and the n - 1 intervals between them, and which of them the graph of a window has.
+
+    A window's factors are those of its states ``first`` to ``end - 1`` and of the intervals that begin there, so that
+    a window that ends where another begins shares no factor with it.
+    """
 
     row: NDArray[np.int64]  # (n,) the sample at which the state stands
     t_s: Floats  # (n,)
@@ -40,6 +44,26 @@ class Keys:
     gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
     accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
     jerk_b_mps3: Floats  # (n - 1, 3) change of the specific force over the interval
+    first: int = 0
+    end: int | None = None  # None: to the last state
+
+    @property
+    def states(self) -> range:
+        """The states whose factors the window has."""
+        return range(self.first, len(self.t_s) if self.end is None else self.end)
+
+    @property
+    def held(self) -> range:
+        """The states that occur in the window: its own, and the one at which its last interval ends."""
+        return range(self.first, min(self.states.stop + 1, len(self.t_s)))
+
+    def intervals(self, which: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Numbers of the window's intervals that are ``which`` (n - 1,)."""
+        return np.flatnonzero(which[self.first : self.end]) + self.first
+
+    def within(self, first: int, end: int) -> "Keys":
+        """The window of the states ``first`` to ``end - 1``."""
+        return replace(self, first=first, end=end)
 
     @property
     def span_s(self) -> Floats:

@@ -50,14 +50,20 @@ class Fit:
     field_misfit_ut: float | None  # median size of their residuals
 
 
-def fit_of(graph: gtsam.NonlinearFactorGraph, solution: Solution, keys: Keys, params: GraphParams) -> Fit:
-    """Residuals by kind of factor: "imu" is in motion, "imu at rest" is not."""
+def fit_of(
+    graph: gtsam.NonlinearFactorGraph, inherited: int, solution: Solution, keys: Keys, params: GraphParams
+) -> Fit:
+    """Residuals by kind of factor: "imu" is in motion and not clipped.
+
+    The last ``inherited`` factors sum up the window's past: their residuals belong to the windows before.
+    """
     total: dict[str, list[float]] = {}
-    for i in range(graph.size()):
+    for i in range(graph.size() - inherited):
         factor = graph.at(i)
         kind = KINDS.get(type(factor), "anchors")
-        if kind == "imu" and keys.at_rest[gtsam.Symbol(factor.keys()[0]).index()]:
-            kind = "imu at rest"
+        if kind == "imu":
+            state = gtsam.Symbol(factor.keys()[0]).index()
+            kind = "imu at rest" if keys.at_rest[state] else "imu"
         degrees = 9 if isinstance(factor, gtsam.ImuFactor) else factor.dim()  # gtsam names only its first part's
         total.setdefault(kind, []).append(2 * factor.error(solution.values) / degrees)
     squares = {kind: float(np.mean(values)) for kind, values in total.items()}
@@ -130,7 +136,7 @@ def judged_again(base: BasePose, returns: Returns, q_nb: Floats, params: GraphPa
     """The verdicts with the solution's attitudes (N, 4): returns whose weight the robust kernel halved are rejected."""
     limit_rad = RETURN_LIMIT_SD * params.returns.repeat_sd_rad
     base_b = rotation(q_nb[(base.start + base.end) // 2]).inv()
-    off_rad = iter([(base_b * rotation(q_nb[sum(span) // 2])).magnitude() for span in returns.spans])
+    off_rad = iter([float((base_b * rotation(q_nb[sum(span) // 2])).magnitude()) for span in returns.spans])
     return tuple(_judged(each, next(off_rad) if each.accepted else 0.0, limit_rad) for each in returns.verdicts)
 
 

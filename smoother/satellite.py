@@ -27,6 +27,11 @@ class Fixes:
     position_n_m: Floats  # (K, 3) from the first fix
     velocity_n_mps: Floats  # (K, 3)
 
+    def at(self, states: range) -> "Fixes":
+        """Those at some of the states."""
+        there = (self.state >= states.start) & (self.state < states.stop)
+        return Fixes(self.state[there], self.t_s[there], self.position_n_m[there], self.velocity_n_mps[there])
+
 
 def fixes_at(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes | None:
     """The valid fixes that have a state within NEAR_S; None where there are fewer than two."""

@@ -1,5 +1,6 @@
 """The optimum of the graph, its covariances, and in words what the data does not fix."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude_graph import RETURN_LOSS
 from stillpoint.smoother.field import FIRST_SCALE, FieldMeasurements, linear_factors, next_scale, residuals
 from stillpoint.smoother.graph_params import GraphParams
 
@@ -21,6 +23,8 @@ class Solution:
 
     values: gtsam.Values
     system: gtsam.GaussianFactorGraph
+    ordering: gtsam.Ordering  # in which its unknowns are eliminated
+    field_scale_ut: float  # of the magnetometer's robust weights
     q_steps_rad: tuple[float, ...]  # the largest turn of a state, per iteration
     field_residual_ut: Floats | None  # (K, 3)
     cost: float  # of gtsam's own factors
@@ -29,7 +33,7 @@ class Solution:
 def solve(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    states: int,
+    states: range,
     measured: FieldMeasurements | None,
     name: str,
     params: GraphParams,
@@ -41,10 +45,13 @@ def solve(
     steps: list[float] = []
     scale_ut = FIRST_SCALE * params.magnetic.sd_ut
     final = measured is None
+    # Nested dissection: the way from any state to the root is short, which is what covariances cost.
+    ordering: gtsam.Ordering | None = None
     while len(steps) < params.iterations:
-        system, residual = _linearised(graph, values, measured, scale_ut, params)
-        step = _step(system, name)
-        turn = max(float(np.abs(step.at(X(i))[:3]).max()) for i in range(states))
+        system, residual = linearised(graph, values, measured, scale_ut, params)
+        ordering = ordering or gtsam.Ordering.MetisGaussianFactorGraph(system)
+        step = _step(system, ordering, name)
+        turn = max(float(np.abs(step.at(X(i))[:3]).max()) for i in states)
         if not np.isfinite(turn):
             raise _unobservable(name)
         if turn > STEP_LIMIT_RAD:
@@ -55,21 +62,22 @@ def solve(
             smaller = next_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and turn < params.turn_limit_rad:
-            system, residual = _linearised(graph, values, measured, scale_ut, params)
-            return Solution(values, system, tuple(steps), residual, float(graph.error(values)))
+            system, residual = linearised(graph, values, measured, scale_ut, params)
+            return Solution(values, system, ordering, scale_ut, tuple(steps), residual, float(graph.error(values)))
     raise Unobservable(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
     )
 
 
-def _linearised(
+def linearised(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     measured: FieldMeasurements | None,
     scale_ut: float,
     params: GraphParams,
 ) -> tuple[gtsam.GaussianFactorGraph, Floats | None]:
+    """The linear system at some values, and the residuals of the magnetometer (K, 3)."""
     system = graph.linearize(values)
     if measured is None:
         return system, None
@@ -80,9 +88,9 @@ def _linearised(
     return system, residuals(measured, rotations, field)
 
 
-def _step(system: gtsam.GaussianFactorGraph, name: str) -> gtsam.VectorValues:
+def _step(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, name: str) -> gtsam.VectorValues:
     try:
-        return system.optimize()
+        return system.eliminateMultifrontal(ordering).optimize()
     except RuntimeError as error:
         raise _unobservable(name) from error
 
@@ -101,10 +109,10 @@ def rotations_of(values: gtsam.Values, states: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """Covariances at the optimum."""
+    """Covariances at the optimum, as the noise sizes promise them: :func:`scale_of` says how far to trust these."""
 
-    attitude_b_rad2: Floats  # (n, 3, 3) of the states, body axes, relative to the mean heading
-    heading_sd_rad: float  # of the mean heading: an error that all states share
+    attitude_b_rad2: Floats  # (m, 3, 3) of the states asked for, body axes, relative to the mean heading
+    heading_rad2: float  # of the mean heading: an error that all states share
     calibration: Floats  # (19, 19)
     field: Floats | None  # (6, 6) of the local field and the hard iron
     closing_squares: tuple[float, ...]  # of each return: its heading error, squared, over what was expected
@@ -112,71 +120,83 @@ class Accuracy:
 
 def accuracy_of(
     solution: Solution,
-    moving: NDArray[np.bool_],
+    states: NDArray[np.int64],
+    counted: NDArray[np.int64],
     base: int | None,
     returns: tuple[int, ...],
     name: str,
     params: GraphParams,
 ) -> Accuracy:
-    """Covariances of all n states; ``moving`` (n,) those whose mean heading the attitudes are relative to.
-
-    They are scaled by what the ``returns`` to the state ``base`` show: a sensor whose heading closes better than its
-    noise promises is better than its noise.
+    """Covariances of ``states`` relative to the mean heading of the states ``counted``, and how the returns close.
 
     Raises :class:`Unobservable` when there are none: a converged solve is not an answer until they exist.
     """
-    states = np.arange(len(moving))
     try:
-        marginals = gtsam.Marginals(solution.system, solution.values)
-        attitude = np.array([marginals.marginalCovariance(X(int(i)))[:3, :3] for i in states])
-        calibration = marginals.marginalCovariance(M(0))
-        field = marginals.marginalCovariance(H(0)) if solution.values.exists(H(0)) else None
-        closing = [_closing_square(marginals, solution.values, base, state, params) for state in returns]
+        tree = solution.system.eliminateMultifrontal(solution.ordering)
+        attitude = np.array([tree.marginalCovariance(X(int(i)))[:3, :3] for i in states])
+        calibration = tree.marginalCovariance(M(0))
+        field = tree.marginalCovariance(H(0)) if solution.values.exists(H(0)) else None
+        closing = [_closing_square(tree, solution.values, base, state, params) for state in returns]
     except RuntimeError as error:
         raise _unobservable(name) from error
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise _unobservable(name)
     up_b = rotations_of(solution.values, states)[:, 2]
-    shared, variance = _with_mean_heading(solution.system, up_b, moving if moving.any() else ~moving)
+    shared, variance = _with_mean_heading(solution, tree.optimize(), states, counted)
     cross = shared[:, :, None] * up_b[:, None, :]
     relative = attitude - cross - cross.transpose(0, 2, 1) + variance * up_b[:, :, None] * up_b[:, None, :]
-    scale = params.variance_factor * (params.prior_returns + sum(closing)) / (params.prior_returns + len(closing))
-    return Accuracy(scale * relative, float(np.sqrt(scale * variance)), scale * calibration, field, tuple(closing))
+    return Accuracy(relative, variance, calibration, field, tuple(closing))
+
+
+def scale_of(closing_squares: Sequence[float], params: GraphParams) -> float:
+    """Factor on all covariances, from what the returns show.
+
+    A sensor whose heading closes better than its noise promises is better than its noise.
+    """
+    trust = params.prior_returns
+    return params.variance_factor * (trust + sum(closing_squares)) / (trust + len(closing_squares))
 
 
 def _closing_square(
-    marginals: gtsam.Marginals, values: gtsam.Values, base: int | None, state: int, params: GraphParams
+    tree: gtsam.GaussianBayesTree, values: gtsam.Values, base: int | None, state: int, params: GraphParams
 ) -> float:
     """Normalised square of the heading's closing error at a return, as if the return had not been used.
 
-    With e what is left of it and C its covariance in the solution, and R the variance of the return itself, the error
-    without the return is R/(R - C) e with variance R^2/(R - C): its normalised square is e^2 / (R - C).
+    With e what is left of it and C its covariance in the solution, and R the variance that the return has there (its
+    robust weight widens it), the error without the return is R/(R - C) e with variance R^2/(R - C): its normalised
+    square is e^2 / (R - C).
     """
     assert base is not None
-    between = values.atPose3(X(base)).rotation().between(values.atPose3(X(state)).rotation())
+    closing = values.atPose3(X(base)).between(values.atPose3(X(state)))
+    between = closing.rotation()
     keys = gtsam.KeyVector([X(base), X(state)])
-    joint = marginals.jointMarginalCovariance(keys)
+    joint = tree.jointMarginalCovariance(keys)
     up_b = values.atPose3(X(state)).rotation().matrix()[2]
     both = [joint.at(X(i), X(j))[:3, :3] for i in (base, state) for j in (base, state)]
     left = float(up_b @ gtsam.Rot3.Logmap(between))
     covariance = float(up_b @ (both[0] - both[1] - both[2] + both[3]) @ up_b)
-    variance = params.returns.repeat_sd_rad**2
+    turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
+    distance = np.linalg.norm(gtsam.Pose3.Logmap(closing) / np.repeat([turn, place], 3))
+    variance = turn**2 / RETURN_LOSS.weight(float(distance))
     return left**2 / max(variance - covariance, 1e-3 * variance)
 
 
 def _with_mean_heading(
-    system: gtsam.GaussianFactorGraph, up_b: Floats, counted: NDArray[np.bool_]
+    solution: Solution, optimum: gtsam.VectorValues, states: NDArray[np.int64], counted: NDArray[np.int64]
 ) -> tuple[Floats, float]:
-    """Covariance of every state's rotation with the mean heading s, (n, 3), and the variance of s.
+    """Covariance of the rotations of ``states`` with the mean heading s, (m, 3), and the variance of s.
 
     s = b' d with b = up / K at the K states that count; a solve with b for its right side gives cov(d, s) = P b.
     """
-    pushed = system.clone()
+    up_b = rotations_of(solution.values, counted)[:, 2]
+    pushed = solution.system.clone()
     nothing = np.zeros((6, 6))
-    count = counted.sum()
-    for i in np.flatnonzero(counted):
-        gradient = np.concatenate([up_b[i] / count, np.zeros(3)])
+    for i, up in zip(counted, up_b, strict=True):
+        gradient = np.concatenate([up / len(counted), np.zeros(3)])
         pushed.push_back(gtsam.HessianFactor(X(int(i)), nothing, gradient, 0.0))
-    at_rest, moved = system.optimize(), pushed.optimize()
-    shared = np.array([moved.at(X(i))[:3] - at_rest.at(X(i))[:3] for i in range(len(up_b))])
-    return shared, float(np.mean(np.sum(shared * up_b, axis=1)[counted]))
+    moved = pushed.eliminateMultifrontal(solution.ordering).optimize()
+
+    def shared(which: NDArray[np.int64]) -> Floats:
+        return np.array([moved.at(X(int(i)))[:3] - optimum.at(X(int(i)))[:3] for i in which])
+
+    return shared(states), float(np.mean(np.sum(shared(counted) * up_b, axis=1)))

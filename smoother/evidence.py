@@ -1,0 +1,145 @@
+"""What a recording says before anything is solved: rests, returns, states, start value, field, satellite fixes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillpoint.datasets.earth import declination_rad, normal_gravity_mps2
+from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.recording import Floats, Info, Recording, Times
+from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
+from stillpoint.smoother.field import FieldMeasurements, measurements_at, start_of_field
+from stillpoint.smoother.graph_params import GraphParams
+from stillpoint.smoother.keys import Keys, Motion, choose_keys, motion_of
+from stillpoint.smoother.rest import find_rests
+from stillpoint.smoother.satellite import Fixes, fixes_at, heading_of_fixes, path_of_fixes, standing
+from stillpoint.smoother.start import Start, find_start
+from stillpoint.smoother.strapdown import GyroErrors
+
+SHORTEST_S = 2.0
+SHORTEST_MOTION_S = 8.0  # without any rest: in 5 s of motion the bias was wrong by more than its covariance said
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """All that the graph is built from, of a whole recording or of one window of it."""
+
+    motion: Motion
+    keys: Keys
+    start: Start
+    rests_ns: Times
+    base: BasePose | None
+    returns: Returns | None
+    measured: FieldMeasurements | None
+    fixes: Fixes | None
+    heading: str  # what the heading refers to
+    q_nb: Floats  # (n, 4) where the states begin, at the heading that n has
+    place_n_m: Floats  # (n, 3)
+    velocity_n_mps: Floats  # (n, 3)
+    field_start: Floats | None  # (6,) where field and hard iron begin
+
+    def within(self, first: int, end: int) -> "Evidence":
+        """The same for the window of the states ``first`` to ``end - 1``."""
+        keys = self.keys.within(first, end)
+        return replace(
+            self,
+            keys=keys,
+            measured=self.measured and self.measured.at(keys.states),
+            fixes=self.fixes and self.fixes.at(keys.states),
+        )
+
+    def return_states(self) -> tuple[int | None, tuple[int, ...]]:
+        """The states in the middle of the base rest and of each return in the window."""
+        if self.base is None or self.returns is None:
+            return None, ()
+        middle = [(self.base.start + self.base.end) // 2, *(sum(span) // 2 for span in self.returns.spans)]
+        base, *returns = (int(np.abs(self.keys.row - row).argmin()) for row in middle)
+        return base, tuple(state for state in returns if state in self.keys.states)
+
+
+def gather(recording: Recording, params: GraphParams) -> Evidence:
+    """Rests, returns, keys, start value and field measurements of a recording."""
+    imu = recording.require_imu()
+    seconds = (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
+    rests_ns = find_rests(imu, params.rest)
+    least_s = SHORTEST_S if len(rests_ns) else SHORTEST_MOTION_S
+    if seconds < least_s:
+        raise Unobservable(
+            f"{recording.name}: {seconds:.2f} s are too short to tell bias from motion; give {SHORTEST_S:.0f} s "
+            f"or more with a rest, {SHORTEST_MOTION_S:.0f} s without"
+        )
+    motion = motion_of(imu, rests_ns)
+    keys = choose_keys(motion, params.keys)
+    bias = motion.gyro_b_radps[motion.at_rest].mean(axis=0) if motion.at_rest.any() else None
+    start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias)
+    measured = None
+    if recording.mag is not None:
+        measured = measurements_at(keys, recording.mag, int(imu.t_ns[0]), params.magnetic)
+    fixes = None if recording.gps is None else fixes_at(keys, recording.gps, int(imu.t_ns[0]), params.gps)
+    base, returns = _base(recording, rests_ns, params)
+    turn = heading_rotation(_start_turn(recording, motion, start, base, measured, fixes))
+    q_nb = quaternion(turn * rotation(start.q_nb[keys.row]))
+    field_start = measured and start_of_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
+    heading = _heading(recording, measured, fixes)
+    place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
+    return Evidence(
+        motion, keys, start, rests_ns, base, returns, measured, fixes, heading, q_nb, place, velocity, field_start
+    )
+
+
+def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[BasePose | None, Returns | None]:
+    """Base pose and returns, None for a recording that does not begin at rest: the graph needs neither."""
+    try:
+        base = find_base_pose(recording, rests_ns, params.returns)
+    except Unobservable:
+        return None, None
+    return base, find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
+
+
+def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fixes | None) -> str:
+    if recording.base_pose is not None:
+        return "of the base pose that the recording carries"
+    if measured is None and fixes is not None:
+        return "true north, from the satellite course"
+    if measured is None:
+        return "relative to the first attitude: there is no magnetometer"
+    return "true north" if declination(recording.info) is not None else "magnetic north: date or place is not known"
+
+
+def declination(info: Info) -> float | None:
+    """The field's angle east of true north, rad; None where date or place are not known."""
+    if not info.date or info.place_lat_lon_alt is None:
+        return None
+    try:
+        return declination_rad(info.place_lat_lon_alt, info.date)
+    except BadParameter:
+        return None
+
+
+def gravity_mps2(info: Info) -> float:
+    """Normal gravity at the place of the recording, or the standard value."""
+    if info.place_lat_lon_alt is None:
+        return STANDARD_GRAVITY_MPS2
+    return normal_gravity_mps2(info.place_lat_lon_alt[0], info.place_lat_lon_alt[2])
+
+
+def _start_turn(
+    recording: Recording,
+    motion: Motion,
+    start: Start,
+    base: BasePose | None,
+    measured: FieldMeasurements | None,
+    fixes: Fixes | None,
+) -> float:
+    """Angle about up that takes the start's heading to n's: the base pose's, the declination's, or the course's."""
+    if recording.base_pose is not None and base is not None:
+        known, found = rotation(recording.base_pose), rotation(start.q_nb[base.start])
+        difference = quaternion(known * found.inv())
+        return float(2 * np.arctan2(difference[3], difference[0]))
+    if measured is not None:
+        return -(declination(recording.info) or 0.0)
+    if fixes is not None:
+        return heading_of_fixes(fixes, motion, start.q_nb) or 0.0
+    return 0.0
