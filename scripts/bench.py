@@ -14,6 +14,7 @@ from stillpoint.scripts.tables import print_table
 # name -> a function from the number of runs to a list of Timing
 BENCHES = {
     "mcap": "stillpoint.scripts.bench_mcap:bench_mcap",
+    "smoother": "stillpoint.scripts.bench_smoother:bench_smoother",
 }
 COLUMNS = ("what", "against", "median, s", "min", "max", "runs", "per sample, ns", "ratio")
 
@@ -30,7 +31,8 @@ def bench(
     Parameters
     ----------
     name
-        What to time: mcap (writing and reading an hour of a phone's sensors).
+        What to time: mcap (writing and reading an hour of a phone's sensors), smoother (200 s beside offlineVQF, then an
+        hour and four hours, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     json
