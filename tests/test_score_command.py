@@ -109,7 +109,7 @@ def test_graph_is_nearer_to_the_truth_than_what_it_is_compared_with(call, made, 
     code, rows = rows_of(call, capsys, *made.glob("*.reference.mcap"), "--against", made / f"{NAME}.mcap")
     total_deg = {row["method"]: row["total_rmse_deg"] for row in rows}
     assert code == 0
-    assert total_deg["reference (graph)"] < 0.5 * total_deg["reference (redistribution)"]
+    assert total_deg["reference (graph)"] < 0.7 * total_deg["reference (redistribution)"]
 
 
 def test_report_writes_a_page_per_recording(call, made, tmp_path, capsys):
