@@ -1,0 +1,110 @@
+"""The magnetometer's factor: its residual, its Jacobian against differences, its weights."""
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import H, X
+from scipy.spatial.transform import Rotation
+
+from stillpoint.datasets.frames import quaternion
+from stillpoint.smoother.field import (
+    FieldMeasurements,
+    field_prior,
+    linear_factors,
+    next_scale,
+    residuals,
+    start_of_field,
+    weights,
+)
+from stillpoint.smoother.graph_params import FieldParams
+
+PARAMS = FieldParams()
+FIELD = np.array([2.0, 20.0, -40.0, 5.0, -3.0, 8.0])  # of the place in n, then hard iron in b
+
+
+@pytest.fixture
+def attitude():
+    return Rotation.random(4, rng=np.random.default_rng(3))
+
+
+@pytest.fixture
+def measured(attitude):
+    return FieldMeasurements(np.arange(4), attitude.inv().apply(FIELD[:3]) + FIELD[3:])
+
+
+def test_nothing_is_left_at_the_truth(attitude, measured):
+    assert np.abs(residuals(measured, attitude.as_matrix(), FIELD)).max() < 1e-12
+
+
+def test_a_tilted_attitude_leaves_what_the_model_has_too_much(attitude, measured):
+    tilted = attitude * Rotation.from_rotvec([0.01, 0.0, 0.0])
+    wanted = tilted.inv().apply(FIELD[:3]) + FIELD[3:] - measured.field_b_ut
+    np.testing.assert_allclose(residuals(measured, tilted.as_matrix(), FIELD), wanted, atol=1e-12)
+
+
+def test_jacobians_agree_with_central_differences(attitude, measured):
+    """Near the truth the weights are 1, so the whitened Jacobian is the residual's over the scale."""
+    made = linear_factors(measured, attitude.as_matrix(), FIELD, PARAMS.sd_ut, PARAMS)
+    h = 1e-6
+    for k, factor in enumerate(made):
+        assert list(factor.keys()) == [X(k), H(0)]
+        matrix, target = factor.jacobian()
+        np.testing.assert_allclose(target, 0.0, atol=1e-12)
+        for axis in range(3):
+            d = np.eye(3)[axis] * h
+            moved = [residuals(measured, (attitude * Rotation.from_rotvec(s * d)).as_matrix(), FIELD) for s in (1, -1)]
+            np.testing.assert_allclose(matrix[:, axis], (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut, atol=1e-6)
+        np.testing.assert_allclose(matrix[:, 3:6], 0.0)
+        for axis in range(6):
+            d = np.eye(6)[axis] * h
+            moved = [residuals(measured, attitude.as_matrix(), FIELD + s * d) for s in (1, -1)]
+            numeric = (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut
+            np.testing.assert_allclose(matrix[:, 6 + axis], numeric, atol=1e-6)
+
+
+def test_one_step_goes_to_the_truth(attitude, measured):
+    """The sign of the right side: from a field that is 1 uT off, a solve with the attitudes held finds it."""
+    off = FIELD + np.array([1.0, 0.0, -1.0, 0.0, 1.0, 0.0])
+    system = gtsam.GaussianFactorGraph()
+    for factor in linear_factors(measured, attitude.as_matrix(), off, PARAMS.sd_ut, PARAMS):
+        system.push_back(factor)
+    for k in range(4):
+        system.push_back(gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
+    np.testing.assert_allclose(off + system.optimize().at(H(0)), FIELD, atol=1e-4)
+
+
+def test_a_magnet_loses_its_weight():
+    """Geman-McClure: a half (of the root) where the residual is robust * scale, next to nothing at ten times that."""
+    size = PARAMS.robust * PARAMS.sd_ut
+    root = weights(np.array([[0.0, 0.0, 0.0], [size, 0.0, 0.0], [0.0, 10 * size, 0.0]]), PARAMS.sd_ut, PARAMS)
+    np.testing.assert_allclose(root, [1.0, 0.5, 1 / 101])
+
+
+def test_the_scale_shrinks_to_its_end_and_stays():
+    scale, small = 8 * PARAMS.sd_ut, np.zeros((5, 3))
+    for _ in range(10):
+        scale, before = next_scale(scale, small, PARAMS), scale
+        assert scale <= before
+    assert scale == PARAMS.sd_ut
+
+
+def test_the_start_is_the_median_field_without_the_iron(attitude, measured):
+    np.testing.assert_allclose(start_of_field(measured, quaternion(attitude), FIELD[3:]), FIELD, atol=1e-9)
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 4.0, -20.0])
+def test_a_known_declination_fixes_the_horizontal_direction_only(azimuth_deg):
+    """One sd along the field is 30 uT, across it is north by definition: a thousandth."""
+    azimuth = np.deg2rad(azimuth_deg)
+    prior = field_prior(FIELD, azimuth, True, PARAMS)
+    level = np.hypot(FIELD[0], FIELD[1])
+    values = gtsam.Values()
+    pointing = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+    at = np.concatenate([level * pointing + [0, 0, FIELD[2]], FIELD[3:]])
+    values.insert(H(0), at)
+    assert prior.error(values) == pytest.approx(0.0, abs=1e-9)
+    values.update(H(0), at + np.concatenate([PARAMS.field_sd_ut * pointing, np.zeros(3)]))
+    assert prior.error(values) == pytest.approx(0.5, rel=1e-6)
+    across = np.array([pointing[1], -pointing[0], 0.0])
+    values.update(H(0), at + np.concatenate([across, np.zeros(3)]))
+    assert prior.error(values) > 1e5
