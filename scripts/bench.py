@@ -31,8 +31,8 @@ def bench(
     Parameters
     ----------
     name
-        What to time: mcap (writing and reading an hour of a phone's sensors), smoother (200 s beside offlineVQF, then an
-        hour and four hours, once each).
+        What to time: mcap (writing and reading an hour of a phone's sensors), smoother (200 s beside offlineVQF, then
+        an hour and four hours, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     json

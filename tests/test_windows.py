@@ -1,0 +1,72 @@
+"""Windows of a long recording: what one hands to the next, and how they are joined."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+gtsam = pytest.importorskip("gtsam")
+
+from gtsam.symbol_shorthand import H, M, X  # noqa: E402
+
+from stillpoint.datasets.frames import rotation  # noqa: E402
+from stillpoint.datasets.recording import Recording  # noqa: E402
+from stillpoint.datasets.simulate import simulate  # noqa: E402
+from stillpoint.datasets.trajectory import total_sd_rad  # noqa: E402
+from stillpoint.smoother.calibrating import build, reference_from  # noqa: E402
+from stillpoint.smoother.evidence import Evidence, gather  # noqa: E402
+from stillpoint.smoother.graph_params import HANDHELD  # noqa: E402
+from stillpoint.smoother.solve import linearised, solve  # noqa: E402
+from stillpoint.smoother.windows import hand_over, split  # noqa: E402
+
+WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate("phone-3", minutes=3)
+
+
+@pytest.fixture(scope="module")
+def evidence(recording: Recording) -> Evidence:
+    return gather(recording, HANDHELD)
+
+
+def test_windows_cover_all_states_and_share_no_factor(evidence: Evidence) -> None:
+    keys = evidence.keys
+    windows = split(keys, WINDOWED.keys)
+    assert len(windows) == 3
+    own = np.concatenate([np.arange(first, until) for first, until, _ in windows])
+    np.testing.assert_array_equal(own, np.arange(len(keys.t_s)))
+    for first, until, end in windows:
+        assert keys.t_s[min(end, len(keys.t_s) - 1)] - keys.t_s[first] <= WINDOWED.keys.window_s + 1.0
+        assert set(keys.within(first, until).states).isdisjoint(keys.within(until, end).states)
+    assert split(keys, HANDHELD.keys) == [(0, len(keys.t_s), len(keys.t_s))]
+
+
+def test_what_is_handed_over_says_all_that_the_past_says(recording: Recording, evidence: Evidence) -> None:
+    """At the optimum of the whole, the rest with the summed-up past has the same covariances and wants no step."""
+    n = len(evidence.keys.t_s)
+    graph, values = build(recording, evidence, None, HANDHELD)
+    whole = solve(graph, values, evidence.keys.held, evidence.measured, "whole", HANDHELD)
+    closed, later = evidence.within(0, n // 2), evidence.within(n // 2, n)
+    past = hand_over(build(recording, closed, None, HANDHELD)[0], closed, evidence.keys, whole, HANDHELD)
+    rest, resumed = build(recording, later, past, HANDHELD)
+    system, _ = linearised(rest, resumed, later.measured, whole.field_scale_ut, HANDHELD)
+    tree, wanted = whole.system.eliminateMultifrontal(whole.ordering), whole.system.optimize()
+    same, step = system.eliminateMultifrontal(gtsam.Ordering.MetisGaussianFactorGraph(system)), system.optimize()
+    for key in (M(0), H(0), X(n // 2), X(3 * n // 4), X(n - 1)):
+        sd = np.sqrt(np.diagonal(tree.marginalCovariance(key)))
+        np.testing.assert_allclose(np.sqrt(np.diagonal(same.marginalCovariance(key))), sd, rtol=1e-3)
+        assert np.abs((step.at(key) - wanted.at(key)) / sd).max() < 0.02
+
+
+def test_windows_answer_like_the_whole(recording: Recording, evidence: Evidence) -> None:
+    """Windows of a minute know less of the future than the whole does: on average within the whole's sd."""
+    whole, parts = (reference_from(recording, evidence, params) for params in (HANDHELD, WINDOWED))
+    assert parts.diagnostics["windows"] == 3
+    apart_rad = np.linalg.norm((rotation(whole.q_nb).inv() * rotation(parts.q_nb)).as_rotvec(), axis=1)
+    assert np.mean(apart_rad / total_sd_rad(parts.cov_b_rad2)) < 1.0
+    steps_rad = (rotation(parts.q_nb[:-1]).inv() * rotation(parts.q_nb[1:])).magnitude()
+    likewise_rad = (rotation(whole.q_nb[:-1]).inv() * rotation(whole.q_nb[1:])).magnitude()
+    assert np.abs(steps_rad - likewise_rad).max() < np.deg2rad(0.1)  # no jump where windows meet
