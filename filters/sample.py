@@ -5,6 +5,9 @@ An estimator is a ``Params``, a ``Coefficients`` made from it once, a ``State``,
     start(coefficients) -> State
     step(state, sample, coefficients) -> (State, Output)
 
+with ``run``, the loop of ``step`` over columns: one in each module, as numba keeps no function on disk that is given
+another one.
+
 The first sample of a run has ``dt_s`` = 0. Arrays inside a state (a moving window) are handed over: ``step`` may write
 into those it was given, so whoever wants to go back keeps a copy.
 """
