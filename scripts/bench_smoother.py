@@ -23,7 +23,7 @@ import json, resource, sys
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.timing import seconds_of
 from stillpoint.smoother import reference
-reference(simulate("phone-3", minutes=0.5))
+reference(simulate("phone-3", minutes=2))
 recording = simulate("phone-3", minutes=60 * float(sys.argv[1]), rate_hz=float(sys.argv[2]))
 seconds = seconds_of(lambda: reference(recording))
 unit = 1 if sys.platform == "darwin" else 1024
