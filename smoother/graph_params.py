@@ -44,10 +44,10 @@ class InertialNoise(Settings):
 class MotionPriors(Settings):
     """How far and how fast the sensor moves: zero-mean, one draw a second."""
 
-    position_sd_m: float = number(5.0, 0.01, 1e7, "around a free origin")
-    velocity_sd_mps: float = number(5.0, 0.01, 1e4, "around standstill")
+    position_sd_m: float = number(5.0, 0.01, 1e7, "position around a free origin")
+    velocity_sd_mps: float = number(5.0, 0.01, 1e4, "speed around standstill")
     integration_sd_m_rts: float = number(1e-3, 1e-5, 10.0, "m per sqrt(s): error of integrating twice")
-    rest_velocity_sd_mps: float = number(0.01, 1e-5, 1.0, "at rest")
+    rest_velocity_sd_mps: float = number(0.01, 1e-5, 1.0, "speed at rest")
     rest_turn_sd_rad: float = number(1e-3, 1e-5, 0.1, "between neighbouring keys at rest")
     return_position_sd_m: float = number(0.02, 1e-4, 1e5, "how well the place of the base pose is met again")
 
@@ -68,7 +68,7 @@ class GpsParams(Settings):
     """Satellite fixes, where a recording has them."""
 
     position_sd_m: float = number(3.0, 0.01, 1000.0, "horizontally; three times that vertically")
-    velocity_sd_mps: float = number(0.5, 0.01, 100.0, "of speed and course")
+    velocity_sd_mps: float = number(0.5, 0.01, 100.0, "velocity from the fixes' speed and course")
     course_speed_mps: float = number(2.0, 0.1, 50.0, "below this speed the course says nothing")
 
 

@@ -14,14 +14,14 @@ from stillpoint.datasets.frames import euler, heading_rotation, quaternion, rota
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
-from stillpoint.smoother import METHODS, reference
+from stillpoint.smoother import reference
 from stillpoint.smoother.base_pose import level_attitude
 from stillpoint.smoother.redistribution import spread
 from stillpoint.smoother.strapdown import GyroErrors, drift_matrices, integrate, swing
 
 BASE = Rotation.from_rotvec([0.3, -0.2, 1.0])
 UP = np.array([0.0, 0.0, 9.81])
-BOTH = list(METHODS)
+BOTH = ["redistribution", "redistribution-earth"]
 EDGE_DEG = 0.1  # rests are found with the first and last moments of motion in them
 
 
@@ -182,7 +182,7 @@ def test_turning_the_body_axes_turns_the_answer_along(method):
 def test_a_false_return_is_rejected_with_its_reason():
     """Put back on the table, but turned by 60 deg: gravity agrees, the gyro does not."""
     recording = protocol(final=(0.0, 0.0, np.deg2rad(60)))
-    made = reference(recording)
+    made = reference(recording, "redistribution")
     assert [one.accepted for one in made.returns] == [True, False]
     assert np.rad2deg(made.returns[1].tilt_difference_rad) < 0.1
     assert "60.0 deg off" in made.returns[1].reason
@@ -191,14 +191,14 @@ def test_a_false_return_is_rejected_with_its_reason():
 
 
 def test_a_rest_on_another_side_is_rejected():
-    made = reference(protocol(final=(np.deg2rad(4), 0.0, 0.0)))
+    made = reference(protocol(final=(np.deg2rad(4), 0.0, 0.0)), "redistribution")
     assert [one.accepted for one in made.returns] == [True, False]
     assert "another pose" in made.returns[1].reason
 
 
 def test_the_covariance_grows_only_where_nothing_closes():
     recording = protocol(final=(np.deg2rad(20), 0.0, 0.0))
-    made = reference(recording)
+    made = reference(recording, "redistribution")
     sd = np.sqrt(np.trace(made.cov_b_rad2, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(made.cov_b_rad2).min() > 0
     start, end = np.searchsorted(made.t_ns, [made.returns[0].start_ns, made.returns[0].end_ns])
@@ -220,7 +220,7 @@ def test_what_the_recording_does_not_fix_is_refused(cut_s, said):
     keep = (imu.t_ns > cut_s[0] * 1e9) & (imu.t_ns < cut_s[1] * 1e9)
     cut = Recording("cut", imu=Imu(imu.t_ns[keep], imu.gyro_b_radps[keep], imu.accel_b_mps2[keep]))
     with pytest.raises(Unobservable, match=said) as refused:
-        reference(cut)
+        reference(cut, "redistribution")
     assert str(refused.value).startswith("cut: ")
     assert "\n" not in str(refused.value)
 
@@ -231,7 +231,7 @@ def test_a_moment_of_motion_before_the_first_rest_is_integrated_backwards():
     s = np.clip(1 - t_s, 0, 1)[:, None]
     q = BASE * Rotation.from_rotvec(s**2 * [0.5, -0.3, 0.4] + swings(t_s, [(6, 20)], [(1.0, -2.0, 1.5)]))
     recording = carried(q, t_s, base_pose=quaternion(BASE))
-    made = reference(recording)
+    made = reference(recording, "redistribution")
     assert 0.7 < made.diagnostics["free_before_s"] < 1.2
     assert (rotation(made.q_nb[0]).inv() * BASE).magnitude() > 0.5
     assert worst_deg(made, recording) < 2 * EDGE_DEG
@@ -244,7 +244,7 @@ def test_a_gap_is_counted_and_widens_the_covariance():
     imu = recording.imu
     keep = (imu.t_ns < 17.0e9) | (imu.t_ns > 17.3e9)
     holed = replace(recording, imu=Imu(imu.t_ns[keep], imu.gyro_b_radps[keep], imu.accel_b_mps2[keep]))
-    made, whole = reference(holed), reference(recording)
+    made, whole = (reference(each, "redistribution") for each in (holed, recording))
     assert made.diagnostics["gaps"] == 1
     assert made.diagnostics["longest_gap_s"] == pytest.approx(0.31, abs=0.02)
     at = np.searchsorted(made.t_ns, int(17.5e9)), np.searchsorted(whole.t_ns, int(17.5e9))
@@ -286,7 +286,7 @@ def test_heading_is_true_magnetic_or_arbitrary_and_says_so():
     }
     headings = {}
     for said, case in cases.items():
-        made = reference(case)
+        made = reference(case, "redistribution")
         assert made.diagnostics["heading"].startswith(said)
         found = score(made, recording.truth, align="heading")
         headings[said] = np.rad2deg(found.alignment.heading_rad)
@@ -298,7 +298,7 @@ def test_heading_is_true_magnetic_or_arbitrary_and_says_so():
 
 def test_a_base_pose_that_contradicts_gravity_is_refused():
     with pytest.raises(BadRecording, match=r"tilted by 1\d\.\d deg"):
-        reference(protocol(base_pose=quaternion(BASE * Rotation.from_rotvec([0.3, 0.0, 0.0]))))
+        reference(protocol(base_pose=quaternion(BASE * Rotation.from_rotvec([0.3, 0.0, 0.0]))), "redistribution")
 
 
 # --- figures ---------------------------------------------------------------------------------------------------------
