@@ -103,7 +103,7 @@ def find_axes_fault(witnesses: Sequence[Witness], accel_by_truth: Floats | None)
         sensor = _simplest(wrong[first])
         favour = _favour(witnesses, wrong[first])
         if favour > TIE_NATS or (favour > -TIE_NATS and complexity(wrong[first]) <= complexity(sensor)):
-            return _gyro_axes(wrong[first], [first])
+            return _gyro_axes(wrong[first], [first], f" (or the {NAMES[first]}'s own: {describe(first, sensor)})")
         return _sensor_axes(first, sensor, f"or the gyro's: {describe('gyro', wrong[first])}")
     if "accel" in vectors and accel_by_truth is not None and not _is_identity(accel_by_truth):
         return _accel_by_truth(accel_by_truth)
@@ -141,7 +141,7 @@ def inverted(sensor: str, why: str, severe: bool, code: str) -> Finding:
     return Finding(code, "error" if severe else "warning", f"{sensor}: {why}; multiply all axes by -1", remedy)
 
 
-def _gyro_axes(matrix: Floats, by: Sequence[str]) -> Finding:
+def _gyro_axes(matrix: Floats, by: Sequence[str], otherwise: str = "") -> Finding:
     witnesses = " and ".join(NAMES[name] for name in by)
     if np.array_equal(matrix, -IDENTITY):
         message = (
@@ -150,7 +150,7 @@ def _gyro_axes(matrix: Floats, by: Sequence[str]) -> Finding:
         )
         code = "gyro-handedness"
     else:
-        message = f"gyro: its axes are wrong by the {witnesses}; change {describe('gyro', matrix)}"
+        message = f"gyro: its axes are wrong by the {witnesses}{otherwise}; change {describe('gyro', matrix)}"
         code = "gyro-axes"
     return Finding(code, "error", message, Remedy("matrix", "gyro", describe("gyro", matrix), _flat(matrix)))
 
@@ -190,7 +190,8 @@ def _mismatch(name: str, matrix: Floats) -> Finding:
 def _favour(witnesses: Sequence[Witness], matrix: Floats) -> float:
     """How much better a gyro corrected so fits a witness that is not sure of itself, in nats."""
     doubtful = [one.losses for one in witnesses if one.choice is None and one.losses is not None]
-    return sum(float(losses[index_of(IDENTITY)] - losses[index_of(matrix)]) for losses in doubtful)
+    explaining = [losses for losses in doubtful if min(losses[index_of(IDENTITY)], losses[index_of(matrix)]) < 0]
+    return sum(float(losses[index_of(IDENTITY)] - losses[index_of(matrix)]) for losses in explaining)
 
 
 def _simplest(rotation_of_gyro: Floats) -> Floats:

@@ -41,7 +41,7 @@ class Witness:
     lag: Lag | None = None  # of this sensor's stamps against the gyro's (truth: of the gyro's against the truth's)
     gyro_bias_b_radps: Floats | None = None  # in the axes of the measured rate
     hard_iron_b_ut: Floats | None = None
-    losses: Floats | None = None  # (48,) of the candidates, in nats, also when none of them is chosen
+    losses: Floats | None = None  # (48,) nats over the gyro having nothing to do with it; also when none is chosen
 
 
 def ask_mag(imu: Imu, mag: Mag) -> Witness:
@@ -97,11 +97,11 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
         if choice is not None:
             break
     if choice is None:
-        return Witness("accel", None, losses=loss(CANDIDATES).sum(axis=1))
+        return Witness("accel", None, losses=(loss(CANDIDATES) - nothing).sum(axis=1))
     for factors in (STEPS_OF_SCALE, STEPS_OF_SCALE**0.1):
         scales = scale * factors
         scale = float(scales[int(loss(scales[:, None, None] * choice.matrix).sum(axis=1).argmin())])
-    return Witness("accel", choice, scale, losses=losses.sum(axis=1))
+    return Witness("accel", choice, scale, losses=(losses - nothing).sum(axis=1))
 
 
 def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
