@@ -92,7 +92,11 @@ def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
             by_matrix[3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[i]
         by_matrix[:3, 18] = -keys.jerk_b_mps3[i]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
         linear = gtsam.JacobianFactor(C(i), eye, B(step[i]), -eye, M(0), -by_matrix, np.zeros(6), noise)
-        yield gtsam.LinearContainerFactor(linear)
+        origin = gtsam.Values()  # without it gtsam takes the factor for one on changes, and never sees a violation
+        origin.insert(C(i), FREE)
+        origin.insert(B(step[i]), FREE)
+        origin.insert(M(0), np.zeros(CALIBRATION))
+        yield gtsam.LinearContainerFactor(linear, origin)
 
 
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:

@@ -11,7 +11,7 @@ from stillpoint.smoother.rest import RestParams
 class KeyParams(Settings):
     """Where the graph has states: default, lowest, highest, meaning."""
 
-    moving_s: float = number(0.1, 0.02, 1.0, "between keys in motion; 0.2 costs a tenth of accuracy in fast motion")
+    moving_s: float = number(0.1, 0.02, 1.0, "between keys in motion")
     resting_s: float = number(1.0, 0.1, 10.0, "between keys at rest")
     window_s: float = number(3600.0, 60.0, 1e6, "longer recordings are solved in windows of this length")
     overlap_s: float = number(120.0, 10.0, 3600.0, "by which neighbouring windows overlap")
@@ -56,7 +56,7 @@ class MotionPriors(Settings):
 class FieldParams(Settings):
     """Magnetometer: b = R^T m + h with the local field m and the hard iron h as unknowns."""
 
-    sd_ut: float = number(5.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
+    sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
     robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
     field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")
