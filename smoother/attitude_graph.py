@@ -110,7 +110,7 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     spread = np.concatenate([np.full(3, p.accel_bias_sd_mps2), np.full(3, p.gyro_bias_sd_radps)])
     yield gtsam.PriorFactorConstantBias(B(0), start, diagonal(spread))
-    sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), [p.accel_late_sd_s]]
+    sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), np.full(1, p.accel_late_sd_s)]
     yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), diagonal(np.concatenate(sizes)))
 
 

@@ -81,7 +81,9 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     base, returns = _base(recording, rests_ns, params)
     turn = heading_rotation(_start_turn(recording, motion, start, base, measured, fixes))
     q_nb = quaternion(turn * rotation(start.q_nb[keys.row]))
-    field_start = measured and start_of_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
+    field_start = None
+    if measured is not None:
+        field_start = start_of_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
     heading = _heading(recording, measured, fixes)
     place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
     return Evidence(

@@ -10,6 +10,8 @@ from stillpoint.smoother.keys import Keys
 
 COVARIANCE_STEP_S = 0.3
 
+Quaternion = tuple[float, float, float, float]  # wxyz
+
 
 @numba.njit(cache=True)
 def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
@@ -43,14 +45,14 @@ def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: 
 
 
 @numba.njit(inline="always")
-def _put(q_nb, k, q):  # noqa: ANN202 - compiled
+def _put(q_nb: Floats, k: int, q: Quaternion) -> None:
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for axis in range(4):
         q_nb[k, axis] = q[axis] / norm
 
 
 @numba.njit(inline="always")
-def _product(p, q):  # noqa: ANN202 - compiled
+def _product(p: Quaternion, q: Quaternion) -> Quaternion:
     return (
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -60,14 +62,14 @@ def _product(p, q):  # noqa: ANN202 - compiled
 
 
 @numba.njit(inline="always")
-def _exponential(a, b, c):  # noqa: ANN202 - compiled
+def _exponential(a: float, b: float, c: float) -> Quaternion:
     angle = np.sqrt(a * a + b * b + c * c)
     s = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
     return (np.cos(angle / 2), a * s, b * s, c * s)
 
 
 @numba.njit(inline="always")
-def _logarithm(q):  # noqa: ANN202 - compiled
+def _logarithm(q: Quaternion) -> tuple[float, float, float]:
     sign = 1.0 if q[0] >= 0 else -1.0
     s = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     scale = 2.0 * sign if s < 1e-9 else 2.0 * np.arctan2(s, sign * q[0]) * sign / s

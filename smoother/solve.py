@@ -102,7 +102,7 @@ def _unobservable(name: str) -> Unobservable:
     )
 
 
-def rotations_of(values: gtsam.Values, states: Floats) -> Floats:
+def rotations_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
     """Rotation matrices (K, 3, 3) of states."""
     return np.array([values.atPose3(X(int(i))).rotation().matrix() for i in states])
 

@@ -97,7 +97,7 @@ def test_a_gap_in_motion_is_bridged_with_a_covariance_that_grows(hand):
     assert total_sd_rad(made.cov_b_rad2[beside]).mean() > 1.3 * total_sd_rad(whole.cov_b_rad2[same]).mean()
     found = score(made, hand.truth, "heading")
     assert found.total_rmse_deg < 1.5
-    assert found.coverage95 > 0.9
+    assert found.coverage95 > 0.85  # the band that one recording is asked to keep
 
 
 def test_without_magnetometer_the_heading_is_relative_to_the_start(hand):
