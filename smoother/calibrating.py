@@ -11,11 +11,12 @@ import numpy as np
 from gtsam.symbol_shorthand import B, H, M
 from scipy.spatial.transform import Rotation
 
+from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.evidence import Evidence, declination, gather, gravity_mps2
+from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2
 from stillpoint.smoother.field import field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
@@ -81,7 +82,7 @@ def build(
     if evidence.field_start is not None:
         values.insert(H(0), evidence.field_start)
         if past is None:
-            azimuth = declination(recording.info) or 0.0
+            azimuth, _ = local_declination(recording.info)
             known = recording.base_pose is None
             graph.push_back(field_prior(evidence.field_start, azimuth, known, params.magnetic))
     if past is not None:

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillpoint.datasets.earth import declination_rad, normal_gravity_mps2
-from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.earth import local_declination, normal_gravity_mps2
+from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
@@ -107,17 +107,7 @@ def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fi
         return "true north, from the satellite course"
     if measured is None:
         return "relative to the first attitude: there is no magnetometer"
-    return "true north" if declination(recording.info) is not None else "magnetic north: date or place is not known"
-
-
-def declination(info: Info) -> float | None:
-    """The field's angle east of true north, rad; None where date or place are not known."""
-    if not info.date or info.place_lat_lon_alt is None:
-        return None
-    try:
-        return declination_rad(info.place_lat_lon_alt, info.date)
-    except BadParameter:
-        return None
+    return local_declination(recording.info)[1]
 
 
 def gravity_mps2(info: Info) -> float:
@@ -141,7 +131,7 @@ def _start_turn(
         difference = quaternion(known * found.inv())
         return float(2 * np.arctan2(difference[3], difference[0]))
     if measured is not None:
-        return -(declination(recording.info) or 0.0)
+        return -local_declination(recording.info)[0]
     if fixes is not None:
         return heading_of_fixes(fixes, motion, start.q_nb) or 0.0
     return 0.0

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
+from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.smoother.graph_params import KeyParams
-from stillpoint.smoother.strapdown import GAP_STEPS
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g

@@ -19,7 +19,6 @@ import numpy as np
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.settings import Settings, degrees, number
-from stillpoint.datasets.times import GAP_STEPS as GAP_STEPS
 from stillpoint.datasets.times import gaps
 
 CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
