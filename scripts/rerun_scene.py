@@ -1,5 +1,7 @@
 """Recordings, references and estimates as columns of rerun; what each entity holds stands in its name."""
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +25,30 @@ AXES = ("x", "y", "z")
 
 def open_scene(save: Path | None) -> rr.RecordingStream:
     """A stream into a file, or into a window of its own; raises :class:`BadParameter` when neither can be had."""
+    if save is None and sys.platform == "linux" and not ({"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
+        raise BadParameter("view: there is no screen; write a file: --save NAME.rrd")
     scene = rr.RecordingStream("stillpoint")
     try:
         if save is None:
-            rr.spawn(recording=scene)
+            beside_python = Path(sys.executable).with_name("rerun")
+            rr.spawn(recording=scene, executable_path=str(beside_python) if beside_python.exists() else None)
         else:
             rr.save(save, recording=scene)
     except (OSError, RuntimeError) as error:
-        raise BadParameter(
-            f"view: {' '.join(str(error).split())}; without a screen, write a file: --save NAME.rrd"
-        ) from None
+        reason = str(error).strip().splitlines()[0].rstrip(".")
+        raise BadParameter(f"view: {reason}; without a screen, write a file: --save NAME.rrd") from None
     rr.send_blueprint(_layout(), recording=scene)
     rr.log("body", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=scene)
     return scene
+
+
+def finish(scene: rr.RecordingStream) -> None:
+    """Wait until all is sent; raises :class:`BadParameter` when the window or the file does not take it."""
+    try:
+        scene.flush()
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[0].rstrip(".")
+        raise BadParameter(f"view: {reason}; write a file instead: --save NAME.rrd") from None
 
 
 def show(scene: rr.RecordingStream, name: str, thing: Recording | Reference | Estimate) -> None:

@@ -37,7 +37,7 @@ def view(
     """
     if importlib.util.find_spec("rerun") is None:
         raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={NEEDED}")
-    from stillpoint.scripts.rerun_scene import open_scene, show
+    from stillpoint.scripts.rerun_scene import finish, open_scene, show
 
     if save is not None and not save.absolute().parent.is_dir():
         raise BadParameter(f"--save {save}: the folder is not there; make it or name another")
@@ -50,7 +50,7 @@ def view(
         if not isinstance(thing, Recording | Reference | Estimate):
             raise BadParameter(f"{file}: is an angle about one axis; view shows recordings, references and estimates")
         show(scene, file.name.removesuffix(".mcap"), thing)
-    scene.flush()
+    finish(scene)
     if save is not None:
         print(f"{save}: {len(files)} files; open it with: rerun {save}")
 

@@ -1,6 +1,7 @@
 """``view``: what is shown is what the files hold, read back by rerun itself; without rerun one line says what to do."""
 
 import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -109,3 +110,12 @@ def test_without_rerun_one_line_says_what_to_install(call, folder, capsys, monke
         capsys.readouterr().err
         == "stillpoint: view: rerun-sdk is not installed; install it: pip install rerun-sdk==0.41.0\n"
     )
+
+
+@needs_rerun
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a screen")
+def test_without_a_screen_one_line_says_what_to_do(call, folder, monkeypatch, capsys):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert call("view", folder / f"{NAME}.mcap") == 2
+    assert capsys.readouterr().err == "stillpoint: view: there is no screen; write a file: --save NAME.rrd\n"
