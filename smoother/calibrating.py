@@ -43,17 +43,20 @@ def reference_from(recording: Recording, evidence: Evidence, params: GraphParams
     fits: list[Fit] = []
     past: Past | None = None
     for first, until, end in split(evidence.keys, params.keys):
-        window = evidence.within(first, end)
-        graph, values = build(recording, window, past, params)
+        window, closed = evidence.within(first, end), evidence.within(first, until)
+        bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+        before = own_factors(recording, closed, bias, params)
+        after = own_factors(recording, evidence.within(until, end), bias, params) if until < end else None
+        graph = summed(before, after, past)
+        values = start_of(window, past, params)
         solution = solve(graph, values, window.keys.held, window.measured, recording.name, params)
         inherited = 0 if past is None else len(past.factors)
         fits.append(fit_of(graph, inherited, solution, window.keys, params))
-        bias = evidence.start.gyro_bias_b_radps
-        refuse_contradictions(fits[-1], solution, bias, recording.info, recording.name, params)
+        start_bias = evidence.start.gyro_bias_b_radps
+        refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
         pieces.append(_piece_of(recording, window, solution, until, params))
         if until < end:
-            closed = evidence.within(first, until)
-            past = hand_over(build(recording, closed, past, params)[0], closed, window.keys, solution, params)
+            past = hand_over(summed(before, None, past), closed, window.keys, solution, params)
     return _reference_of(recording, evidence, pieces, mean_fit(fits), params)
 
 
@@ -61,33 +64,60 @@ def build(
     recording: Recording, evidence: Evidence, past: Past | None, params: GraphParams
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """The graph of a window and where to start; ``past`` is None for the first."""
-    keys = evidence.keys
     bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
-    q_nb = evidence.q_nb if past is None else attitudes_after(past, evidence)
-    values = factors.start_values(keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias, params)
+    graph = summed(own_factors(recording, evidence, bias, params), None, past)
+    return graph, start_of(evidence, past, params)
+
+
+def own_factors(
+    recording: Recording, evidence: Evidence, bias_b_radps: Floats, params: GraphParams
+) -> gtsam.NonlinearFactorGraph:
+    """What the recording says of the states of ``evidence``; two stretches of states have no factor in common."""
+    keys = evidence.keys
     everything: Iterable[gtsam.NonlinearFactor] = chain(
-        factors.imu_factors(evidence.motion, keys, bias, gravity_mps2(recording.info), params),
+        factors.imu_factors(evidence.motion, keys, bias_b_radps, gravity_mps2(recording.info), params),
         factors.calibration_factors(keys, params),
-        factors.bias_factors(keys, bias, params),
+        factors.bias_factors(keys, bias_b_radps, params),
         factors.motion_factors(keys, evidence.fixes is not None, params),
         () if evidence.fixes is None else fix_factors(evidence.fixes, params.gps),
         factors.rest_factors(keys, params),
         factors.gap_factors(keys, params),
         factors.anchor_factors(_anchors(recording, evidence, params), params),
-        () if past is None else past.factors,
     )
     graph = gtsam.NonlinearFactorGraph()
     for factor in everything:
         graph.push_back(factor)
+    if evidence.field_start is not None and keys.first == 0:
+        azimuth, _ = local_declination(recording.info)
+        known = recording.base_pose is None
+        graph.push_back(field_prior(evidence.field_start, azimuth, known, params.magnetic))
+    return graph
+
+
+def summed(
+    before: gtsam.NonlinearFactorGraph, after: gtsam.NonlinearFactorGraph | None, past: Past | None
+) -> gtsam.NonlinearFactorGraph:
+    """One graph of two stretches, and last of what the past says."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(before)
+    if after is not None:
+        graph.push_back(after)
+    for factor in () if past is None else past.factors:
+        graph.push_back(factor)
+    return graph
+
+
+def start_of(evidence: Evidence, past: Past | None, params: GraphParams) -> gtsam.Values:
+    """Where the states begin: the start value, or where the past left off."""
+    keys = evidence.keys
+    bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+    q_nb = evidence.q_nb if past is None else attitudes_after(past, evidence)
+    values = factors.start_values(keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias, params)
     if evidence.field_start is not None:
         values.insert(H(0), evidence.field_start)
-        if past is None:
-            azimuth, _ = local_declination(recording.info)
-            known = recording.base_pose is None
-            graph.push_back(field_prior(evidence.field_start, azimuth, known, params.magnetic))
     if past is not None:
         resume(values, past, keys, params)
-    return graph, values
+    return values
 
 
 def _anchors(recording: Recording, evidence: Evidence, params: GraphParams) -> factors.Anchors:
