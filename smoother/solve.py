@@ -14,6 +14,7 @@ from stillpoint.smoother.attitude_graph import RETURN_LOSS
 from stillpoint.smoother.field import FIRST_SCALE, FieldMeasurements, linear_factors, next_scale, residuals
 from stillpoint.smoother.graph_params import GraphParams
 
+RETURNS_COUNTED = 6
 STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
 
 
@@ -151,10 +152,12 @@ def accuracy_of(
 def scale_of(closing_squares: Sequence[float], params: GraphParams) -> float:
     """Factor on all covariances, from what the returns show.
 
-    A sensor whose heading closes better than its noise promises is better than its noise.
+    A sensor whose heading closes better than its noise promises is better than its noise. However many returns there
+    are, they count as RETURNS_COUNTED at the most: what errs in the same way each time does not show in them.
     """
-    trust = params.prior_returns
-    return params.variance_factor * (trust + sum(closing_squares)) / (trust + len(closing_squares))
+    trust, count = params.prior_returns, min(len(closing_squares), RETURNS_COUNTED)
+    mean = float(np.mean(closing_squares)) if count else 0.0
+    return params.variance_factor * (trust + count * mean) / (trust + count)
 
 
 def _closing_square(

@@ -15,6 +15,8 @@ from stillpoint.datasets.simulate import PERFECT, PHONE, simulate
 from stillpoint.datasets.trajectory import CONVENTION
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
+from stillpoint.smoother.graph_params import HANDHELD
+from stillpoint.smoother.solve import scale_of
 
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
@@ -114,3 +116,10 @@ def test_the_covariance_is_neither_boast_nor_excuse(kind):
     scores = [score(reference(each), each.truth, "heading") for each in recordings]
     assert 0.1 < np.mean([each.nees_per_dof for each in scores]) < 3.0
     assert np.mean([each.coverage95 for each in scores]) > 0.75
+
+
+def test_many_returns_do_not_promise_more_than_six() -> None:
+    """Over hours the returns would scale the covariance to nothing, while what errs alike each time stays."""
+    assert scale_of([0.06] * 900, HANDHELD) == pytest.approx(scale_of([0.06] * 6, HANDHELD))
+    assert scale_of([], HANDHELD) == pytest.approx(HANDHELD.variance_factor)
+    assert scale_of([4.0] * 3, HANDHELD) > HANDHELD.variance_factor > scale_of([0.1] * 3, HANDHELD)
