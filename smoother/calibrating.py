@@ -44,7 +44,7 @@ def reference_from(recording: Recording, evidence: Evidence, params: GraphParams
     past: Past | None = None
     for first, until, end in split(evidence.keys, params.keys):
         window, closed = evidence.within(first, end), evidence.within(first, until)
-        bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+        bias = _first_bias(evidence, past)
         before = own_factors(recording, closed, bias, params)
         after = own_factors(recording, evidence.within(until, end), bias, params) if until < end else None
         graph = summed(before, after, past)
@@ -52,8 +52,8 @@ def reference_from(recording: Recording, evidence: Evidence, params: GraphParams
         solution = solve(graph, values, window.keys.held, window.measured, recording.name, params)
         inherited = 0 if past is None else len(past.factors)
         fits.append(fit_of(graph, inherited, solution, window.keys, params))
-        start_bias = evidence.start.gyro_bias_b_radps
-        refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
+        found_bias = evidence.start.gyro_bias_b_radps
+        refuse_contradictions(fits[-1], solution, found_bias, recording.info, recording.name, params)
         pieces.append(_piece_of(recording, window, solution, until, params))
         if until < end:
             past = hand_over(summed(before, None, past), closed, window.keys, solution, params)
@@ -64,9 +64,14 @@ def build(
     recording: Recording, evidence: Evidence, past: Past | None, params: GraphParams
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     """The graph of a window and where to start; ``past`` is None for the first."""
-    bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+    bias = _first_bias(evidence, past)
     graph = summed(own_factors(recording, evidence, bias, params), None, past)
     return graph, start_of(evidence, past, params)
+
+
+def _first_bias(evidence: Evidence, past: Past | None) -> Floats:
+    """The gyro's bias (3,) where a window begins: the start value's, or where the past left it."""
+    return evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
 
 
 def own_factors(
@@ -110,7 +115,7 @@ def summed(
 def start_of(evidence: Evidence, past: Past | None, params: GraphParams) -> gtsam.Values:
     """Where the states begin: the start value, or where the past left off."""
     keys = evidence.keys
-    bias = evidence.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+    bias = _first_bias(evidence, past)
     q_nb = evidence.q_nb if past is None else attitudes_after(past, evidence)
     values = factors.start_values(keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias, params)
     if evidence.field_start is not None:

@@ -14,7 +14,7 @@ from stillpoint.smoother.attitude_graph import RETURN_LOSS
 from stillpoint.smoother.field import FIRST_SCALE, FieldMeasurements, linear_factors, next_scale, residuals
 from stillpoint.smoother.graph_params import GraphParams
 
-RETURNS_COUNTED = 6
+RETURNS_COUNTED = 6  # at the most, in the factor on the covariances
 STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
 
 
