@@ -22,6 +22,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "estimate": ("estimate:estimate", "Run streaming estimators over recordings."),
     "score": ("score:score", "Score estimates against a reference or a truth."),
     "validate": ("validate:validate", "Score references against independent truth."),
+    "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),

@@ -1,0 +1,23 @@
+"""``stillpoint experiment NAME``: a paper's experiment from the simulator to a page beside the paper's own numbers."""
+
+from cyclopts import App
+
+# name -> (function, what it does); a module is imported when its experiment is called.
+EXPERIMENTS: dict[str, tuple[str, str]] = {
+    "spin-constant": (
+        "experiment_spin:constant",
+        "Paper 000, constant speed: roll angle and rate at 2020 deg/s over 30 s, ten trials.",
+    ),
+    "spin-variable": (
+        "experiment_spin:variable",
+        "Paper 000, variable speed: roll angle and rate at 1500-2100 deg/s over 60 s, ten trials.",
+    ),
+}
+
+app = App(
+    name="experiment",
+    help="Repeat a paper's experiment and set the results beside the printed ones.",
+    help_flags=["--help", "-h"],
+)
+for _place, (_name, (_target, _summary)) in enumerate(EXPERIMENTS.items()):
+    app.command(f"stillpoint.scripts.{_target}", name=_name, help=_summary, sort_key=_place)
