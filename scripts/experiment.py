@@ -14,10 +14,6 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
     ),
 }
 
-app = App(
-    name="experiment",
-    help="Repeat a paper's experiment and set the results beside the printed ones.",
-    help_flags=["--help", "-h"],
-)
+app = App(name="experiment", help="Repeat a paper's experiment and set the results beside the printed ones.")
 for _place, (_name, (_target, _summary)) in enumerate(EXPERIMENTS.items()):
     app.command(f"stillpoint.scripts.{_target}", name=_name, help=_summary, sort_key=_place)
