@@ -53,9 +53,12 @@ def info_from(facts: Mapping[str, Any]) -> Info:
 
 def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
     """The :class:`SpinGeometry` of a recording's facts."""
-    return SpinGeometry(
-        **{name: np.array(rows, np.float64).reshape(-1, 3) for name, rows in facts["spin_geometry"].items()}
-    )
+    geometry = dict(facts["spin_geometry"])
+    for name in ("accel_r_b_m", "accel_axis_b", "gyro_axis_b"):
+        geometry[name] = np.array(geometry[name], np.float64).reshape(-1, 3)
+    if geometry.get("accel_range_mps2") is not None:  # files of the first format have no such key
+        geometry["accel_range_mps2"] = np.array(geometry["accel_range_mps2"], np.float64)
+    return SpinGeometry(**geometry)
 
 
 def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:

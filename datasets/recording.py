@@ -19,6 +19,7 @@ from stillpoint.datasets.plausible import check_units
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
+TRUTHS = ("truth", "roll_truth")  # streams that no sensor gave
 LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
 
 
@@ -137,11 +138,16 @@ class Gps:
 
 @dataclass(frozen=True, eq=False)
 class SpinGeometry:
-    """Where the single-axis sensors of a spinning body sit (paper 000, eq (1)): k accelerometers, m gyros."""
+    """Where the single-axis sensors of a spinning body sit (paper 000, eq (1)): k accelerometers, m gyros.
+
+    The body spins about its x axis, through the centre of rotation.
+    """
 
     accel_r_b_m: Floats  # (k, 3) lever arms from the centre of rotation
     accel_axis_b: Floats  # (k, 3) unit vectors of the sensitive axes
     gyro_axis_b: Floats  # (m, 3) unit vectors of the sensitive axes
+    accel_range_mps2: Floats | None = None  # (k,) the largest size each can give; None where it is not known
+    fixed_axis: bool = False  # True: a motor's shaft; the centre is at rest and the body turns about x alone
 
     def __post_init__(self) -> None:
         k, m = len(self.accel_r_b_m), len(self.gyro_axis_b)
@@ -151,12 +157,17 @@ class SpinGeometry:
         for name, vectors in (("accel_axis_b", axes), ("gyro_axis_b", gyros)):
             if len(vectors) and np.abs(np.linalg.norm(vectors, axis=1) - 1).max() > 1e-9:
                 raise BadRecording(f"spin.geometry.{name}: an axis is not of length 1; normalise it")
+        if self.accel_range_mps2 is not None:
+            limits = check_floats("spin.geometry", "accel_range_mps2", self.accel_range_mps2, (k,))
+            if (limits <= 0).any():
+                raise BadRecording("spin.geometry.accel_range_mps2: a range is not above 0; leave it out if unknown")
+            freeze(self, accel_range_mps2=limits)
         freeze(self, accel_r_b_m=arms, accel_axis_b=axes, gyro_axis_b=gyros)
 
 
 @dataclass(frozen=True, eq=False)
 class Spin:
-    """Single-axis accelerometers and gyros of a fast-spinning body on one clock."""
+    """Single-axis accelerometers and gyros of a fast-spinning body on one clock; NaN where one of them gave nothing."""
 
     t_ns: Times
     accel_mps2: Floats  # (N, k) one column per accelerometer of the geometry
@@ -166,14 +177,16 @@ class Spin:
     def __post_init__(self) -> None:
         t = check_times("spin", self.t_ns)
         k, m = len(self.geometry.accel_r_b_m), len(self.geometry.gyro_axis_b)
-        accel = check_floats("spin", "accel_mps2", self.accel_mps2, (len(t), k))
-        gyro = check_floats("spin", "gyro_radps", self.gyro_radps, (len(t), m))
+        accel = check_floats("spin", "accel_mps2", self.accel_mps2, (len(t), k), finite=False)
+        gyro = check_floats("spin", "gyro_radps", self.gyro_radps, (len(t), m), finite=False)
+        if np.isinf(accel).any() or np.isinf(gyro).any():
+            raise BadRecording("spin: a value is infinite; give NaN where a sensor gave nothing")
         freeze(self, t_ns=t, accel_mps2=accel, gyro_radps=gyro)
 
 
 @dataclass(frozen=True, eq=False)
 class Encoder:
-    """Shaft encoder on its own clock."""
+    """Angle and rate about the spin axis on their own clock: a shaft encoder's, or the truth of a simulation."""
 
     t_ns: Times
     angle_rad: Floats  # (N,) unwrapped
@@ -243,6 +256,7 @@ class Recording:
     spin: Spin | None = None
     encoder: Encoder | None = None
     truth: Truth | None = None
+    roll_truth: Encoder | None = None  # about the spin axis, exact by construction
     base_pose: Floats | None = None  # (4,) q_nb of the pose in which the sensor rests, when it is known
     info: Info = field(default_factory=Info)
 
@@ -291,15 +305,15 @@ class Recording:
 
     def streams(self) -> Iterator[tuple[str, Times]]:
         """Names and clocks of the streams that are there."""
-        for name in ("imu", "mag", "gps", "spin", "encoder", "truth"):
+        for name in ("imu", "mag", "gps", "spin", "encoder", *TRUTHS):
             stream = getattr(self, name)
             if stream is not None:
                 yield name, stream.t_ns
 
     @property
     def duration_s(self) -> float:
-        """From the first sample of any stream but the truth to the last, in s."""
-        clocks = [t_ns for name, t_ns in self.streams() if name != "truth"]
+        """From the first sample of any stream but the truths to the last, in s."""
+        clocks = [t_ns for name, t_ns in self.streams() if name not in TRUTHS]
         return float(max(t[-1] for t in clocks) - min(t[0] for t in clocks)) / 1e9
 
 

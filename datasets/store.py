@@ -266,7 +266,9 @@ def _recording(
         holders["mag"] = _mag(log, holders["mag"], remainder)
     if "spin" in holders:
         holders["spin"]["geometry"] = spin_geometry_from(facts)
-    kinds: dict[str, type[Any]] = {"imu": Imu, "mag": Mag, "gps": Gps, "spin": Spin, "encoder": Encoder, "truth": Truth}
+    kinds: dict[str, type[Any]] = {
+        "imu": Imu, "mag": Mag, "gps": Gps, "spin": Spin, "encoder": Encoder, "truth": Truth, "roll_truth": Encoder,
+    }  # fmt: skip
     streams = {name: kinds[name](**holder) for name, holder in holders.items()}
     info = info_from(facts)
     if log.lost:

@@ -127,6 +127,11 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic("recording", "truth", "/truth/moving", BOOL, "the samples of the truth that count", (_flag("moving"),)),
     Topic(
+        "recording", "roll_truth", "/truth/roll", JOINTS, "true angle (unwrapped) and rate about the spin axis",
+        (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
+        BODY_FRAME, {"name": 1, "name[0]": "roll"},
+    ),
+    Topic(
         "reference", "", "/reference/attitude", IMU,
         "attitude; orientation_covariance is that of the small rotation d in q · exp(d), d in body axes, row-major",
         (

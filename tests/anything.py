@@ -78,8 +78,16 @@ def spins(draw):
     t, k, m = draw(stamps()), draw(st.integers(1, 4)), draw(st.integers(0, 2))
     axes = draw(quaternions(k + m))[:, :3]
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    geometry = SpinGeometry(draw(floats(k, 3)), axes[:k], axes[k:])
-    return Spin(t, draw(floats(len(t), k)), draw(floats(len(t), m)), geometry)
+    ranges = draw(maybe(floats(k, elements=st.floats(1e-300, 1e300))))
+    geometry = SpinGeometry(draw(floats(k, 3)), axes[:k], axes[k:], ranges, draw(st.booleans()))
+    values = st.floats(**ANY) | st.just(np.nan)
+    return Spin(t, draw(floats(len(t), k, elements=values)), draw(floats(len(t), m, elements=values)), geometry)
+
+
+@st.composite
+def encoders(draw):
+    t = draw(stamps())
+    return Encoder(t, draw(floats(len(t))), draw(floats(len(t))))
 
 
 @st.composite
@@ -101,8 +109,7 @@ def truths(draw):
 
 @st.composite
 def recordings(draw):
-    t, t_mag, t_encoder = draw(stamps()), draw(stamps()), draw(stamps())
-    n = len(t_encoder)
+    t, t_mag = draw(stamps()), draw(stamps())
     imu = Imu(t, draw(floats(len(t), 3)), draw(floats(len(t), 3)))
     spin = draw(maybe(spins()))
     base_pose = draw(maybe(quaternions(1)))
@@ -112,8 +119,9 @@ def recordings(draw):
         mag=draw(maybe(floats(len(t_mag), 3).map(lambda m: Mag(t_mag, m)))),
         gps=draw(maybe(gps_streams())),
         spin=spin,
-        encoder=draw(maybe(st.just(Encoder(t_encoder, draw(floats(n)), draw(floats(n)))))),
+        encoder=draw(maybe(encoders())),
         truth=draw(maybe(truths())),
+        roll_truth=draw(maybe(encoders())),
         base_pose=None if base_pose is None else base_pose[0],
         info=draw(infos()),
     )
