@@ -1,0 +1,258 @@
+"""What accelerometers on a spinning body feel, and what they say about the spin (paper 000, section 2).
+
+The body spins about its x axis. :func:`specific_force` is eq (1). :func:`channels` turns any :class:`SpinGeometry` into
+the observations of the angular acceleration and of the squared rate about x, the paper's eqs (4), (5), (25)-(27) for
+its five accelerometers and two gyros and for its bench of two, by the best linear unbiased estimate of the terms of
+eq (1).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stillpoint.datasets.errors import BadParameter, Unobservable
+from stillpoint.datasets.recording import Floats, Spin, SpinGeometry
+
+# The terms that eq (1) is linear in, with the coefficients of :func:`coefficients`, in this order.
+TERMS = (
+    "A_x", "A_y", "A_z", "omega_x dot", "omega_y dot", "omega_z dot",
+    "omega_x^2", "omega_y^2", "omega_z^2", "omega_x omega_y", "omega_x omega_z", "omega_y omega_z",
+)  # fmt: skip
+CENTRE = TERMS[:3]  # the specific force at the centre
+PRODUCTS = ("omega_y^2", "omega_z^2", "omega_y omega_z")  # known where gyros measure omega_y and omega_z
+UNWANTED = ("omega_y dot", "omega_z dot", "omega_x omega_y", "omega_x omega_z")  # what eq (2) keeps out
+NEGLIGIBLE = 1e-9  # m or 1: coefficients below it are rounding
+SATURATED = 0.999  # of the range: a converter of 11 bits and more stops within this of it
+G_MPS2 = 9.80665
+
+X, Y, Z = np.eye(3)
+
+
+def five_accelerometers(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * G_MPS2) -> SpinGeometry:
+    """F1, F2, F3 along x, y, z at the centre, F4 radial at d1, F5 tangential at d2, gyros g1, g2 about y and z."""
+    return SpinGeometry(
+        accel_r_b_m=np.array([0 * X, 0 * X, 0 * X, d1_m * Z, d2_m * Y]),
+        accel_axis_b=np.array([X, Y, Z, Z, Z]),
+        gyro_axis_b=np.array([Y, Z]),
+        accel_range_mps2=np.full(5, accel_range_mps2),
+    )
+
+
+def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * G_MPS2) -> SpinGeometry:
+    """F4 and F5 alone on the shaft of a motor, whose centre does not accelerate (paper 000, eq (26))."""
+    return SpinGeometry(
+        accel_r_b_m=np.array([d1_m * Z, d2_m * Y]),
+        accel_axis_b=np.array([Z, Z]),
+        gyro_axis_b=np.empty((0, 3)),
+        accel_range_mps2=np.full(2, accel_range_mps2),
+        fixed_axis=True,
+    )
+
+
+FIVE_ACCELEROMETERS = five_accelerometers()
+BENCH = bench()
+
+
+def specific_force(r_b_m: Floats, centre_b_mps2: Floats, rate_radps: Floats, accel_radps2: Floats) -> Floats:
+    """Specific force (..., 3) in m/s^2 at a point of the body, eq (1) in full: A + w' x r + w x (w x r).
+
+    ``r_b_m`` is the point's lever arm from the centre, ``centre_b_mps2`` the specific force A there, ``rate_radps`` and
+    ``accel_radps2`` the body's angular rate w and its derivative w', all in b; they broadcast against each other.
+    """
+    inward = np.cross(rate_radps, np.cross(rate_radps, r_b_m))
+    return np.asarray(centre_b_mps2 + np.cross(accel_radps2, r_b_m) + inward)
+
+
+def coefficients(geometry: SpinGeometry) -> Floats:
+    """How much of each of :data:`TERMS` each accelerometer sees, (k, 12): eq (1) along its axis, with its signs."""
+    r, s = geometry.accel_r_b_m, geometry.accel_axis_b
+    turning = np.cross(r, s)  # s . (w' x r) = w' . (r x s)
+    squares = s * r - np.sum(s * r, axis=1, keepdims=True)  # s . (w (w . r) - r |w|^2)
+    mixed = [s[:, a] * r[:, b] + s[:, b] * r[:, a] for a, b in ((0, 1), (0, 2), (1, 2))]
+    return np.column_stack([s, turning, squares, *mixed])
+
+
+def misplaced(geometry: SpinGeometry) -> tuple[str, ...]:
+    """A sentence for each accelerometer that breaks eq (2), that is, sees a term which no gyro gives; () when none."""
+    if geometry.fixed_axis:
+        return ()
+    seen = np.abs(coefficients(geometry)[:, [TERMS.index(term) for term in UNWANTED]]) > NEGLIGIBLE
+    sentences = []
+    for k, terms in enumerate(seen):
+        if not terms.any():
+            continue
+        names = ", ".join(term for term, one in zip(UNWANTED, terms, strict=True) if one)
+        ways = []
+        if abs(geometry.accel_r_b_m[k, 0]) > NEGLIGIBLE:
+            ways.append("move it into the y-z plane (r_x = 0)")
+        if abs(geometry.accel_axis_b[k, 0]) > NEGLIGIBLE:
+            ways.append("turn its axis square to x (theta_x = 90 deg)")
+        sentences.append(f"accelerometer {k + 1} sees {names}: {' and '.join(ways)}")
+    return tuple(sentences)
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One quantity from the columns of a :class:`Spin`: ``accel @ F + products @ (w_y^2, w_z^2, w_y w_z)``."""
+
+    term: str  # of TERMS
+    accel: Floats  # (k,) weights of the accelerometers; 0 for one that is not used
+    products: Floats  # (3,) weights of PRODUCTS, from the gyros
+    variance: float  # by the variances of the accelerometers; (1/s^2)^2 for rates and accelerations
+
+    def value(self, accel_mps2: Floats, transverse_radps: Floats) -> Floats:
+        """The quantity (N,) from accelerometers (N, k) and the rates about y and z (N, 2)."""
+        y, z = transverse_radps.T
+        used = self.accel != 0  # a NaN in a column without weight says nothing
+        known = np.column_stack([y * y, z * z, y * z])[:, self.products != 0]
+        return np.asarray(accel_mps2[:, used] @ self.accel[used] + known @ self.products[self.products != 0])
+
+
+@dataclass(frozen=True, eq=False)
+class SpinChannels:
+    """The observations that a geometry gives of the spin: weights of its columns, and their variances."""
+
+    geometry: SpinGeometry
+    omega_dot: Channel  # angular acceleration about x, rad/s^2; its variance is the paper's Q
+    omega_squared: Channel  # squared rate about x, rad^2/s^2; its variance is the paper's R
+    omega_xy: Channel | None  # omega_x omega_y: its sign against omega_y's is that of omega_x; None where not seen
+    omega_xz: Channel | None  # omega_x omega_z likewise
+    transverse: Floats  # (2, m) weights of the gyros that give omega_y and omega_z; 0 where none does
+    misplaced: tuple[str, ...]  # what breaks eq (2); not in the way where enough accelerometers are there
+
+    @property
+    def q_rad2ps4(self) -> float:
+        """The paper's Q: the variance of the angular acceleration, eq (25)."""
+        return self.omega_dot.variance
+
+    @property
+    def r_rad2ps4(self) -> float:
+        """The paper's R: the variance of the squared rate, eq (25)."""
+        return self.omega_squared.variance
+
+
+@dataclass(frozen=True, eq=False)
+class SpinSamples:
+    """The two observations at every sample of a :class:`Spin`; NaN or saturated input leaves ``valid`` False."""
+
+    omega_dot_radps2: Floats  # (N,)
+    omega_squared_radps2: Floats  # (N,) rad^2/s^2, negative where noise is larger than the rate
+    omega_dot_valid: NDArray[np.bool_]  # (N,)
+    omega_squared_valid: NDArray[np.bool_]  # (N,)
+
+
+def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> SpinChannels:
+    """The observations of the spin by the accelerometers' noise variances D (k,), or one for all, in (m/s^2)^2.
+
+    Weights are those of least variance among all that are free of every other term of eq (1). The products of omega_y
+    and omega_z are known where the gyros give both rates, and their noise counts as none, as in the paper. On a fixed
+    axis there are no such rates, and a specific force at the centre (gravity) counts as zero where no accelerometer
+    shows it. Raises :class:`Unobservable` with what to change where the geometry does not fix the two, and
+    :class:`BadParameter` for variances that are not positive.
+    """
+    k = len(geometry.accel_r_b_m)
+    variance = np.broadcast_to(np.asarray(accel_variance_m2ps4, dtype=np.float64), (k,))
+    if not (np.isfinite(variance) & (variance > 0)).all():
+        raise BadParameter(f"accelerometer variances {variance.tolist()}: give positive numbers, in (m/s^2)^2")
+    transverse, known = _transverse(geometry)
+    free = [term for term in TERMS if term not in known]
+    if geometry.fixed_axis:
+        free = [*CENTRE, "omega_x dot", "omega_x^2"]
+    wanted = {term: _channel(geometry, variance, term, free, known) for term in ("omega_x dot", "omega_x^2")}
+    if geometry.fixed_axis and None in wanted.values():
+        wanted = {term: _channel(geometry, variance, term, free[len(CENTRE) :], known) for term in wanted}
+    omega_dot, omega_squared = wanted.values()
+    if omega_dot is None or omega_squared is None:
+        raise Unobservable(_what_lacks(geometry, free, known, [term for term, one in wanted.items() if one is None]))
+    return SpinChannels(
+        geometry=geometry,
+        omega_dot=omega_dot,
+        omega_squared=omega_squared,
+        omega_xy=_channel(geometry, variance, "omega_x omega_y", free, known),
+        omega_xz=_channel(geometry, variance, "omega_x omega_z", free, known),
+        transverse=transverse,
+        misplaced=misplaced(geometry),
+    )
+
+
+def measure(spin: Spin, by: SpinChannels) -> SpinSamples:
+    """Both observations at every sample, and whether each may be used."""
+    gyro = np.where(np.isfinite(spin.gyro_radps), spin.gyro_radps, 0.0)
+    rates = gyro @ by.transverse.T
+    return SpinSamples(
+        omega_dot_radps2=by.omega_dot.value(spin.accel_mps2, rates),
+        omega_squared_radps2=by.omega_squared.value(spin.accel_mps2, rates),
+        omega_dot_valid=_valid(spin, by, by.omega_dot),
+        omega_squared_valid=_valid(spin, by, by.omega_squared),
+    )
+
+
+def saturated(spin: Spin) -> NDArray[np.bool_]:
+    """Which values (N, k) lie at the range of their accelerometer, where the geometry states it."""
+    limits = spin.geometry.accel_range_mps2
+    if limits is None:
+        return np.zeros(spin.accel_mps2.shape, dtype=np.bool_)
+    return np.asarray(np.abs(spin.accel_mps2) >= SATURATED * limits)
+
+
+def _valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
+    used = channel.accel != 0
+    good = np.isfinite(spin.accel_mps2[:, used]).all(axis=1) & ~saturated(spin)[:, used].any(axis=1)
+    if channel.products.any():
+        needed = by.transverse.any(axis=0)
+        good &= np.isfinite(spin.gyro_radps[:, needed]).all(axis=1)
+    return np.asarray(good)
+
+
+def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
+    """Weights (2, m) of the gyros for omega_y and omega_z, and which of PRODUCTS they make known."""
+    axes = geometry.gyro_axis_b
+    if geometry.fixed_axis or not len(axes):
+        return np.zeros((2, len(axes))), ()
+    inverse = np.linalg.pinv(axes)  # (3, m)
+    given = [np.abs(inverse[i] @ axes - np.eye(3)[i]).max() < NEGLIGIBLE for i in (1, 2)]
+    weights = np.where(np.abs(inverse[1:]) > NEGLIGIBLE, inverse[1:], 0.0) * np.array(given)[:, None]
+    known = [term for term, needs in zip(PRODUCTS, ((0,), (1,), (0, 1)), strict=True) if all(given[i] for i in needs)]
+    return weights, tuple(known)
+
+
+def _channel(
+    geometry: SpinGeometry, variance: Floats, term: str, free: Sequence[str], known: Sequence[str]
+) -> Channel | None:
+    """The best linear unbiased estimate of a term; None where the accelerometers do not fix it.
+
+    F = X b + K p + noise, with X for the free terms b and K for the known products p: with whitened Xw = D^-1/2 X the
+    weights of F are w = D^-1/2 (Xw^+)^T c for b's element c, its variance is |(Xw^+)^T c|^2, those of p are -K^T w.
+    """
+    seen = coefficients(geometry)
+    seen = np.where(np.abs(seen) > NEGLIGIBLE, seen, 0.0)
+    if term not in free:
+        return None
+    white = seen[:, [TERMS.index(one) for one in free]] / np.sqrt(variance)[:, None]
+    inverse = np.linalg.pinv(white, rcond=1e-10)
+    row = inverse[free.index(term)]
+    if np.abs(row @ white - np.eye(len(free))[free.index(term)]).max() > 1e-6:
+        return None
+    row = np.where(np.abs(row) > 1e-10 * np.abs(row).max(), row, 0.0)
+    accel = row / np.sqrt(variance)
+    products = np.array([-(accel @ seen[:, TERMS.index(one)]) if one in known else 0.0 for one in PRODUCTS])
+    return Channel(term, accel, products, float(row @ row))
+
+
+def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str], terms: Sequence[str]) -> str:
+    """The sentence of :class:`Unobservable`: what the accelerometers cannot tell, and what to change."""
+    seen = np.abs(coefficients(geometry)) > NEGLIGIBLE
+    missing = f"the accelerometers do not fix {' and '.join(terms)}"
+    for term in terms:
+        if not seen[:, TERMS.index(term)].any():
+            where = "radially" if term == "omega_x^2" else "tangentially"
+            return f"{missing}: none sees {term}; put one off the axis, {where}"
+    if misplaced(geometry):
+        return f"{missing}: {'; '.join(misplaced(geometry))}"
+    unknown = [one for one in PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
+    remedy = "or set fixed_axis for a motor's shaft"
+    if unknown and not known:
+        return f"{missing} apart from {', '.join(unknown)}: add gyros about y and z, {remedy}"
+    return f"{missing} apart from the force at the centre: add accelerometers there, {remedy}"
