@@ -131,11 +131,11 @@ def correct(e: float, b: float, dt_s: float, rows: tuple[float, float, float, fl
 
 
 @compiled
-def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, c: Coefficients) -> tuple[Quaternion, bool]:
+def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, declination_rad: float) -> tuple[Quaternion, bool]:
     """The attitude of the fields; without a field the heading that there was, and False."""
     q_nb = normalise(multiply(uprighting(q_nb, fields.accel), q_nb))
     if fresh.mag:
-        turn, found = turn_to_north(rotate(q_nb, fields.mag), c.declination_rad)
+        turn, found = turn_to_north(rotate(q_nb, fields.mag), declination_rad)
         if found:
             return multiply(about_up(turn), q_nb), True
     return q_nb, False
@@ -186,7 +186,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     else:
         age_s = zero
         if fresh.accel:
-            q_nb, is_headed = begin(fields, q_nb, fresh, c)
+            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
             is_level = True
     state = State(fields, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north)
     return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
