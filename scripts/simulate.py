@@ -9,9 +9,7 @@ from rich.progress import track
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
-from stillpoint.datasets.simulate import SENSORS, SIMULATIONS
 from stillpoint.datasets.simulate import simulate as make
 from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
@@ -26,7 +24,7 @@ def simulate(
     seed: Whole = 0,
     seeds: Whole = 1,
     minutes: float | None = None,
-    rate: float = 100.0,
+    rate: float | None = None,
     sensor: str | None = None,
     json: JsonFile = None,
 ) -> None:
@@ -48,7 +46,7 @@ def simulate(
     minutes
         Length of each; by default 2 for phone-1 and 4 for phone-2 and phone-3.
     rate
-        Samples per second of gyro and accelerometer.
+        Samples per second of gyro and accelerometer; by default 100.
     sensor
         "phone" (the default), or "perfect" for samples without any error.
     json
@@ -56,14 +54,10 @@ def simulate(
     """
     if seeds < 1:
         raise BadParameter(f"--seeds {seeds}: give 1 or more")
-    if sensor is not None:
-        require_known(sensor, SENSORS, "sensor")
-    chosen = None if sensor is None else SENSORS[sensor]
-    require_known(kind, SIMULATIONS, "simulation")
     rows = []
     numbers = range(seed, seed + seeds)
     for number in track(numbers, "simulate", disable=seeds == 1, transient=True, console=Console(stderr=True)):
-        recording = make(kind, seed=number, minutes=minutes, rate_hz=rate, sensor=chosen)
+        recording = make(kind, seed=number, minutes=minutes, rate_hz=rate, sensor=sensor)
         path = output_dir(out) / f"{recording.name}.mcap"
         write(path, recording)
         rows.append(_facts(path, recording))
@@ -77,12 +71,13 @@ def _facts(path: Path, recording: Recording) -> dict[str, Any]:
         "file": str(path),
         "minutes": recording.duration_s / 60,
         "rates_hz": {name: rate_hz(t_ns) for name, t_ns in recording.streams()},
-        "rests": len(loads(recording.info.extra["rests_s"])),
+        "rests": len(loads(recording.info.extra.get("rests_s", "[]"))),
         "notes": list(recording.info.notes),
     }
 
 
 def _line(row: dict[str, Any]) -> str:
     rates = ", ".join(f"{name} {rate:.1f} Hz" for name, rate in row["rates_hz"].items())
+    rests = f", {row['rests']} rests" if row["rests"] else ""
     notes = "".join(f"; {note}" for note in row["notes"])
-    return f"{row['file']}: {row['minutes']:.1f} min, {rates}, {row['rests']} rests{notes}"
+    return f"{row['file']}: {row['minutes']:.1f} min, {rates}{rests}{notes}"

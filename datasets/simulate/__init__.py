@@ -1,8 +1,9 @@
 """Recordings whose truth is known by construction: the path first, then what a sensor makes of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,47 +22,62 @@ class Simulation:
 
     summary: str
     minutes: float  # unless another length is asked for
-    sensor: Sensor
-    build: Callable[[Sensor, int, float, float], Recording]  # sensor, seed, minutes, rate_hz
+    sensors: Mapping[
+        str, Any
+    ]  # presets of what measures, all of one class; the first is used unless another is asked for
+    build: Callable[[Any, int, float, float], Recording]  # sensor, seed, minutes, rate_hz
+    rate_hz: float = 100.0  # unless another is asked for
 
 
 SIMULATIONS: dict[str, Simulation] = {
     "phone-1": Simulation(
         "phone slid over a table, turned about the vertical only (paper 002, experiment 1)",
         2.0,
-        PHONE,
+        SENSORS,
         partial(phone.experiment, "phone-1", phone.SLIDING),
     ),
     "phone-2": Simulation(
         "phone on a tripod, turned slowly about all axes (paper 002, experiment 2)",
         4.0,
-        PHONE,
+        SENSORS,
         partial(phone.experiment, "phone-2", phone.TRIPOD),
     ),
     "phone-3": Simulation(
         "phone in the hand, violent turns and accelerations (paper 002, experiment 3)",
         4.0,
-        PHONE,
+        SENSORS,
         partial(phone.experiment, "phone-3", phone.IN_HAND),
     ),
 }
 
 
 def simulate(
-    kind: str, seed: int = 0, minutes: float | None = None, rate_hz: float = 100.0, sensor: Sensor | None = None
+    kind: str,
+    seed: int = 0,
+    minutes: float | None = None,
+    rate_hz: float | None = None,
+    sensor: Any | str | None = None,
 ) -> Recording:
     """A recording of the simulation ``kind`` with its truth; the same arguments give the same bytes.
 
-    ``minutes`` and ``sensor`` (:data:`PERFECT` for exact samples) default to those of the simulation's table entry.
-    Raises :class:`BadParameter`.
+    ``minutes``, ``rate_hz`` and ``sensor`` (a preset's name, such as ``"perfect"``, or an object of the presets' class)
+    default to those of the simulation's table entry. Raises :class:`BadParameter`.
     """
     require_known(kind, SIMULATIONS, "simulation")
     entry = SIMULATIONS[kind]
     minutes = entry.minutes if minutes is None else minutes
+    rate_hz = entry.rate_hz if rate_hz is None else rate_hz
+    default = next(iter(entry.sensors.values()))
+    if isinstance(sensor, str):
+        require_known(sensor, entry.sensors, f"sensor of {kind}")
+        sensor = entry.sensors[sensor]
+    sensor = default if sensor is None else sensor
+    if not isinstance(sensor, type(default)):
+        raise BadParameter(f"sensor: is a {type(sensor).__name__}; {kind} takes a {type(default).__name__}")
     if seed < 0:
         raise BadParameter(f"seed {seed}: give a whole number from 0 on")
     if not (np.isfinite(minutes) and 0 < minutes <= 1440):
         raise BadParameter(f"minutes {minutes:g}: give a length above 0 and up to 1440 (a day)")
     if not (np.isfinite(rate_hz) and 10 <= rate_hz <= 2000):
         raise BadParameter(f"rate {rate_hz:g}: give 10 to 2000 Hz")
-    return entry.build(entry.sensor if sensor is None else sensor, seed, minutes, rate_hz)
+    return entry.build(sensor, seed, minutes, rate_hz)
