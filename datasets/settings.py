@@ -11,7 +11,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import nearest
 
 TRUTH_VALUES = {"true": True, "false": False}
-UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s"}
+UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_radps_rts": "deg/s/√s"}
 
 
 def number(default: float, low: float, high: float, meaning: str) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings
-from stillpoint.filters import complementary, gyro, moving_average, peers, tilt
+from stillpoint.filters import complementary, gyro, kf_axis, moving_average, peers, tilt
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,13 @@ ESTIMATORS: dict[str, Estimator | Peer] = {
     "acc-ma": _ours(moving_average, "moving average of acc over 7 s (paper 002)"),
     "gyro": _ours(gyro, "integrated rate, never corrected (paper 002)"),
     "cf": _ours(complementary, "second-order complementary filter (paper 002, eq 11)", gives_bias=True),
+    "kf-axis": _ours(
+        kf_axis,
+        "Kalman filter of angle and bias per Euler axis (paper 004)",
+        gives_bias=True,
+        gives_cov=True,
+        innovations=3,
+    ),
     "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),
     "offline-vqf": Peer(
         "offline VQF of the package vqf: sees the future", peers.VqfParams, peers.offline_vqf, offline=True

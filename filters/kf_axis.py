@@ -1,0 +1,330 @@
+"""``kf-axis``: a Kalman filter of angle and gyro bias on each of three Euler angles (paper 004, eqs (1)-(15)).
+
+Roll, pitch and heading are the z-y-x Euler angles of ``q_nb``, each with a filter of its own, eqs (8)-(12)::
+
+    (angle, bias)' = A (angle, bias) + (dt rate, 0)    A = [[1, -dt], [0, 1]]    H = [1 0]
+
+The rate is the Euler rate (1), so the bias is that of an Euler rate. Roll and pitch are measured by the accelerometer
+(14), (15), heading by the field, levelled by the roll and pitch just found (7). The paper's angles are those of a
+forward-right-down body in North-East-Down: pitch has the other sign there and heading counts from north, which leaves
+every filter as it is.
+
+The angles are kept as the rotation that they make. (1) is integrated over the interval as that rotation, exactly, and
+an innovation is one arc tangent of the measured against the predicted angle: nothing wraps, nothing is averaged across
++-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it the accelerometer
+is left out and the gyro alone turns the estimate (``n_gimbal``).
+"""
+
+from dataclasses import dataclass
+from math import atan2, nan, pi, sqrt
+from typing import Literal, NamedTuple
+
+from stillpoint.datasets.settings import Settings, choice, degrees, number
+from stillpoint.filters import rotation
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
+from stillpoint.filters.rotation import Quaternion, Vector, dot, multiply, normalise, rotate, scale
+from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
+
+# Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.
+GIMBAL = 0.02
+# Variance of a heading of which nothing is known: uniform over a turn.
+ANY_HEADING_RAD2 = pi * pi / 3
+START_S = 2.0
+GRAVITY_MPS2 = 9.80665  # unit of the accelerometer in (14), (15) as printed
+FORMS = ("euler", "roots", "printed")
+
+
+@dataclass(frozen=True)
+class Params(Settings):
+    """Parameters of ``kf-axis``."""
+
+    gyro_noise_rad_rts: float = degrees(0.1, 1e-6, 100.0, "Q of an angle: random walk of the integrated gyro")
+    bias_walk_radps_rts: float = degrees(0.02, 0.0, 100.0, "Q of a bias: random walk of an Euler rate's bias")
+    tilt_sd_rad: float = degrees(
+        5.0, 1e-3, 90.0, "R of roll and pitch: one accelerometer sample, level, linear motion included"
+    )
+    heading_sd_rad: float = degrees(10.0, 1e-3, 180.0, "R of heading: one magnetometer sample")
+    bias_sd_radps: float = degrees(1.0, 0.0, 100.0, "P of a bias at the start and after each reset")
+    reset_s: float = number(0.0, 0.0, 1e6, "P starts anew that often (the paper: from time to time), s; 0 = never")
+    tilt: Literal["euler", "roots", "printed"] = choice(
+        "euler",
+        "(14), (15): exact Euler angles; arctan(f_y/sqrt(f_x²+f_z²)), the elevation of each axis, up to 90 deg; "
+        "or as printed, in g and without the roots",
+    )
+    heading: Literal["filtered", "compass"] = choice(
+        "filtered", "third filter on the heading (7), or (7) itself as in the paper's fig 2"
+    )
+    speed_mps: float = number(0.0, 0.0, 300.0, "steady speed along body x, whose Coriolis term (4) is taken off, m/s")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    gyro_rad2ps: float  # variances per second
+    walk_rad2ps3: float
+    tilt_rad2: float
+    heading_rad2: float
+    bias_rad2ps2: float
+    reset_s: float
+    tilt: int
+    compass: bool
+    speed_mps: float
+    declination_rad: float  # east of true north
+
+
+class Axis(NamedTuple):
+    """Bias of one Euler rate, and the covariance P of (angle, bias); the angle itself is in the rotation."""
+
+    bias_radps: float
+    p_angle: float
+    p_cross: float
+    p_bias: float
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    q_nb: Quaternion
+    roll: Axis
+    pitch: Axis
+    heading: Axis
+    age_s: float  # since the start or the last gap, up to START_S
+    since_reset_s: float
+    is_level: bool  # False until the first tilt, and after a gap
+    is_headed: bool
+    n_gaps: int
+    n_gimbal: int  # samples with body x along the vertical: the gyro alone
+    n_free_fall: int  # accelerometer samples left out: too short to point up
+    n_no_field: int  # magnetometer samples left out: zero
+    n_no_north: int  # and those without horizontal part
+
+
+class Tilted(NamedTuple):
+    """What gyro and accelerometer make of a state."""
+
+    q_nb: Quaternion
+    roll: Axis
+    pitch: Axis
+    is_gimbal: bool
+
+
+class Frame(NamedTuple):
+    """Parts of the rotation matrix of an attitude, and where its Euler angles turn."""
+
+    up_b: Vector  # third row: (-sin pitch, cos pitch sin roll, cos pitch cos roll)
+    cos_pitch: float
+    pitch_n: Vector  # axis of pitch in n, level
+    pitch_b: Vector  # the same in b
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of these parameters at a place with this declination (east of true north)."""
+    return Coefficients(
+        params.gyro_noise_rad_rts**2,
+        params.bias_walk_radps_rts**2,
+        params.tilt_sd_rad**2,
+        params.heading_sd_rad**2,
+        params.bias_sd_radps**2,
+        params.reset_s,
+        FORMS.index(params.tilt),
+        params.heading == "compass",
+        params.speed_mps,
+        declination_rad,
+    )
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample: level, x over north."""
+    zero, half = like(c.tilt_rad2, 0.0), like(c.tilt_rad2, 0.5**0.5)
+    tilt = Axis(zero, c.tilt_rad2, zero, c.bias_rad2ps2)
+    heading = Axis(zero, like(zero, ANY_HEADING_RAD2), zero, c.bias_rad2ps2)
+    return State((half, zero, zero, half), tilt, tilt, heading, zero, zero, False, False, 0, 0, 0, 0, 0)
+
+
+@compiled
+def predict(axis: Axis, dt_s: float, c: Coefficients) -> Axis:
+    """P of (11) after an interval: A P A' + Q dt."""
+    bias, p_angle, p_cross, p_bias = axis
+    grown = p_angle + dt_s * (dt_s * p_bias - p_cross - p_cross) + c.gyro_rad2ps * dt_s
+    return Axis(bias, grown, p_cross - dt_s * p_bias, p_bias + c.walk_rad2ps3 * dt_s)
+
+
+@compiled
+def correct(axis: Axis, innovation: float, r: float) -> tuple[float, Axis, float]:
+    """One measurement of variance ``r``: by how much to turn, the new bias and P, and the normalised innovation.
+
+    P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
+    """
+    bias, p_angle, p_cross, p_bias = axis
+    s = p_angle + r
+    left = r / s
+    determinant = max(p_angle * p_bias - p_cross * p_cross, like(s, 0.0))
+    new = Axis(bias + p_cross / s * innovation, p_angle * left, p_cross * left, p_bias * left + determinant / s)
+    return p_angle / s * innovation, new, innovation / sqrt(s)
+
+
+@compiled
+def renewed(axis: Axis, p_angle: float, p_bias: float) -> Axis:
+    """The same bias with a P of its own."""
+    return Axis(axis.bias_radps, p_angle, like(p_angle, 0.0), p_bias)
+
+
+@compiled
+def frame_of(q: Quaternion) -> Frame:
+    """Where the Euler angles of an attitude turn; the pitch's axis is arbitrary where x is vertical."""
+    w, x, y, z = q
+    one, zero = like(w, 1.0), like(w, 0.0)
+    up_b = ((x * z - w * y) * like(w, 2.0), (y * z + w * x) * like(w, 2.0), one - (x * x + y * y) * like(w, 2.0))
+    cos_pitch = sqrt(up_b[1] * up_b[1] + up_b[2] * up_b[2])
+    if cos_pitch < like(w, GIMBAL):
+        return Frame(up_b, cos_pitch, (zero, one, zero), (zero, one, zero))
+    east, north = one - (y * y + z * z) * like(w, 2.0), (x * y + w * z) * like(w, 2.0)  # body x in n
+    flat = one / sqrt(east * east + north * north)
+    return Frame(up_b, cos_pitch, (-north * flat, east * flat, zero), (zero, up_b[2] / cos_pitch, -up_b[1] / cos_pitch))
+
+
+@compiled
+def in_body(roll: float, pitch: float, heading: float, frame: Frame) -> Vector:
+    """The body rate that these Euler rates make: the inverse of (1)."""
+    up, across = frame.up_b, frame.pitch_b
+    return (
+        roll + up[0] * heading,
+        across[1] * pitch + up[1] * heading,
+        across[2] * pitch + up[2] * heading,
+    )
+
+
+@compiled
+def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
+    """(14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
+    fx, fy, fz = force
+    up, cos_pitch = frame.up_b, frame.cos_pitch
+    g = like(fx, GRAVITY_MPS2)
+    if form == 0:
+        roll, pitch = (fy, fz), (-fx, sqrt(fy * fy + fz * fz))
+    elif form == 1:
+        roll, pitch = (fy, sqrt(fx * fx + fz * fz)), (-fx, sqrt(fy * fy + fz * fz))
+    else:
+        roll, pitch = (fy * g, fy * fy + fz * fz), (-fx * g, fx * fx + fz * fz)
+    return (
+        atan2(roll[0] * up[2] - roll[1] * up[1], roll[1] * up[2] + roll[0] * up[1]),
+        atan2(pitch[0] * cos_pitch + pitch[1] * up[0], pitch[1] * cos_pitch - pitch[0] * up[0]),
+    )
+
+
+@compiled
+def wrapped(angle: float) -> float:
+    """An angle within a turn and a bit, in (-pi, pi]."""
+    whole, half = like(angle, 2 * pi), like(angle, pi)
+    if angle > half:
+        return angle - whole
+    return angle + whole if angle <= -half else angle
+
+
+@compiled
+def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> tuple[float, ...]:
+    """Variances of the Euler angles as the covariance of a small rotation in body axes."""
+    up, (_, py, pz) = frame.up_b, frame.pitch_b
+    xy, xz, yz = heading * up[0] * up[1], heading * up[0] * up[2], heading * up[1] * up[2] + pitch * py * pz
+    xx, yy = roll + heading * up[0] * up[0], pitch * py * py + heading * up[1] * up[1]
+    return xx, xy, xz, xy, yy, yz, xz, yz, pitch * pz * pz + heading * up[2] * up[2]
+
+
+@compiled
+def without_coriolis(sample: Sample, state: State, frame: Frame, c: Coefficients) -> Vector:
+    """Specific force less w x V of (4), for a V along body x."""
+    fx, fy, fz = sample.accel_b_mps2
+    _, bias_y, bias_z = in_body(state.roll.bias_radps, state.pitch.bias_radps, state.heading.bias_radps, frame)
+    _, wy, wz = sample.gyro_b_radps
+    return fx, fy - (wz - bias_z) * c.speed_mps, fz + (wy - bias_y) * c.speed_mps
+
+
+@compiled
+def tilted(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> tuple[Tilted, Vector]:
+    """Gyro, then roll and pitch by the accelerometer; the normalised innovations, NaN for none."""
+    dt_s, none, zero = sample.dt_s, like(sample.dt_s, nan), like(sample.dt_s, 0.0)
+    q_nb = multiply(state.q_nb, rotation.exp(scale(sample.gyro_b_radps, dt_s)))
+    frame = frame_of(q_nb)
+    roll, pitch = state.roll, state.pitch
+    if frame.cos_pitch < like(dt_s, GIMBAL):
+        return Tilted(q_nb, roll, pitch, True), (none, none, none)
+    turn_roll, turn_pitch = -roll.bias_radps * dt_s, -pitch.bias_radps * dt_s
+    nu_roll = nu_pitch = none
+    if has_accel:
+        force = without_coriolis(sample, state, frame, c) if c.speed_mps > 0 else sample.accel_b_mps2
+        off_roll, off_pitch = tilt_errors(force, frame, c.tilt)
+        # The accelerometer shows roll by its part across x only.
+        r_roll = c.tilt_rad2 / (frame.cos_pitch * frame.cos_pitch)
+        by_roll, roll, nu_roll = correct(roll, wrapped(off_roll - turn_roll), r_roll)
+        by_pitch, pitch, nu_pitch = correct(pitch, wrapped(off_pitch - turn_pitch), c.tilt_rad2)
+        turn_roll, turn_pitch = turn_roll + by_roll, turn_pitch + by_pitch
+    q_nb = multiply(q_nb, rotation.exp((turn_roll, zero, zero)))
+    q_nb = multiply(rotation.exp(scale(frame.pitch_n, turn_pitch)), q_nb)
+    return Tilted(q_nb, roll, pitch, False), (nu_roll, nu_pitch, none)
+
+
+@compiled
+def headed(heading: Axis, error: float, turn: float, is_headed: bool, c: Coefficients) -> tuple[float, Axis, float]:
+    """The heading (7), ``error`` ahead of the estimate: turn about up, the new bias and P, normalised innovation."""
+    if c.compass or not is_headed:  # taken, not approached
+        return error, renewed(heading, c.heading_rad2, heading.p_bias), like(error, nan)
+    by_heading, heading, nu = correct(heading, wrapped(error - turn), c.heading_rad2)
+    return turn + by_heading, heading, nu
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """Predict all three angles, correct roll and pitch, then the heading."""
+    dt_s, zero, none = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, nan)
+    q_nb, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed = state[:8]
+    n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north = state[8:]
+    least = like(dt_s, FREE_FALL_MPS2 * FREE_FALL_MPS2)
+    has_accel = sample.has_accel and dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least
+    has_mag = sample.has_mag and dot(sample.mag_b_ut, sample.mag_b_ut) > 0
+    n_free_fall += sample.has_accel and not has_accel
+    n_no_field += sample.has_mag and not has_mag
+    if is_level and dt_s > like(dt_s, GAP_S):
+        is_level, is_headed, age_s, n_gaps = False, False, zero, n_gaps + 1
+    age_s, since_reset_s = min(age_s + dt_s, like(dt_s, START_S)), since_reset_s + dt_s
+    roll, pitch, heading = predict(roll, dt_s, c), predict(pitch, dt_s, c), predict(heading, dt_s, c)
+    if c.reset_s > 0 and since_reset_s >= c.reset_s:
+        since_reset_s = zero
+        roll, pitch = renewed(roll, c.tilt_rad2, c.bias_rad2ps2), renewed(pitch, c.tilt_rad2, c.bias_rad2ps2)
+        heading = renewed(heading, c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
+    innovations = (none, none, none)
+    turn = -heading.bias_radps * dt_s
+    if is_level:
+        before = State(q_nb, roll, pitch, heading, zero, zero, True, is_headed, 0, 0, 0, 0, 0)
+        (q_nb, roll, pitch, is_gimbal), innovations = tilted(before, sample, has_accel, c)
+        n_gimbal += is_gimbal
+    elif has_accel:
+        q_nb, is_level, age_s, turn = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, zero, zero
+        roll, pitch = renewed(roll, c.tilt_rad2, roll.p_bias), renewed(pitch, c.tilt_rad2, pitch.p_bias)
+    if is_level:
+        if has_mag:
+            error, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
+            if found:
+                turn, heading, nu_heading = headed(heading, error, turn, is_headed, c)
+                innovations, is_headed = (innovations[0], innovations[1], nu_heading), True
+            else:
+                n_no_north += 1
+        q_nb = normalise(multiply(rotation.exp((zero, zero, turn)), q_nb))
+    frame = frame_of(q_nb)
+    state = State(
+        q_nb, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed,
+        n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north,
+    )  # fmt: skip
+    bias_b = in_body(roll.bias_radps, pitch.bias_radps, heading.bias_radps, frame)
+    cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
+    return state, Output(q_nb, bias_b, cov_b, innovations, is_level and age_s >= like(dt_s, START_S))
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, sample_at(log, k), c)
+        keep(track, k, output)
+    return state
