@@ -6,7 +6,7 @@ from typing import Any
 
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings
-from stillpoint.filters import complementary, gyro, kf_axis, moving_average, peers, tilt
+from stillpoint.filters import complementary, fixed_gain, gyro, kf_axis, least_squares, moving_average, peers, tilt
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,21 @@ ESTIMATORS: dict[str, Estimator | Peer] = {
         gives_bias=True,
         gives_cov=True,
         innovations=3,
+    ),
+    "cf-fixed": _ours(fixed_gain, "PI complementary filter, fixed gains (paper 003, eq 10)", gives_bias=True),
+    "cf-lse": _ours(
+        least_squares,
+        "PI complementary filter, least-squares gains by one-step prediction (paper 003)",
+        gives_bias=True,
+    ),
+    "cf-lse-literal": Estimator(
+        "PI complementary filter, least-squares gains by eq 22 as printed: keeps its gains (paper 003)",
+        least_squares.LiteralParams,
+        least_squares.literal_coefficients,
+        least_squares.start,
+        least_squares.step,
+        least_squares.run,
+        gives_bias=True,
     ),
     "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),
     "offline-vqf": Peer(
