@@ -1,0 +1,177 @@
+r"""``cf-fixed``: nonlinear (PI) complementary filter with fixed gains (paper 003, eq (10)).
+
+The paper's eq (10), with x_g' the rate by the gyro and x_a the attitude by accelerometer and magnetometer, is ::
+
+    x = (1/s) [x_g' + (kp + kI/s) (x_a - x)]                                                            (10)
+
+As differential equations, with the error e = x_a - x and its integral::
+
+    x' = x_g' + kp e + kI integral(e)
+
+The last term converges to minus the gyro bias, so a constant bias leaves no error behind (paper 002's first-order
+filter keeps one). It is the filter ``cf`` with 2 zeta w0 = kp and w0^2 = kI: the paper's (11) is paper 002's (11). What
+differs is the paper's: no low pass before it, the field levelled by the *estimated* roll and pitch (its eq (8)), and a
+forward difference for the integrals, which makes the system of eq (21) exact in discrete time (see ``least_squares``)::
+
+    x_k  =  x_(k-1) + T (x_g' + kI I_(k-1)) + T kp e_k          I_k  =  I_(k-1) + T e_k
+
+**Angles.** The paper's x are roll, pitch and heading of a forward-right-down body in North-East-Down, corrected one by
+one; ``frames.euler(q_nb, "ned")`` gives them back. Here x is a rotation and e is one, too: the smallest turn about a
+horizontal axis that brings the measured up to the true one (roll and pitch, eqs (5), (6)), then a turn about the
+vertical to north (heading, eqs (7), (8)). Hence no wrap, no five cases of arc tangents, and no singular pitch, where
+(4) divides by cos(pitch). For small errors the two agree, but a pure roll error at a pitch p is a turn about the
+vertical by its sine as well: what the paper sees as roll, the tilt and the heading share here. The integral lives in
+body axes, where a gyro bias is constant; per Euler angle it is only as long as the body stays level.
+
+**Misprints.** (9) has sine and cosine exchanged against (4) (it is q sin(roll) + r cos(roll)), and (8) lacks the term
+m_z cos(roll) sin(pitch). Neither has a place in rotations.
+
+**Irregular time.** T is the time since the last sample of that sensor, at most 1 s. No sample turns the estimate
+further than its whole error (kp T <= 1, kI T^2 <= 1), so the filter is stable at any rate with any gains. After a gap
+it starts again from the fields and keeps the integral.
+
+**Fails** where the specific force is not gravity for longer than 1/kp: a vehicle in waves is tilted by the waves'
+accelerations (0.4 m/s^2 are 2.3 deg), and the larger kp, the more of that is followed. Magnetic disturbances pass into
+the heading alike. A fixed gain is a compromise between both sensors' errors, and on a simulated sea kp = 0.1-0.3 is the
+best of it; no gain adapts by itself to when the sea is rough, and neither do the gains of ``cf-lse``.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from stillpoint.datasets.settings import Settings, number
+from stillpoint.filters import rotation
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.complementary import LONGEST_HOLD_S, begin
+from stillpoint.filters.fields import Fields, Fresh, low_pass, no_fields, tilt_of, turn_to_north
+from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, multiply, normalise, rotate, scale
+from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
+
+
+@dataclass(frozen=True)
+class Params(Settings):
+    """Parameters of ``cf-fixed``."""
+
+    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10), 1/s: errors are forgotten in 1/kp")
+    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10), 1/s^2; up to kp^2/4 nothing overshoots")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    kp_per_s: float
+    ki_per_s2: float
+    settling_s: float  # three times the longest time constant of the error, without the slow pole's of the bias
+    declination_rad: float  # east of true north
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    fields: Fields
+    q_nb: Quaternion
+    b_radps: Vector  # kI times the integral of (10), in body axes: minus the gyro bias
+    age_s: float  # since the start, up to the settling time
+    is_level: bool  # False until the first tilt, and after a gap
+    is_headed: bool  # False until the first heading, and after a gap
+    n_gaps: int
+    n_no_north: int  # magnetometer samples left out: no horizontal field
+
+
+class Error(NamedTuple):
+    """x_a - x of (10) as far as one sample brings it, and the time that it stands for; 0 for what it does not bring."""
+
+    tilt_x: float  # about east and north, rad
+    tilt_y: float
+    tilt_s: float
+    turn: float  # about up, rad
+    turn_s: float
+    is_first: bool  # the heading is the first one: taken, not approached
+    n_no_north: int  # 1: a field that has no north
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of these parameters at a place with this declination (east of true north)."""
+    return Coefficients(params.kp_per_s, params.ki_per_s2, settling_s(params.kp_per_s), declination_rad)
+
+
+def settling_s(kp_per_s: float) -> float:
+    """Three time constants of the error, at most ten minutes."""
+    return min(3.0 / max(kp_per_s, 1e-9), 600.0)
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample: level, x over north."""
+    zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
+    none = (zero, zero, zero)
+    return State(no_fields(zero), (half, zero, zero, half), none, zero, False, False, 0, 0)
+
+
+@compiled
+def error_of(
+    q_nb: Quaternion, fields: Fields, fresh: Fresh, accel_s: float, is_headed: bool, declination_rad: float
+) -> Error:
+    """The rotation from an attitude to that of the fields; ``accel_s`` since the accelerometer sample before."""
+    zero, longest_s = like(accel_s, 0.0), like(accel_s, LONGEST_HOLD_S)
+    tilt_x = tilt_y = tilt_s = turn = turn_s = zero
+    is_first, n_no_north = False, 0
+    if fresh.accel:
+        tilt_x, tilt_y = tilt_of(rotate(q_nb, fields.accel))
+        tilt_s = min(accel_s, longest_s)
+    if fresh.mag:
+        angle, found = turn_to_north(rotate(q_nb, fields.mag), declination_rad)
+        if found:
+            turn, turn_s, is_first = angle, min(fresh.mag_hold_s, longest_s), not is_headed
+        else:
+            n_no_north = 1
+    return Error(tilt_x, tilt_y, tilt_s, turn, turn_s, is_first, n_no_north)
+
+
+@compiled
+def shares(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float]:
+    """Of an error that stands for ``dt_s``: what to turn the estimate by, and what to add to the bias, 1/s."""
+    one = like(dt_s, 1.0)
+    return min(kp_per_s * dt_s, one), min(ki_per_s2 * dt_s, one / max(dt_s, like(dt_s, 1e-9)))
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
+    accel_s = state.fields.since_accel_s + sample.dt_s
+    fields, fresh = low_pass(state.fields, sample, like(sample.dt_s, 1.0))
+    _, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north = state
+    dt_s, zero = sample.dt_s, like(sample.dt_s, 0.0)
+    age_s = min(age_s + dt_s, c.settling_s)
+    if is_level and dt_s > like(dt_s, GAP_S):
+        is_level, is_headed, n_gaps = False, False, n_gaps + 1
+    if is_level:
+        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b), dt_s)))
+        if fresh.accel or fresh.mag:
+            error = error_of(q_nb, fields, fresh, accel_s, is_headed, c.declination_rad)
+            tilted, tilt_bias = shares(c.kp_per_s, c.ki_per_s2, error.tilt_s)
+            turned, turn_bias = shares(c.kp_per_s, c.ki_per_s2, error.turn_s)
+            if error.is_first:
+                turned, turn_bias, is_headed = like(dt_s, 1.0), zero, True
+            gained_n = error.tilt_x * tilt_bias, error.tilt_y * tilt_bias, error.turn * turn_bias
+            b = add(b, rotate(conjugate(q_nb), gained_n))
+            turn_n = error.tilt_x * tilted, error.tilt_y * tilted, error.turn * turned
+            q_nb = multiply(rotation.exp(turn_n), q_nb)
+            n_no_north += error.n_no_north
+        q_nb = normalise(q_nb)
+    else:
+        age_s = zero
+        if fresh.accel:
+            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
+            is_level = True
+    state = State(fields, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north)
+    return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, sample_at(log, k), c)
+        keep(track, k, output)
+    return state

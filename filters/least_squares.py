@@ -1,0 +1,343 @@
+r"""``cf-lse`` and ``cf-lse-literal``: the filter of eq (10) with gains by least squares (paper 003, eqs (14)-(22)).
+
+The filter is that of ``fixed_gain``, whose docstring has its equations. After the first 50 samples the paper computes
+the gains K = (kp, kI) anew at each sample, from all samples so far, as the least-squares solution of ::
+
+    S = H K        S = x' - x_g'        H = [e,  integral(e)]        e = x_a - x                        (21)
+    K = (H^T H)^-1 H^T S                                                                                 (22)
+
+**Eq (22) as printed returns the gains that were in use** (``cf-lse-literal``). Proof: (10), differentiated, *is* x' -
+x_g' = kp e + kI integral(e), so S = H K0 holds exactly, with the K0 that the filter ran with. Hence K = (H^T H)^-1 H^T
+H K0 = K0 for every record on which H^T H can be inverted. The data cancel. A test holds the gains to 1e-6 of the fixed
+ones over a whole mission; what is left is rounding. The paper's figures 10 and 11 show gains that move, so its program
+computes something else than its eq (22); the text does not say what.
+
+**The cost function (14) does not help.** The sum of (x_a - x)^2 is smallest for kp -> infinity, where x = x_a: it
+rewards following the accelerometer with all its noise. With S = x_a' - x_g', the other reading at hand, the regression
+on a differentiated noise is unstable, or sits at the bounds.
+
+**The well-posed reading** (``cf-lse``): K is chosen so that the filter's *next* prediction meets the *next*
+measurement. Over one step the filter adds T H_k K to what the gyro says, and what it should have added is ::
+
+    S_k T  =  x_a(k+1) - x(k) - T x_g'  =  (what was added)  +  e_(k+1)                 (one-step prediction)
+
+Eq (22) is then an ordinary least-squares fit, here with exponential forgetting (``memory_s``) and bounds: kp within its
+own, kI between its lower one and kp^2/4, beyond which the error would oscillate. Roll, pitch and heading have their own
+regression and gains each. Memory, bounds, and whether the gains are common, the paper does not give; "50 iterations" of
+the text are "50 seconds" in figures 10 and 11, here ``fixed_samples`` = 50.
+
+**Fails: the gains follow the waves.** A regression takes for signal whatever predicts the next sample of x_a. Waves
+accelerate the vehicle over seconds, so the error that they make in x_a at one sample is there at the next: the fit
+finds that following it predicts well, and kp rises (unbounded to 3-11 1/s; here up to ``kp_high_per_s``). That is the
+opposite of what was wanted, in the very phase, on the surface, for which the gains were to adapt: on the simulated
+mission the roll is then 1.2 deg off (rms) against 0.2-0.3 deg with kp = 0.1-0.3 fixed. With white noise in x_a alone
+the gains do become small, and in a calm sea the roll differs from the *measured* one by the variance of the paper's
+table 1 (0.0045 deg^2). That table compares with the measured angle, not with a true one, and so rewards the same
+following.
+
+**Angles.** As in ``fixed_gain``, e is a rotation. Its parts are taken about the direction of travel (the horizontal
+part of the body's x axis: roll), across it (pitch) and about the vertical (heading), each with its own gains, so that
+nothing wraps. Where the body's x axis is vertical, roll and heading are one, and the parts are taken about east and
+north instead: a gain may then weigh another part, the error remains the whole rotation. Each part has its own clock,
+that of its sensor. As the integral stands in H itself, the bias removed is kI times it, so that a jump of kI is a jump
+of the bias: (10) taken at its word. ``cf`` and ``cf-fixed``, whose gain is constant, do not know this.
+"""
+
+from dataclasses import dataclass
+from math import exp, sqrt
+from typing import NamedTuple
+
+from stillpoint.datasets.settings import Settings, number
+from stillpoint.filters import rotation
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.complementary import begin
+from stillpoint.filters.fields import Fields, low_pass, no_fields
+from stillpoint.filters.fixed_gain import Error, error_of, settling_s, shares
+from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, multiply, normalise, rotate, scale
+from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, Track, keep, sample_at
+
+# 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
+LEAST_INDEPENDENT = 1e-5
+# The horizontal part of the body's x axis, squared, below which there is no direction of travel.
+LEAST_FORWARD = 1e-6
+
+
+@dataclass(frozen=True)
+class Params(Settings):
+    """Parameters of ``cf-lse``."""
+
+    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10) until the first fit, 1/s")
+    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10) until the first fit, 1/s^2")
+    fixed_samples: float = number(50.0, 2.0, 1e6, "how many samples of a sensor come before the first fit")
+    memory_s: float = number(200.0, 1.0, 1e6, "time constant of forgetting in the fit, s")
+    kp_low_per_s: float = number(0.01, 0.0, 10.0, "lower bound of kp, 1/s")
+    kp_high_per_s: float = number(5.0, 0.01, 50.0, "upper bound of kp, 1/s")
+    ki_low_per_s2: float = number(1e-5, 0.0, 1.0, "lower bound of kI, 1/s^2; the upper one is kp^2/4")
+
+
+@dataclass(frozen=True)
+class LiteralParams(Settings):
+    """Parameters of ``cf-lse-literal``."""
+
+    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10), 1/s: (22) returns it")
+    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10), 1/s^2: (22) returns it")
+    fixed_samples: float = number(50.0, 2.0, 1e6, "how many samples of a sensor come before the first fit")
+    memory_s: float = number(1e6, 1.0, 1e6, "time constant of forgetting in the fit, s")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    kp_per_s: float
+    ki_per_s2: float
+    fixed_samples: int
+    memory_s: float
+    kp_low_per_s: float
+    kp_high_per_s: float
+    ki_low_per_s2: float
+    as_printed: bool  # S is what was added, and there are no bounds; else what should have been added
+    settling_s: float
+    declination_rad: float  # east of true north
+
+
+class Fit(NamedTuple):
+    """Sums over the samples so far, with forgetting, that make H^T H and H^T S of (22), and its solution."""
+
+    ee: float
+    ei: float
+    ii: float
+    es: float
+    si: float
+    samples: int
+    kp_per_s: float
+    ki_per_s2: float
+    clipped: int  # fits beyond the bounds
+    undetermined: int  # samples that keep the gains: error and integral are proportional
+
+
+class Part(NamedTuple):
+    """One of roll, pitch, heading between two samples of its sensor."""
+
+    fit: Fit
+    error_rad_s: float  # e T of the last sample: the first column of H, times T
+    integral_rad_s: float  # the second column of H
+    turned_rad: float  # by kp, at the last sample
+    ki_per_s2: float  # in use
+
+
+class Parts(NamedTuple):
+    """The three of them."""
+
+    roll: Part
+    pitch: Part
+    heading: Part
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    fields: Fields
+    q_nb: Quaternion
+    integral_b_rad_s: Vector  # of e in (10), in body axes
+    b_radps: Vector  # kI times the integral, in body axes: minus the gyro bias
+    parts: Parts
+    age_s: float  # since the start, up to the settling time
+    is_level: bool  # False until the first tilt, and after a gap
+    is_headed: bool  # False until the first heading, and after a gap
+    n_gaps: int
+    n_no_north: int  # magnetometer samples left out: no horizontal field
+    n_clipped: int  # fits of any part beyond the bounds
+    n_undetermined: int  # fits of any part that keep the gains
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of ``cf-lse`` with these parameters at a place with this declination (east of true north)."""
+    return Coefficients(
+        params.kp_per_s,
+        params.ki_per_s2,
+        int(params.fixed_samples),
+        params.memory_s,
+        params.kp_low_per_s,
+        params.kp_high_per_s,
+        params.ki_low_per_s2,
+        False,
+        settling_s(params.kp_per_s),
+        declination_rad,
+    )
+
+
+def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coefficients:
+    """Of ``cf-lse-literal``."""
+    settled_s = settling_s(params.kp_per_s)
+    samples, memory_s = int(params.fixed_samples), params.memory_s
+    return Coefficients(
+        params.kp_per_s, params.ki_per_s2, samples, memory_s, 0.0, 0.0, 0.0, True, settled_s, declination_rad
+    )
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample: level, x over north."""
+    zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
+    none = (zero, zero, zero)
+    fit = Fit(zero, zero, zero, zero, zero, 0, c.kp_per_s, c.ki_per_s2, 0, 0)
+    part = Part(fit, zero, zero, zero, c.ki_per_s2)
+    fields, level = no_fields(zero), (half, zero, zero, half)
+    return State(fields, level, none, none, Parts(part, part, part), zero, False, False, 0, 0, 0, 0)
+
+
+@compiled
+def fitted(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Coefficients) -> Fit:
+    """Eq (22) with one more row of H and S, given times T."""
+    ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined = fit
+    fade = exp(-dt_s / c.memory_s)
+    ee, ei, ii = ee * fade + error * error, ei * fade + error * integral, ii * fade + integral * integral
+    es, si = es * fade + error * added, si * fade + integral * added
+    samples += 1
+    if samples >= c.fixed_samples:
+        determinant = ee * ii - ei * ei
+        if determinant > like(ee, LEAST_INDEPENDENT) * ee * ii:
+            kp, ki = (ii * es - ei * si) / determinant, (ee * si - ei * es) / determinant
+            if not c.as_printed:
+                best_kp, best_ki = kp, ki
+                kp = min(max(kp, c.kp_low_per_s), c.kp_high_per_s)
+                ki = min(max(ki, c.ki_low_per_s2), kp * kp * like(kp, 0.25))
+                clipped += 1 if kp != best_kp or ki != best_ki else 0
+        else:
+            undetermined += 1
+    return Fit(ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined)
+
+
+@compiled
+def corrected(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Coefficients) -> Part:
+    """One part after a sample: the gains fitted to what the last correction left over, then the next correction.
+
+    ``integral`` is this part's before this error; ``follows`` is False where the sample before is too old for a row.
+    """
+    fit = part.fit
+    if follows:
+        added = part.turned_rad + part.ki_per_s2 * part.integral_rad_s * dt_s
+        should = added if c.as_printed else added + error
+        fit = fitted(fit, part.error_rad_s, part.integral_rad_s * dt_s, should, dt_s, c)
+    turned, biased = shares(fit.kp_per_s, fit.ki_per_s2, dt_s)
+    return Part(fit, error * dt_s, integral + error * dt_s, error * turned, biased / dt_s)
+
+
+@compiled
+def forward_of(q_nb: Quaternion) -> tuple[float, float]:
+    """The horizontal direction (east, north) of the body's x axis; east where that is vertical."""
+    w, x, y, z = q_nb
+    one = like(w, 1.0)
+    half_east, half_north = one * like(w, 0.5) - y * y - z * z, x * y + w * z
+    flat = half_east * half_east + half_north * half_north
+    if flat < like(flat, LEAST_FORWARD):
+        return one, like(w, 0.0)
+    size = one / sqrt(flat)
+    return half_east * size, half_north * size
+
+
+@compiled
+def to_parts(v_n: Vector, forward: tuple[float, float]) -> Vector:
+    """A vector of n along the direction of travel, to its left, and up."""
+    return v_n[0] * forward[0] + v_n[1] * forward[1], v_n[1] * forward[0] - v_n[0] * forward[1], v_n[2]
+
+
+@compiled
+def from_parts(v: Vector, forward: tuple[float, float]) -> Vector:
+    """The inverse of :func:`to_parts`."""
+    return v[0] * forward[0] - v[1] * forward[1], v[0] * forward[1] + v[1] * forward[0], v[2]
+
+
+@compiled
+def correct(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
+    """The predicted state turned by (10), with the gains of (22).
+
+    ``follow_...``: the sample of that sensor before is recent enough for a row of (21).
+    """
+    q_nb, is_headed, (roll, pitch, heading) = state.q_nb, state.is_headed, state.parts
+    zero, forward = like(error.turn, 0.0), forward_of(q_nb)
+    e_roll, e_pitch, e_turn = to_parts((error.tilt_x, error.tilt_y, error.turn), forward)
+    i_roll, i_pitch, i_turn = to_parts(rotate(q_nb, state.integral_b_rad_s), forward)
+    roll_turn = pitch_turn = turn = zero
+    if error.tilt_s > 0:
+        roll = corrected(roll, e_roll, i_roll, error.tilt_s, follow_accel, c)
+        pitch = corrected(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c)
+        i_roll, roll_turn = roll.integral_rad_s, roll.turned_rad
+        i_pitch, pitch_turn = pitch.integral_rad_s, pitch.turned_rad
+    if error.is_first:
+        turn, is_headed = e_turn, True
+        heading = Part(heading.fit, zero, i_turn, zero, heading.ki_per_s2)
+    elif error.turn_s > 0:
+        heading = corrected(heading, e_turn, i_turn, error.turn_s, follow_mag, c)
+        i_turn, turn = heading.integral_rad_s, heading.turned_rad
+    b = i_roll * roll.ki_per_s2, i_pitch * pitch.ki_per_s2, i_turn * heading.ki_per_s2
+    q_bn = conjugate(q_nb)
+    return State(
+        state.fields,
+        normalise(multiply(rotation.exp(from_parts((roll_turn, pitch_turn, turn), forward)), q_nb)),
+        rotate(q_bn, from_parts((i_roll, i_pitch, i_turn), forward)),
+        rotate(q_bn, from_parts(b, forward)),
+        Parts(roll, pitch, heading),
+        state.age_s,
+        state.is_level,
+        is_headed,
+        state.n_gaps,
+        state.n_no_north + error.n_no_north,
+        roll.fit.clipped + pitch.fit.clipped + heading.fit.clipped,
+        roll.fit.undetermined + pitch.fit.undetermined + heading.fit.undetermined,
+    )
+
+
+@compiled
+def forgotten(part: Part) -> Part:
+    """After a gap: the fit goes on, but its next row has no correction before it."""
+    zero = like(part.error_rad_s, 0.0)
+    return Part(part.fit, zero, part.integral_rad_s, zero, part.ki_per_s2)
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
+    accel_s, gap_s = state.fields.since_accel_s + sample.dt_s, like(sample.dt_s, GAP_S)
+    fields, fresh = low_pass(state.fields, sample, like(sample.dt_s, 1.0))
+    _, q_nb, integral, b, parts, age_s, is_level, is_headed, n_gaps, n_no_north, n_clipped, n_undetermined = state
+    dt_s, zero = sample.dt_s, like(sample.dt_s, 0.0)
+    age_s = min(age_s + dt_s, c.settling_s)
+    if is_level and dt_s > gap_s:
+        is_level, is_headed, n_gaps = False, False, n_gaps + 1
+    if is_level:
+        q_nb = normalise(multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b), dt_s))))
+    else:
+        age_s = zero
+        if fresh.accel:
+            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
+            parts = Parts(forgotten(parts.roll), forgotten(parts.pitch), forgotten(parts.heading))
+    was_level, is_level = is_level, is_level or fresh.accel
+    state = State(
+        fields, q_nb, integral, b, parts, age_s, is_level, is_headed, n_gaps, n_no_north, n_clipped, n_undetermined
+    )
+    if was_level and (fresh.accel or fresh.mag):
+        error = error_of(q_nb, fields, fresh, accel_s, is_headed, c.declination_rad)
+        state = correct(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
+    is_ready = is_level and age_s >= c.settling_s
+    return state, Output(state.q_nb, scale(state.b_radps, like(dt_s, -1.0)), None, None, is_ready)
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, sample_at(log, k), c)
+        keep(track, k, output)
+    return state
+
+
+@compiled
+def run_gains(log: Log, state: State, c: Coefficients, kp_per_s: Floats, ki_per_s2: Floats) -> State:
+    """Every sample of a log, to see the gains of roll, pitch and heading after it (N, 3)."""
+    for k in range(len(log.dt_s)):
+        state, _ = step(state, sample_at(log, k), c)
+        for i, part in enumerate(state.parts):
+            kp_per_s[k, i] = part.fit.kp_per_s
+            ki_per_s2[k, i] = part.fit.ki_per_s2
+    return state
