@@ -103,11 +103,17 @@ class Channel:
     variance: float  # by the variances of the accelerometers; (1/s^2)^2 for rates and accelerations
 
     def value(self, accel_mps2: Floats, transverse_radps: Floats) -> Floats:
-        """The quantity (N,) from accelerometers (N, k) and the rates about y and z (N, 2)."""
+        """The quantity (N,) from accelerometers (N, k) and the rates about y and z (N, 2); each row by itself.
+
+        Column by column, not as a matrix product: that would round a row by how many rows there are.
+        """
         y, z = transverse_radps.T
-        used = self.accel != 0  # a NaN in a column without weight says nothing
-        known = np.column_stack([y * y, z * z, y * z])[:, self.products != 0]
-        return np.asarray(accel_mps2[:, used] @ self.accel[used] + known @ self.products[self.products != 0])
+        total = np.zeros(len(accel_mps2))
+        for k in np.flatnonzero(self.accel):  # a NaN in a column without weight says nothing
+            total += self.accel[k] * accel_mps2[:, k]
+        for weight, product in zip(self.products, (y * y, z * z, y * z), strict=True):
+            total += weight * product if weight else 0.0
+        return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +186,7 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
 def measure(spin: Spin, by: SpinChannels) -> SpinSamples:
     """Both observations at every sample, and whether each may be used."""
     gyro = np.where(np.isfinite(spin.gyro_radps), spin.gyro_radps, 0.0)
-    rates = gyro @ by.transverse.T
+    rates = (gyro[:, None, :] * by.transverse).sum(axis=2)
     return SpinSamples(
         omega_dot_radps2=by.omega_dot.value(spin.accel_mps2, rates),
         omega_squared_radps2=by.omega_squared.value(spin.accel_mps2, rates),
