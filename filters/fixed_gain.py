@@ -52,8 +52,8 @@ from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, s
 class Params(Settings):
     """Parameters of ``cf-fixed``."""
 
-    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10), 1/s: errors are forgotten in 1/kp")
-    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10), 1/s^2; up to kp^2/4 nothing overshoots")
+    kp_per_s: float = number(1.0, 0.0, 10.0, "proportional gain kp of (10), 1/s: errors are forgotten in 1/kp")
+    ki_per_s2: float = number(0.05, 0.0, 25.0, "integral gain kI of (10), 1/s^2; up to kp^2/4 nothing overshoots")
 
 
 class Coefficients(NamedTuple):

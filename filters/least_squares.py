@@ -66,8 +66,8 @@ LEAST_FORWARD = 1e-6
 class Params(Settings):
     """Parameters of ``cf-lse``."""
 
-    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10) until the first fit, 1/s")
-    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10) until the first fit, 1/s^2")
+    kp_per_s: float = number(1.0, 0.0, 10.0, "proportional gain kp of (10) until the first fit, 1/s")
+    ki_per_s2: float = number(0.05, 0.0, 25.0, "integral gain kI of (10) until the first fit, 1/s^2")
     fixed_samples: float = number(50.0, 2.0, 1e6, "how many samples of a sensor come before the first fit")
     memory_s: float = number(200.0, 1.0, 1e6, "time constant of forgetting in the fit, s")
     kp_low_per_s: float = number(0.01, 0.0, 10.0, "lower bound of kp, 1/s")
@@ -79,8 +79,8 @@ class Params(Settings):
 class LiteralParams(Settings):
     """Parameters of ``cf-lse-literal``."""
 
-    kp_per_s: float = number(0.3, 0.0, 10.0, "proportional gain kp of (10), 1/s: (22) returns it")
-    ki_per_s2: float = number(0.01, 0.0, 25.0, "integral gain kI of (10), 1/s^2: (22) returns it")
+    kp_per_s: float = number(1.0, 0.0, 10.0, "proportional gain kp of (10), 1/s: (22) returns it")
+    ki_per_s2: float = number(0.05, 0.0, 25.0, "integral gain kI of (10), 1/s^2: (22) returns it")
     fixed_samples: float = number(50.0, 2.0, 1e6, "how many samples of a sensor come before the first fit")
     memory_s: float = number(1e6, 1.0, 1e6, "time constant of forgetting in the fit, s")
 
