@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Floats, Imu, Mag, Times, Truth
 from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.path import Path
+from stillpoint.datasets.simulate.path import Motion
 from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2, AccelModel, ClockModel, GyroModel, MagModel
 
 ALLAN_TOP = 0.6178  # largest Allan deviation of a first-order Gauss-Markov process of unit sd (at 1.89 times its time)
@@ -57,7 +57,7 @@ class Axes:
     instability_time_s: float = 1.0
 
 
-def sample(path: Path, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
+def sample(path: Motion, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
     """Sampling instants from one step after the start of the path to its end."""
     true_rate_hz = rate_hz * (1 + clock.rate_error * draws(seed, f"{name}/rate").standard_normal())
     step_ns = round(1e9 / true_rate_hz)
@@ -73,7 +73,7 @@ def sample(path: Path, clock: ClockModel, rate_hz: float, world: World, seed: in
 
 
 def measure_imu(
-    path: Path, gyro: GyroModel, accel: AccelModel, at: Samples, world: World, seed: int
+    path: Motion, gyro: GyroModel, accel: AccelModel, at: Samples, world: World, seed: int
 ) -> tuple[Imu, dict[str, Any]]:
     """Gyro and accelerometer samples, and what was drawn for this unit. The IMU sits at the origin of the body."""
     instants = np.concatenate([[at.true_ns[0] - at.step_ns], at.true_ns]) / 1e9 - gyro.lag_s
@@ -107,13 +107,13 @@ def measure_imu(
     return Imu(at.stamp_ns, gyro_b, accel_b), {"gyro": gyro_drawn, "accel": accel_drawn}
 
 
-def specific_force_b(path: Path, t_s: Floats, world: World) -> Floats:
+def specific_force_b(path: Motion, t_s: Floats, world: World) -> Floats:
     """What a perfect accelerometer at the origin of the body feels, (N, 3) in m/s^2."""
     force_n = path.acceleration_n_mps2(t_s) + np.array([0.0, 0.0, world.gravity_mps2])
     return np.asarray(path.attitude(t_s).inv().apply(force_n))
 
 
-def measure_mag(path: Path, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
+def measure_mag(path: Motion, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
     """Magnetometer samples, and what was drawn for this unit."""
     t = at.t_s - mag.lag_s
     field_b = path.attitude(t).inv().apply(world.field_n_ut + passings_n_ut(path, mag, t, seed))
@@ -131,7 +131,7 @@ def measure_mag(path: Path, mag: MagModel, at: Samples, world: World, seed: int)
     return Mag(at.stamp_ns, mag_b), {"mag": drawn | {"soft_iron": soft.tolist()}}
 
 
-def passings_n_ut(path: Path, mag: MagModel, t_s: Floats, seed: int) -> Floats:
+def passings_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats:
     """Disturbances of the field in n (N, 3): bell curves in time, while the phone moves and passes what makes them."""
     disturbance = np.zeros((len(t_s), 3))
     for swing, (start, end) in enumerate(zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True)):
@@ -177,7 +177,7 @@ def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, na
     return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
 
 
-def truth(path: Path, at: Samples, world: World) -> Truth:
+def truth(path: Motion, at: Samples, world: World) -> Truth:
     """The truth at the true instants of a sensor's samples."""
     return Truth(
         world.start_ns + at.true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s)

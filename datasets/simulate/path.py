@@ -7,6 +7,7 @@ J. Neuroscience 5, 1985). A stroke between equal values is a rest, and is exactl
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,33 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
+
+
+class Motion(Protocol):
+    """What a sensor asks of a true motion; times (N,) are seconds from its start."""
+
+    @property
+    def duration_s(self) -> float:
+        """Its length."""
+
+    @property
+    def rests_s(self) -> Floats:
+        """Rests (R, 2): from, to."""
+
+    def attitude(self, t_s: ArrayLike) -> Rotation:
+        """Body to n."""
+
+    def steps_b_rad(self, t_s: Floats) -> Floats:
+        """Rotation vectors (N - 1, 3) from the attitude at each time to that at the next."""
+
+    def position(self, t_s: ArrayLike) -> Floats:
+        """Position in n, (N, 3) in m."""
+
+    def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
+        """Its second derivative, (N, 3)."""
+
+    def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
+        """Whether a time lies outside all rests."""
 
 
 def strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:
