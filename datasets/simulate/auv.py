@@ -1,0 +1,283 @@
+"""The mission of paper 003: an underwater vehicle on the surface, then 600 s submerged, then on the surface again.
+
+The body is forward-right-down. The vehicle sails along its x axis; waves roll, pitch and turn it, and throw it sideways and
+up, as strong on the surface as :class:`Sea` says and a share of that below. Attitude (roll, pitch, heading) and
+velocity are splines of degree five through what the mission asks for at 20 Hz; the position is the integral of the
+velocity spline and the acceleration its derivative, both exact.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
+
+from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import from_euler, rotation
+from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording
+from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
+from stillpoint.datasets.simulate.satellites import GpsModel, measure_gps
+from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel, Sensor
+
+PLACE = (36.9, 50.9, -27.0)  # the Caspian sea off the coast where the paper was written
+DATE = "2022-08-09T08:00:00+00:00"  # the day on which the journal received it
+START_NS = 1_660_032_000_000_000_000
+
+SURFACE_S, DIVE_S = 120.0, 40.0  # before and after; down and up
+SHORTEST_CRUISE_S = 60.0
+DIVE_PITCH_DEG = 20.0
+SPEED_MPS = (1.5, 2.5)  # on the surface, below
+HEADING_DEG = 40.0  # true
+SLALOM_DEG, SLALOM_S = -25.0, (30.0, 60.0)  # a leg of another heading on the first surface run
+SNAKING_DEG, SNAKING_PERIOD_S = 1.5, 90.0  # how well the heading is kept
+GPS_HZ = 1.0
+KNOTS_HZ = 20.0
+MARGIN_S = 1.0  # the splines reach beyond the mission, where their ends would ring
+
+# Shares and frequencies (Hz) of the components of the waves.
+ROLLING = ((0.6, 0.18), (0.4, 0.25), (0.3, 0.33), (0.15, 0.5))
+PITCHING = ((0.6, 0.15), (0.4, 0.22))
+YAWING = ((1.0, 0.08),)
+HEAVING = ((1.0, 0.2),)
+SWAYING = ((1.0, 0.25),)
+
+
+@dataclass(frozen=True)
+class Sea:
+    """What waves do to the vehicle on the surface, and which share of it below."""
+
+    roll_deg: float = 6.0
+    pitch_deg: float = 2.0
+    yaw_deg: float = 3.0
+    heave_mps2: float = 0.4  # amplitude of the vertical acceleration
+    sway_mps2: float = 0.3  # amplitude of the horizontal one, across the heading
+    share_below: float = 0.12
+
+
+WAVES = Sea()
+CALM = Sea(heave_mps2=0.0, sway_mps2=0.0)  # a long, low swell: it rolls the vehicle, but does not throw it
+
+
+@dataclass(frozen=True)
+class DriftModel:
+    """A bias of the gyro that swings slowly, with the temperature of the unit: the same size on each axis."""
+
+    bias_degph: float = 0.0  # plain value; its sign is drawn per axis
+    swing: float = 0.0  # amplitude as a share of it
+    period_s: float = 800.0
+
+
+@dataclass(frozen=True)
+class IronModel:
+    """Hard iron of the hull in body axes, uT: plain values, what no calibration of the sensor alone removes."""
+
+    x_ut: float = 0.0
+    y_ut: float = 0.0
+    z_ut: float = 0.0
+
+
+@dataclass(frozen=True)
+class AuvSensor(Sensor):
+    """The sensors of a vehicle: those of any body, a drift of the gyro, the iron of the hull, a receiver."""
+
+    drift: DriftModel = field(default_factory=DriftModel)
+    iron: IronModel = field(default_factory=IronModel)
+    gps: GpsModel = field(default_factory=GpsModel)
+
+
+# Low-cost sensors. The iron makes 2 deg of heading error on the heading of the mission: 0.945 uT across it, of 27.4 uT.
+AUV = AuvSensor(
+    "auv",
+    gyro=GyroModel(noise_density_degps_rthz=0.007, bias_instability_degph=4.0, scale_error=0.002, misalignment_deg=0.1),
+    accel=AccelModel(noise_density_ug_rthz=110.0, bias_instability_ug=20.0, turn_on_bias_mg=0.2, scale_error=0.001),
+    mag=MagModel(noise_density_ut_rthz=0.04, soft_iron=0.001),
+    imu_clock=ClockModel(rate_error=0.001, jitter_s=1e-4),
+    mag_clock=ClockModel(rate_error=0.001, jitter_s=1e-3),
+    drift=DriftModel(bias_degph=60.0, swing=0.25),
+    iron=IronModel(0.67, 0.67, 0.5),
+    gps=GpsModel(position_sd_m=2.0, velocity_sd_mps=0.03, first_fix_s=5.0),
+)
+PERFECT_AUV = AuvSensor("perfect")
+AUV_SENSORS: dict[str, AuvSensor] = {sensor.name: sensor for sensor in (AUV, PERFECT_AUV)}
+
+
+@dataclass(frozen=True)
+class Phases:
+    """When the vehicle leaves the surface, is down, comes up and is back, s from the start."""
+
+    dive_s: float
+    cruise_s: float
+    ascent_s: float
+    surfaced_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Voyage:
+    """The true motion: splines of time with exact derivatives; :class:`stillpoint.datasets.simulate.path.Motion`."""
+
+    euler_ned_rad: BSpline  # roll, pitch, heading
+    velocity_n_mps: BSpline
+    phases: Phases
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the mission."""
+        return self.phases.end_s
+
+    @property
+    def rests_s(self) -> Floats:
+        """None: the sea is never still."""
+        return np.empty((0, 2))
+
+    def attitude(self, t_s: ArrayLike) -> Rotation:
+        """Body to n at times (N,)."""
+        return rotation(from_euler(self.euler_ned_rad(np.asarray(t_s)), "ned"))
+
+    def steps_b_rad(self, t_s: Floats) -> Floats:
+        """Rotation vectors (N - 1, 3) that take the attitude at each of the times (N,) to that at the next, exactly."""
+        attitude = self.attitude(t_s)
+        return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec())
+
+    def position(self, t_s: ArrayLike) -> Floats:
+        """Position in n (N, 3) in m, from where the mission begins."""
+        return np.asarray(self._position(np.asarray(t_s)) - self._position(0.0))
+
+    def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
+        """Derivative of the velocity in n, (N, 3)."""
+        return np.asarray(self._acceleration(np.asarray(t_s)))
+
+    def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
+        """True everywhere."""
+        return np.ones(len(np.atleast_1d(t_s)), dtype=np.bool_)
+
+    @cached_property
+    def _position(self) -> BSpline:
+        return self.velocity_n_mps.antiderivative()
+
+    @cached_property
+    def _acceleration(self) -> BSpline:
+        return self.velocity_n_mps.derivative()
+
+
+def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+    """Simulate one mission. Raises :class:`BadParameter` when ``minutes`` leave no room for a cruise."""
+    path = sail(sea, phases(minutes * 60, kind), seed)
+    world = World(START_NS, normal_gravity_mps2(PLACE[0], PLACE[2]), magnetic_field_n_ut(PLACE, DATE))
+    imu_at = sample(path, sensor.imu_clock, rate_hz, world, seed, "imu")
+    mag_at = sample(path, sensor.mag_clock, min(rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
+    gps_at = sample(path, ClockModel(), GPS_HZ, world, seed, "gps")
+    imu, drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
+    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
+    iron = sensor.iron
+    info = Info(
+        source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
+        licence="CC0-1.0",
+        sensor=f"simulated: {sensor.name}",
+        epoch="unix",
+        date=DATE,
+        place_lat_lon_alt=PLACE,
+        extra={
+            "sensor_model": json.dumps(asdict(sensor)),
+            "sensor_drawn": json.dumps(drawn | mag_drawn),
+            "sea": json.dumps(asdict(sea)),
+            "phases_s": json.dumps(asdict(path.phases)),
+            "body_axes": "forward, right, down",
+        },
+    )
+    return Recording(
+        f"{kind}-seed{seed}",
+        imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_radps(sensor.drift, imu_at.t_s, seed)),
+        mag=replace(mag, mag_b_ut=mag.mag_b_ut + np.array([iron.x_ut, iron.y_ut, iron.z_ut])),
+        gps=measure_gps(path, sensor.gps, gps_at, PLACE, seed),
+        truth=truth(path, imu_at, world),
+        info=info,
+    )
+
+
+def phases(total_s: float, kind: str) -> Phases:
+    """The mission of this length: all but the cruise always takes as long. Raises :class:`BadParameter`."""
+    cruise_s = total_s - 2 * (SURFACE_S + DIVE_S)
+    if cruise_s < SHORTEST_CRUISE_S:
+        shortest = (total_s - cruise_s + SHORTEST_CRUISE_S) / 60
+        raise BadParameter(f"minutes {total_s / 60:g}: {kind} needs at least {shortest:.2f}, a minute of it submerged")
+    ends = np.cumsum([SURFACE_S, DIVE_S, cruise_s, DIVE_S, SURFACE_S]).tolist()
+    return Phases(*ends)
+
+
+def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
+    """The path of one mission; the ascent is as steep as brings the vehicle back to the surface."""
+    t = np.arange(-MARGIN_S, when.end_s + MARGIN_S, 1 / KNOTS_HZ)
+
+    def voyage(ascent_pitch_deg: float) -> Voyage:
+        euler = courses_rad(sea, when, t, ascent_pitch_deg, seed)
+        return Voyage(
+            make_interp_spline(t, euler, k=5), make_interp_spline(t, velocities(sea, when, t, euler, seed), k=5), when
+        )
+
+    def left_m(ascent_pitch_deg: float) -> float:
+        return float(voyage(ascent_pitch_deg).position([when.end_s])[0, 2])
+
+    return voyage(brentq(left_m, 0.5 * DIVE_PITCH_DEG, 2.0 * DIVE_PITCH_DEG, xtol=1e-3))
+
+
+def courses_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
+    """Roll, pitch, heading (N, 3) in North-East-Down."""
+    rough = roughness(sea, when, t_s)
+    roll = rough * sea.roll_deg * waves(ROLLING, t_s, seed, "roll")
+    pitch = rough * sea.pitch_deg * waves(PITCHING, t_s, seed, "pitch")
+    pitch += -DIVE_PITCH_DEG * during(when.dive_s, when.cruise_s, t_s, 2.5)
+    pitch += ascent_pitch_deg * during(when.ascent_s, when.surfaced_s, t_s, 2.5)
+    heading = HEADING_DEG + SLALOM_DEG * during(*SLALOM_S, t_s, 6.0)
+    heading += SNAKING_DEG * waves(((1.0, 1 / SNAKING_PERIOD_S),), t_s, seed, "snaking")
+    heading += rough * sea.yaw_deg * waves(YAWING, t_s, seed, "yaw")
+    return np.deg2rad(np.column_stack([roll, pitch, heading]))
+
+
+def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
+    """Velocity in n (N, 3): along the body's x axis, and what the waves add across the heading and upwards."""
+    _, pitch, heading = euler_rad.T
+    below = during(when.dive_s, when.surfaced_s, t_s, 6.0)
+    speed = SPEED_MPS[0] + (SPEED_MPS[1] - SPEED_MPS[0]) * below
+    forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
+    right = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros_like(heading)])
+    rough = roughness(sea, when, t_s)
+    sway = rough * sea.sway_mps2 * waves(SWAYING, t_s, seed, "sway") / (2 * np.pi * SWAYING[0][1])
+    heave = rough * sea.heave_mps2 * waves(HEAVING, t_s, seed, "heave") / (2 * np.pi * HEAVING[0][1])
+    moved = speed[:, None] * forward + sway[:, None] * right
+    moved[:, 2] += heave
+    return moved
+
+
+def roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
+    """How much of the waves is felt: 1 on the surface."""
+    return 1 - (1 - sea.share_below) * during(when.dive_s, when.surfaced_s, t_s, 5.0)
+
+
+def during(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
+    """1 between two times, 0 outside, with the edges of a normal distribution of this sd."""
+    return np.asarray(ndtr((t_s - start_s) / soft_s) - ndtr((t_s - end_s) / soft_s))
+
+
+def waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, name: str) -> Floats:
+    """The sum of sines with these shares and frequencies (Hz), each with its own phase."""
+    angles = draws(seed, f"auv/{name}").uniform(0, 2 * np.pi, len(components))
+    parts = [
+        share * np.sin(2 * np.pi * hz * t_s + angle) for (share, hz), angle in zip(components, angles, strict=True)
+    ]
+    return np.sum(parts, axis=0)
+
+
+def drift_radps(drift: DriftModel, t_s: Floats, seed: int) -> Floats:
+    """The swinging bias of the gyro (N, 3)."""
+    rng = draws(seed, "gyro/drift")
+    sign, angle = rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3)
+    swing = 1 + drift.swing * np.sin(2 * np.pi * t_s[:, None] / drift.period_s + angle)
+    return np.deg2rad(drift.bias_degph / 3600) * sign * swing

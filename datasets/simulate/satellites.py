@@ -1,0 +1,55 @@
+"""What a satellite receiver reports of a motion: position, course and speed, and nothing under water."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.earth import Place, geodetic
+from stillpoint.datasets.recording import Floats, Gps
+from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.measure import Samples, wandering
+from stillpoint.datasets.simulate.path import Motion
+
+
+@dataclass(frozen=True)
+class GpsModel:
+    """A receiver and its antenna. Course and speed come from the measured velocity, so a slow course is a poor one."""
+
+    position_sd_m: float = 0.0  # of each component; wanders (first-order Gauss-Markov)
+    position_time_s: float = 60.0  # its correlation time
+    velocity_sd_mps: float = 0.0  # of each component of the horizontal velocity, white
+    covered_below_m: float = 1.0  # the antenna receives nothing while the body is deeper
+    first_fix_s: float = 0.0  # from surfacing to the next fix
+
+
+def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: int) -> Gps:
+    """Fixes of a path whose n has its zero at ``origin``; under water they are not valid and hold NaN."""
+    place_n, velocity_n = path.position(at.t_s), velocity_n_mps(path, at.t_s)
+    rng = draws(seed, "gps/velocity")
+    velocity_n[:, :2] += rng.standard_normal((len(place_n), 2)) * gps.velocity_sd_mps
+    wander = wandering(gps.position_sd_m, gps.position_time_s, at.step_s, len(place_n), seed, "gps")
+    columns = [
+        *geodetic(place_n + wander, origin),
+        np.mod(np.arctan2(velocity_n[:, 0], velocity_n[:, 1]), 2 * np.pi),
+        np.hypot(velocity_n[:, 0], velocity_n[:, 1]),
+    ]
+    valid = receives(place_n[:, 2], gps, at.step_s)
+    for column in columns:
+        column[~valid] = np.nan
+    return Gps(at.stamp_ns, *columns, valid)
+
+
+def velocity_n_mps(path: Motion, t_s: Floats) -> Floats:
+    """Velocity (N, 3): the central difference of the position over 2 ms, exact to 1e-6 m/s for what floats."""
+    half_s = 1e-3
+    return (path.position(t_s + half_s) - path.position(t_s - half_s)) / (2 * half_s)
+
+
+def receives(up_m: Floats, gps: GpsModel, step_s: float) -> NDArray[np.bool_]:
+    """Whether there is a fix at each of the times (N,): above water, and for long enough since the last time below."""
+    covered = up_m < -gps.covered_below_m
+    row = np.arange(len(up_m))
+    last_covered = np.maximum.accumulate(np.where(covered, row, -1))
+    waited_s = (row - last_covered) * step_s
+    return ~covered & ((last_covered < 0) | (waited_s >= gps.first_fix_s))
