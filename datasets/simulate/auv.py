@@ -1,7 +1,7 @@
 """The mission of paper 003: an underwater vehicle on the surface, then 600 s submerged, then on the surface again.
 
-The body is forward-right-down. The vehicle sails along its x axis; waves roll, pitch and turn it, and throw it sideways and
-up, as strong on the surface as :class:`Sea` says and a share of that below. Attitude (roll, pitch, heading) and
+The body is forward-right-down. The vehicle sails along its x axis; waves roll, pitch and turn it, and throw it sideways
+and up, as strong on the surface as :class:`Sea` says and a share of that below. Attitude (roll, pitch, heading) and
 velocity are splines of degree five through what the mission asks for at 20 Hz; the position is the integral of the
 velocity spline and the acceleration its derivative, both exact.
 """
@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
-from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording
+from stillpoint.datasets.recording import Floats, Info, Recording
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
 from stillpoint.datasets.simulate.satellites import GpsModel, measure_gps

@@ -29,15 +29,12 @@ def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: i
     rng = draws(seed, "gps/velocity")
     velocity_n[:, :2] += rng.standard_normal((len(place_n), 2)) * gps.velocity_sd_mps
     wander = wandering(gps.position_sd_m, gps.position_time_s, at.step_s, len(place_n), seed, "gps")
-    columns = [
-        *geodetic(place_n + wander, origin),
-        np.mod(np.arctan2(velocity_n[:, 0], velocity_n[:, 1]), 2 * np.pi),
-        np.hypot(velocity_n[:, 0], velocity_n[:, 1]),
-    ]
     valid = receives(place_n[:, 2], gps, at.step_s)
-    for column in columns:
-        column[~valid] = np.nan
-    return Gps(at.stamp_ns, *columns, valid)
+    lat_deg, lon_deg, alt_m = (np.where(valid, column, np.nan) for column in geodetic(place_n + wander, origin))
+    course = np.mod(np.arctan2(velocity_n[:, 0], velocity_n[:, 1]), 2 * np.pi)
+    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+    course, speed = np.where(valid, course, np.nan), np.where(valid, speed, np.nan)
+    return Gps(at.stamp_ns, lat_deg, lon_deg, alt_m, course, speed, valid)
 
 
 def velocity_n_mps(path: Motion, t_s: Floats) -> Floats:
