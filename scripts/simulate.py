@@ -30,13 +30,15 @@ def simulate(
 ) -> None:
     """Make recordings whose truth is known by construction; the same options give the same bytes.
 
-    Writes one file KIND-seedN.mcap per seed and prints one line for each. docs/simulation.md describes the model.
+    Writes one file KIND-seedN.mcap per seed (spin: KIND-SENSOR-seedN.mcap) and prints one line for each.
+    docs/simulation.md describes the models.
 
     Parameters
     ----------
     kind
         phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the three experiments
-        of paper 002.
+        of paper 002. spin-constant, spin-variable (a motor's shaft with two accelerometers), spin-flight (five on
+        a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater vehicle): paper 003.
     out
         Folder to write into; made when it is not there.
     seed
@@ -44,11 +46,13 @@ def simulate(
     seeds
         How many recordings, with rising seeds.
     minutes
-        Length of each; by default 2 for phone-1 and 4 for phone-2 and phone-3.
+        Length of each; by default 2 for phone-1, 4 for phone-2 and phone-3, 0.5 for spin-constant and spin-flight,
+        1 for spin-variable, 15 for auv.
     rate
-        Samples per second of gyro and accelerometer; by default 100.
+        Samples per second of gyro and accelerometer; by default 100, for spin 250, for auv 50.
     sensor
-        "phone" (the default), or "perfect" for samples without any error.
+        A preset of the kind: "phone" (the default) or "perfect" (without any error); for spin "white" (the default),
+        "glitch", "replica", "adxl345", "perfect".
     json
         Also write what was made as JSON to this file; - is the standard output.
     """

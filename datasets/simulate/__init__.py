@@ -10,7 +10,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.simulate import phone
+from stillpoint.datasets.simulate import auv, phone, spin, spin_sensor
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
 
 __all__ = ["PERFECT", "PHONE", "SENSORS", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
@@ -47,6 +47,41 @@ SIMULATIONS: dict[str, Simulation] = {
         4.0,
         SENSORS,
         partial(phone.experiment, "phone-3", phone.IN_HAND),
+    ),
+    "auv-dolphin": Simulation(
+        "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (paper 003)",
+        15.0,
+        auv.AUV_SENSORS,
+        partial(auv.mission, "auv-dolphin", auv.WAVES),
+        50.0,
+    ),
+    "auv-dolphin-calm": Simulation(
+        "the same in a calm sea: it rolls, but no wave accelerates it",
+        15.0,
+        auv.AUV_SENSORS,
+        partial(auv.mission, "auv-dolphin-calm", auv.CALM),
+        50.0,
+    ),
+    "spin-constant": Simulation(
+        "motor at 2020 deg/s with two accelerometers and an encoder (paper 000, section 4.1)",
+        0.5,
+        spin_sensor.CONSTANT,
+        partial(spin.spinning, "spin-constant", spin.CONSTANT),
+        250.0,
+    ),
+    "spin-variable": Simulation(
+        "motor at 1500 to 2100 deg/s, slowly changing (paper 000, section 4.2)",
+        1.0,
+        spin_sensor.VARIABLE,
+        partial(spin.spinning, "spin-variable", spin.VARIABLE),
+        250.0,
+    ),
+    "spin-flight": Simulation(
+        "spinning projectile with five accelerometers and two gyros, coning (paper 000, section 2)",
+        0.5,
+        spin_sensor.FLIGHT,
+        partial(spin.spinning, "spin-flight", spin.FLIGHT),
+        250.0,
     ),
 }
 

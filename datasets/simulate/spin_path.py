@@ -1,0 +1,126 @@
+"""The true motion of a spinning body: angle, rate and acceleration about its axis, exact derivatives of one another.
+
+The drive's rate is a spline; the shaft follows it with a ripple once per turn: angle = drive + e sin(drive + phase).
+In flight the axis cones: the rates about y and z turn with the drive, and the centre is braked.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.signal import lfilter
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.simulate.draws import draws
+
+KNOT_S = 0.02  # between the knots of the drive's rate
+
+
+@dataclass(frozen=True)
+class Motor:
+    """How a shaft is driven."""
+
+    speed_degps: Callable[[Floats], Floats]  # at times in s
+    ripple_degps: float  # standard deviation of the controller's slow wandering
+    ripple_s: float = 0.5  # its time constant (a first-order lag, twice)
+    once_per_turn_degps: float = 1.0  # amplitude of the ripple at 2020 deg/s, in proportion at other speeds
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What a flying body does beside its spin; in free flight no accelerometer feels gravity."""
+
+    coning_degps: float = 100.0  # size of the rate across the axis, at first
+    coning_ratio: float = 0.9  # turns of that rate in the body, per turn of the body
+    drag_mps2: float = 30.0  # along -x, at first
+    lift_mps2: float = 3.0  # across the axis, turning with the coning
+    decay_s: float = 20.0  # time constant of all of these
+
+
+@dataclass(frozen=True, eq=False)
+class SpinPath:
+    """The motion at any time from 0 to its length."""
+
+    drive_radps: CubicSpline
+    ripple: float  # e, rad
+    phase_rad: float
+
+    @cached_property
+    def _drive_rad(self) -> CubicSpline:
+        return self.drive_radps.antiderivative()
+
+    def drive_rad(self, t_s: Floats) -> Floats:
+        """The drive's angle (N,), 0 at first."""
+        return np.asarray(self._drive_rad(t_s))
+
+    def angle_rad(self, t_s: Floats) -> Floats:
+        """The body's angle (N,) about its axis, unwrapped, 0 at time 0."""
+        drive = self.drive_rad(t_s)
+        return np.asarray(drive + self.ripple * (np.sin(drive + self.phase_rad) - np.sin(self.phase_rad)))
+
+    def rate_radps(self, t_s: Floats) -> Floats:
+        """Its derivative (N,)."""
+        return np.asarray(self.drive_radps(t_s) * (1 + self.ripple * np.cos(self.drive_rad(t_s) + self.phase_rad)))
+
+    def accel_radps2(self, t_s: Floats) -> Floats:
+        """The derivative of the rate (N,)."""
+        at, rate = self.drive_rad(t_s) + self.phase_rad, self.drive_radps(t_s)
+        return np.asarray(
+            self.drive_radps(t_s, 1) * (1 + self.ripple * np.cos(at)) - rate**2 * self.ripple * np.sin(at)
+        )
+
+
+def constant(t_s: Floats) -> Floats:
+    """Paper 000, section 4.1: 2020 deg/s."""
+    return np.full(len(t_s), 2020.0)
+
+
+def variable(t_s: Floats) -> Floats:
+    """Slow changes between 1500 and 2100 deg/s, as in figure 18; after 60 s the profile runs back, and so on."""
+    known = PchipInterpolator([0, 8, 18, 26, 38, 48, 60], [1550, 1550, 2080, 2080, 1520, 1900, 1900])
+    return np.asarray(known(60 - np.abs(np.mod(t_s, 120) - 60)))
+
+
+def decaying(t_s: Floats) -> Floats:
+    """A projectile whose spin air slows: 2050 deg/s, half of it lost in 90 s."""
+    return np.asarray(2050 * 0.5 ** (t_s / 90))
+
+
+def turn(motor: Motor, length_s: float, seed: int) -> SpinPath:
+    """The path of a motor, or of a body that air slows."""
+    knots_s = np.arange(int(np.ceil(length_s / KNOT_S)) + 5) * KNOT_S - 2 * KNOT_S
+    speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
+        motor.ripple_s, len(knots_s), seed
+    )
+    drive = CubicSpline(knots_s, np.deg2rad(speed_degps))
+    phase = draws(seed, "spin/phase").uniform(0, 2 * np.pi)
+    path = SpinPath(drive, motor.once_per_turn_degps / 2020, phase)
+    path._drive_rad.c[-1] -= path._drive_rad(0.0)  # angles count from time 0
+    return path
+
+
+def _wandering(time_s: float, count: int, seed: int) -> Floats:
+    """White noise through two first-order lags, of unit standard deviation in the long run."""
+    keep = np.exp(-KNOT_S / time_s)
+    settle = int(10 * time_s / KNOT_S)
+    noise = draws(seed, "spin/ripple").standard_normal(settle + count)
+    twice = lfilter([1.0], [1.0, -2 * keep, keep**2], noise)[settle:]
+    return np.asarray(twice * np.sqrt((1 - keep**2) ** 3 / (1 + keep**2)))
+
+
+def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, Floats]:
+    """Rates about y and z (N, 2) and their derivatives (N, 2)."""
+    size = np.deg2rad(flight.coning_degps) * np.exp(-t_s / flight.decay_s)
+    at, speed = flight.coning_ratio * path.drive_rad(t_s), flight.coning_ratio * path.drive_radps(t_s)
+    along, across = np.column_stack([np.cos(at), np.sin(at)]), np.column_stack([-np.sin(at), np.cos(at)])
+    rate = size[:, None] * along
+    return rate, np.asarray(-rate / flight.decay_s + (size * speed)[:, None] * across)
+
+
+def braking_b_mps2(flight: Flight, path: SpinPath, t_s: Floats) -> Floats:
+    """Specific force at the centre in flight (N, 3): drag along -x, lift across."""
+    decay, at = np.exp(-t_s / flight.decay_s), flight.coning_ratio * path.drive_rad(t_s)
+    lift = flight.lift_mps2 * decay
+    return np.column_stack([-flight.drag_mps2 * decay, lift * np.cos(at), lift * np.sin(at)])

@@ -1,0 +1,106 @@
+"""Single-axis accelerometers, gyros and the encoder of a spinning body, and presets.
+
+A value marked "sd" is drawn once per recording and accelerometer; the rest are plain values. The presets are the noise
+hypotheses that paper 000's printed numbers leave open (docs/simulation.md): the paper states variances of its sensors,
+and not what they are made of.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from stillpoint.datasets.errors import BadParameter
+
+G_MPS2 = 9.80665  # of data sheets
+ADXL345_NOISE_MPS2 = 0.06  # rms of one sample, as measured on boards of the +-16 g range
+
+
+@dataclass(frozen=True)
+class SpinAccel:
+    """One accelerometer."""
+
+    noise_mps2: float = 0.0  # white, standard deviation of a sample
+    vibration_1x_mps2: float = 0.0  # rms of what the motor shakes it with, once per turn
+    vibration_2x_mps2: float = 0.0  # twice per turn
+    glitches_per_s: float = 0.0  # samples that the slip rings spoil
+    glitch_low_g: float = 4.0  # least and largest size of a glitch, either sign
+    glitch_high_g: float = 8.0
+    offset_mps2: float = 0.0  # what calibration left, as a value
+    bias_mg: float = 0.0  # sd
+    scale_error: float = 0.0  # sd, fraction
+    arm_error: float = 0.0  # sd, fraction of the lever arm: true = stated * (1 + error)
+
+
+@dataclass(frozen=True)
+class EncoderModel:
+    """A shaft encoder: angle by counting edges, rate by timing the last edge of every sample."""
+
+    counts_per_turn: int | None = 4096  # None: angle and rate without steps
+    timer_s: float = 62.5e-9  # step of the clock that times the edges: 16 MHz
+    latency_s: float = 0.5e-3  # a value stamped t describes t - latency
+
+
+@dataclass(frozen=True)
+class SpinSensor:
+    """Everything between the true spin and the recorded numbers."""
+
+    name: str
+    centre: SpinAccel = field(default_factory=SpinAccel)  # F1, F2, F3
+    radial: SpinAccel = field(default_factory=SpinAccel)  # F4
+    tangential: SpinAccel = field(default_factory=SpinAccel)  # F5
+    range_g: float = 16.0
+    bits: int | None = 13  # of the converter, over the range to both sides
+    gyro_noise_degps: float = 0.0  # white, standard deviation of a sample
+    gyro_bias_degps: float = 0.0  # sd
+    tilt_deg: float = 0.0  # of a motor's shaft against the vertical: gravity turns through the accelerometers
+    lost_share: float = 0.0  # of the samples that never reach the computer
+    encoder: EncoderModel | None = field(default_factory=EncoderModel)  # None: there is none
+
+    def __post_init__(self) -> None:
+        for part, name, value in _numbers(self):
+            signed = name in ("offset_mps2", "tilt_deg", "latency_s")
+            if value is not None and not (np.isfinite(value) and (signed or value >= 0)):
+                raise BadParameter(f"sensor {self.name}, {part}{name}: is {value:g}; give a finite value >= 0")
+        if not 0 <= self.lost_share < 1:
+            raise BadParameter(f"sensor {self.name}, lost_share: is {self.lost_share:g}; give a share below 1")
+
+
+def _numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
+    """Part, name and value of every number in a sensor."""
+    for each in fields(sensor):
+        value: Any = getattr(sensor, each.name)
+        if isinstance(value, SpinAccel | EncoderModel):
+            yield from ((f"{each.name}.", one.name, getattr(value, one.name)) for one in fields(value))
+        elif each.name != "name" and not (each.name == "encoder" and value is None):
+            yield "", each.name, value
+
+
+def noisy(name: str, centre_mps2: float, radial_mps2: float, tangential_mps2: float) -> SpinSensor:
+    """White noise of these standard deviations and nothing else."""
+    centre, radial, tangential = (SpinAccel(noise_mps2=one) for one in (centre_mps2, radial_mps2, tangential_mps2))
+    return SpinSensor(name, centre, radial, tangential, gyro_noise_degps=0.1)
+
+
+def with_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
+    """The sensor with glitches of the slip rings on F4, 4 to 8 g."""
+    return replace(sensor, radial=replace(sensor.radial, glitches_per_s=per_s))
+
+
+def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
+    """The presets of a scenario by name; ``white`` has the paper's variances, ``quiet`` is the noise under glitches."""
+    glitch = replace(with_glitches(quiet, GLITCHES_PER_S), name="glitch")
+    replica = replace(glitch, name="replica", radial=replace(glitch.radial, offset_mps2=RESIDUAL_F4_MPS2))
+    part = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, bias_mg=40.0, scale_error=0.005, arm_error=0.001)
+    loose = SpinSensor("adxl345", part, part, part, gyro_noise_degps=0.1, gyro_bias_degps=0.2, lost_share=0.001)
+    perfect = SpinSensor("perfect", bits=None, encoder=EncoderModel(counts_per_turn=None, latency_s=0.0))
+    return {one.name: one for one in (white, glitch, replica, loose, perfect)}
+
+
+GLITCHES_PER_S = 2 / 30  # about two in a recording of 30 s
+RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s, so that the worst of ten trials has the paper's 3 deg
+# D4 = 0.8 and D5 = 0.12 (m/s^2)^2 in the constant scenario (eqs (29), (31)), 0.4 and 3 in the variable one.
+CONSTANT = presets(noisy("white", 0.3, 0.8**0.5, 0.12**0.5), noisy("quiet", 0.06, 0.13, 0.08))
+VARIABLE = presets(noisy("white", 0.3, 0.4**0.5, 3.0**0.5), noisy("quiet", 0.06, 0.3, 3.0**0.5))
+FLIGHT = presets(noisy("white", 0.3, 0.3, 0.3), noisy("quiet", 0.1, 0.1, 0.1))
