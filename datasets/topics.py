@@ -175,6 +175,11 @@ TOPICS: tuple[Topic, ...] = (
         BODY_FRAME, {"name": 1, "name[0]": "roll"},
     ),
     Topic(
+        "estimate", "", "/estimate/roll_sd", VECTOR, "standard deviations, x: of the angle, y: of the rate",
+        (Column("angle_sd_rad", ("vector.x",), "rad"), Column("rate_sd_radps", ("vector.y",), "rad/s")),
+        BODY_FRAME,
+    ),
+    Topic(
         "estimate", "", "/estimate/gyro_bias", VECTOR, "bias of the gyro",
         (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
         BODY_FRAME,

@@ -117,6 +117,8 @@ class Estimate:
     q_nb: Floats | None = None  # (N, 4) wxyz
     angle_rad: Floats | None = None  # (N,)
     rate_radps: Floats | None = None  # (N,)
+    angle_sd_rad: Floats | None = None  # (N,)
+    rate_sd_radps: Floats | None = None  # (N,)
     cov_b_rad2: Floats | None = None  # (N, 3, 3)
     innovation: Floats | None = None  # (N, m) normalised; NaN rows where there was no update
     gyro_bias_b_radps: Floats | None = None  # (N, 3)
@@ -134,7 +136,9 @@ class Estimate:
             raise BadRecording(f"estimate {self.name}: has neither an attitude nor an angle")
         if self.q_nb is not None:
             freeze(self, q_nb=check_quaternions("estimate", "q_nb", self.q_nb, (n, 4)))
-        shapes = {"angle_rad": (n,), "rate_radps": (n,), "cov_b_rad2": (n, 3, 3), "gyro_bias_b_radps": (n, 3)}
+        rolls = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(rolls, (n,))
+        shapes |= {"cov_b_rad2": (n, 3, 3), "gyro_bias_b_radps": (n, 3)}
         for name, shape in shapes.items():
             if getattr(self, name) is not None:
                 freeze(self, **{name: check_floats("estimate", name, getattr(self, name), shape)})

@@ -5,8 +5,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
-from stillpoint.filters import complementary, fixed_gain, gyro, kf_axis, least_squares, moving_average, peers, tilt
+from stillpoint.filters import (
+    complementary,
+    fixed_gain,
+    gyro,
+    kf_axis,
+    least_squares,
+    moving_average,
+    peers,
+    roll_aekf,
+    roll_ekf,
+    roll_guarded,
+    roll_observation,
+    tilt,
+)
+from stillpoint.filters.roll_noise import RollParams
 
 
 @dataclass(frozen=True)
@@ -27,6 +42,21 @@ class Estimator:
 
 
 @dataclass(frozen=True)
+class RollEstimator:
+    """One estimator of roll: see :mod:`stillpoint.filters.roll_sample` for what its functions take and give."""
+
+    summary: str
+    params: type[RollParams]
+    coefficients: Callable[[Any, SpinGeometry], Any]
+    start: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any], Any]
+    run: Callable[[Any, Any, Any, Any], Any]
+    innovations: int = 1
+    is_peer: bool = False
+    offline: bool = False
+
+
+@dataclass(frozen=True)
 class Peer:
     """An estimator of another project, over a whole recording at a time."""
 
@@ -41,7 +71,13 @@ def _ours(module: Any, summary: str, **gives: Any) -> Estimator:
     return Estimator(summary, module.Params, module.coefficients, module.start, module.step, module.run, **gives)
 
 
-ESTIMATORS: dict[str, Estimator | Peer] = {
+def _roll(module: Any, summary: str, innovations: int = 1) -> RollEstimator:
+    return RollEstimator(
+        summary, module.Params, module.coefficients, module.start, module.step, module.run, innovations
+    )
+
+
+ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
     "acc": _ours(tilt, "tilt and compensated heading from accelerometer and magnetometer (paper 002)"),
     "acc-ma": _ours(moving_average, "moving average of acc over 7 s (paper 002)"),
     "gyro": _ours(gyro, "integrated rate, never corrected (paper 002)"),
@@ -72,10 +108,14 @@ ESTIMATORS: dict[str, Estimator | Peer] = {
     "offline-vqf": Peer(
         "offline VQF of the package vqf: sees the future", peers.VqfParams, peers.offline_vqf, offline=True
     ),
+    "roll-obs": _roll(roll_observation, "roll: root of the observed square of the rate (paper 000)", innovations=0),
+    "roll-ekf": _roll(roll_ekf, "roll: extended Kalman filter of the rate (paper 000, eqs 11-14)"),
+    "roll-aekf": _roll(roll_aekf, "roll: adaptive extended Kalman filter of the rate (paper 000, eqs 15-23)"),
+    "roll-guarded": _roll(roll_guarded, "roll: angle, rate and bias, guarded against bad samples"),
 }
 
 
-def find(name: str) -> Estimator | Peer:
+def find(name: str) -> Estimator | RollEstimator | Peer:
     """The entry of this name; raises :class:`BadParameter` with the nearest one."""
     require_known(name, ESTIMATORS, "estimator")
     return ESTIMATORS[name]

@@ -1,0 +1,155 @@
+"""``roll-aekf``: the roll rate with adaptive trust in observation and model (paper 000, eqs (15)-(23)).
+
+The last M innovations e are compared with the variance C that the filter expects of them::
+
+    C = H P- H + R                                              (15)
+    alpha = max(1, mean(e^2) / C)                               (16), (17)
+    lambda = 1, or (alpha H P- H + (alpha - 1) R) / (H P- H)    (23)
+    K = (lambda / alpha) P- H / C      P = (1 - K H) lambda P-  (20), (21)
+
+Larger innovations than expected are the observation's fault (lambda = 1: ``mode = observation``) or the model's
+(lambda of (23): ``mode = system``). lambda enters once: with it in (19) and again in (20), as printed, K H exceeds 1
+and the variance turns negative (``fading = literal``; then the output is no longer ready, and the event is counted).
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import SpinGeometry
+from stillpoint.datasets.settings import choice, number
+from stillpoint.filters import roll_ekf
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_rate import faced, integrated, predicted, tallied, usable_accel
+from stillpoint.filters.roll_sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
+from stillpoint.filters.roll_start import rate_variance
+
+
+@dataclass(frozen=True)
+class Params(roll_ekf.Params):
+    """Parameters of ``roll-aekf``."""
+
+    mode: Literal["observation", "system"] = choice(
+        "observation", "what is not known exactly: the observation (lambda = 1) or the system (lambda of (23))"
+    )
+    window: float = number(5, 2, 1000, "how many innovations M are averaged; alpha is 1 until there are as many")
+    mean: Literal["per-m", "literal"] = choice("per-m", "their sum over M, or over M - 1 as (16) is printed")
+    fading: Literal["once", "literal"] = choice("once", "lambda in P alone, or in (19) and (20) as printed")
+    largest_alpha: float = number(1e4, 1, 1e12, "alpha is cut off here")
+    largest_lambda: float = number(1e4, 1, 1e12, "lambda is cut off here")
+
+
+class Adaptation(NamedTuple):
+    """How alpha and lambda are made."""
+
+    window: int
+    over: float  # what the sum of squares is divided by
+    fades: bool  # True: lambda by (23)
+    twice: bool  # True: lambda also in (20)
+    largest_alpha: float
+    largest_lambda: float
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    ekf: roll_ekf.Coefficients
+    adaptation: Adaptation
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    ekf: roll_ekf.State
+    squares: NDArray[np.float64]  # (M,) of the last innovations, a ring that is handed on and written in place
+    seen: int  # innovations
+    n_variance_not_positive: int
+
+
+def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
+    """Of these parameters for a geometry."""
+    m = round(params.window)
+    adaptation = Adaptation(
+        window=m,
+        over=float(m if params.mean == "per-m" else m - 1),
+        fades=params.mode == "system",
+        twice=params.fading == "literal",
+        largest_alpha=params.largest_alpha,
+        largest_lambda=params.largest_lambda,
+    )
+    return Coefficients(roll_ekf.coefficients(params, geometry), adaptation)
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    return State(roll_ekf.start(c.ekf), np.full(c.adaptation.window, like(c.adaptation.over, 0.0)), 0, 0)
+
+
+@compiled
+def trust(
+    squares: NDArray[np.float64], seen: int, expected: float, of_rate: float, a: Adaptation
+) -> tuple[float, float]:
+    """alpha and lambda by (16), (17), (23); ``expected`` is C and ``of_rate`` its part H P- H."""
+    one = like(expected, 1.0)
+    if seen < a.window:
+        return one, one
+    total = like(expected, 0.0)
+    for k in range(a.window):
+        total += squares[k]
+    alpha = min(max(one, total / (a.over * expected)), a.largest_alpha)
+    if not a.fades or alpha == one:
+        return alpha, one
+    fade = alpha + (alpha - one) * (expected - of_rate) / of_rate
+    return alpha, min(max(one, fade), a.largest_lambda)  # infinite where the rate is 0: cut off as well
+
+
+@compiled
+def correct(
+    rate: float, var: float, residual: float, r: float, alpha: float, fade: float, twice: bool
+) -> tuple[float, float, float]:
+    """(20)-(22): rate, its variance, and the share of its error that is left."""
+    h = rate + rate
+    faded = fade * var
+    gain = fade / alpha * (faded if twice else var) * h / (h * (faded if twice else var) * h + r)
+    left = like(rate, 1.0) - gain * h
+    return rate + gain * residual, left * faded, left
+
+
+@compiled
+def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """Predict, compare the innovations with what is expected of them, correct."""
+    ekf, squares, seen, n_lost = state
+    if ekf.start.held < c.ekf.room:
+        ekf, output = roll_ekf.begin(ekf, sample, c.ekf)
+        return State(ekf, squares, seen, n_lost), output
+    dt_s, r = sample.dt_s, c.ekf.process.noise.square_var
+    rate, var = predicted(ekf.roll, ekf.accel_radps2, dt_s, c.ekf.process)
+    left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
+    if sample.has_square:
+        h = rate + rate
+        of_rate = h * var * h
+        residual = sample.square_rad2ps2 - rate * rate
+        squares[seen % c.adaptation.window] = residual * residual
+        seen += 1
+        alpha, fade = trust(squares, seen, of_rate + r, of_rate, c.adaptation)
+        rate, var, left = correct(rate, var, residual, r, alpha, fade, c.adaptation.twice)
+        innovation = residual / sqrt(of_rate + r)
+    if not var > like(dt_s, 0.0):
+        var, left, n_lost = rate_variance(rate, r), like(dt_s, 0.0), n_lost + 1
+    roll, is_turned_over = faced(integrated(ekf.roll, rate, left, var, dt_s), sample.direction)
+    tally = tallied(ekf.tally, sample, is_turned_over)
+    ekf = roll_ekf.State(ekf.start, roll, usable_accel(sample), tally)
+    return State(ekf, squares, seen, n_lost), RollOutput(roll, innovation, n_lost == 0)
+
+
+@compiled
+def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, roll_sample_at(log, k), c)
+        keep_roll(track, k, output)
+    return state

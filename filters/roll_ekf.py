@@ -1,0 +1,124 @@
+"""``roll-ekf``: extended Kalman filter of the roll rate (paper 000, eqs (8)-(14), (24)-(26)), integrated for the angle.
+
+State x = omega, input u = omega', observation y = omega^2::
+
+    x- = x + T u          P- = P + Q_step                      (12)
+    H = 2 x-              K = P- H / (H P- H + R)
+    x = x- + K (y - x-^2) P = (1 - K H) P-                     (13), (24)
+
+The input enters as T u, so its noise adds T^2 Q per step; the paper prints Q itself with L = 1, with which the filter
+is the raw observation to 0.1 % (``process_noise = literal``). P starts at R / (2 x)^2, which the paper does not give.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.recording import SpinGeometry
+from stillpoint.datasets.settings import choice
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_noise import RollParams, noise
+from stillpoint.filters.roll_rate import (
+    MEDIAN_OF,
+    Process,
+    Tally,
+    faced,
+    integrated,
+    no_tally,
+    predicted,
+    tallied,
+    usable_accel,
+)
+from stillpoint.filters.roll_sample import (
+    Roll,
+    RollLog,
+    RollOutput,
+    RollSample,
+    RollTrack,
+    keep_roll,
+    no_roll,
+    roll_sample_at,
+)
+from stillpoint.filters.roll_start import Start, gather, no_start
+
+
+@dataclass(frozen=True)
+class Params(RollParams):
+    """Parameters of ``roll-ekf``."""
+
+    process_noise: Literal["per-step", "literal"] = choice(
+        "per-step", "what a step adds to the variance: T^2 Q, or Q itself as (12) is printed"
+    )
+    first_rate: Literal["median", "first"] = choice(
+        "median", "rate to start from: of the first nine samples, or the first one's"
+    )
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    process: Process
+    room: int  # samples to start from
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    start: Start
+    roll: Roll
+    accel_radps2: float  # at the sample before
+    tally: Tally
+
+
+def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
+    """Of these parameters for a geometry."""
+    process = Process(noise(params, geometry), params.process_noise == "per-step")
+    return Coefficients(process, MEDIAN_OF if params.first_rate == "median" else 1)
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    zero = like(c.process.noise.square_var, 0.0)
+    return State(no_start(c.room, zero), no_roll(zero), zero, no_tally())
+
+
+@compiled
+def begin(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """One of the first samples."""
+    sense = c.process.noise.sense if sample.direction == 0 else sample.direction
+    begun, roll = gather(state.start, sample, state.accel_radps2, sense, c.process.noise.square_var)
+    state = State(begun, roll, usable_accel(sample), tallied(state.tally, sample, False))
+    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == c.room)
+
+
+@compiled
+def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """Predict by the angular acceleration, correct by the square of the rate."""
+    if state.start.held < c.room:
+        return begin(state, sample, c)
+    dt_s, r = sample.dt_s, c.process.noise.square_var
+    rate, var = predicted(state.roll, state.accel_radps2, dt_s, c.process)
+    left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
+    if sample.has_square:
+        h = rate + rate
+        total = h * var * h + r
+        gain = var * h / total
+        residual = sample.square_rad2ps2 - rate * rate
+        left = like(dt_s, 1.0) - gain * h
+        rate, var = rate + gain * residual, left * var
+        innovation = residual / sqrt(total)
+    roll, is_turned_over = faced(integrated(state.roll, rate, left, var, dt_s), sample.direction)
+    state = State(state.start, roll, usable_accel(sample), tallied(state.tally, sample, is_turned_over))
+    return state, RollOutput(roll, innovation, True)
+
+
+@compiled
+def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, roll_sample_at(log, k), c)
+        keep_roll(track, k, output)
+    return state

@@ -1,0 +1,117 @@
+"""What ``roll-guarded`` remembers to tell bad samples from good ones: innovations, refusals, repetitions."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_rate import MEDIAN_OF
+from stillpoint.filters.roll_sample import RollSample
+from stillpoint.filters.roll_start import insert, median
+
+CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations
+
+
+class Window(NamedTuple):
+    """Squares of the last innovations."""
+
+    squares: NDArray[np.float64]  # (M,) a ring that is handed on and written in place
+    seen: int
+
+
+class Refusals(NamedTuple):
+    """Observations that were left out, the last ones in a row."""
+
+    rates_radps: NDArray[np.float64]  # (9,) sizes of the last rates, a ring that is handed on and written in place
+    in_row: int
+    lasting_s: float
+    n_refused: int
+    n_restarts: int
+
+
+class Repeats(NamedTuple):
+    """The last values, and how often each came in a row."""
+
+    square_rad2ps2: float
+    same_squares: int
+    accel_radps2: float
+    same_accels: int
+    n_stuck: int  # samples with a value that came too often
+
+
+@compiled
+def no_window(room: int, zero: float) -> Window:
+    """Before the first innovation."""
+    return Window(np.full(room, zero), 0)
+
+
+@compiled
+def widened(window: Window, residual: float, expected: float, most: float) -> tuple[Window, float]:
+    """The window with one innovation more, and alpha by (16), (17): at most ``most``, of as many as there are.
+
+    Squares are clipped, so that a single glitch does not open the gate for what follows it.
+    """
+    squares, seen = window
+    room = len(squares)
+    squares[seen % room] = min(residual * residual, like(expected, CLIPPED_AT) * most * expected)
+    held = min(seen + 1, room)
+    total = like(expected, 0.0)
+    for k in range(held):
+        total += squares[k]
+    alpha = total / (like(expected, held) * expected)
+    return Window(squares, seen + 1), min(max(alpha, like(expected, 1.0)), most)
+
+
+@compiled
+def no_refusals(zero: float) -> Refusals:
+    """None yet."""
+    return Refusals(np.full(MEDIAN_OF, zero), 0, zero, 0, 0)
+
+
+@compiled
+def passed(before: Refusals) -> Refusals:
+    """After an observation that was used."""
+    return Refusals(before.rates_radps, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts)
+
+
+@compiled
+def refused(before: Refusals, rate_radps: float, dt_s: float) -> Refusals:
+    """After one that was left out; its rate is kept, in case it is right."""
+    rates, in_row, lasting_s, n_refused, n_restarts = before
+    rates[in_row % MEDIAN_OF] = rate_radps
+    return Refusals(rates, in_row + 1, lasting_s + dt_s, n_refused + 1, n_restarts)
+
+
+@compiled
+def ended(before: Refusals) -> Refusals:
+    """After a start from what was left out."""
+    return Refusals(before.rates_radps, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts + 1)
+
+
+@compiled
+def median_refused(refusals: Refusals, scratch: NDArray[np.float64]) -> float:
+    """The median of the rates that were left out last; ``scratch`` (9,) is written over."""
+    for k in range(MEDIAN_OF):
+        insert(scratch, k, refusals.rates_radps[k])
+    return median(scratch, MEDIAN_OF)
+
+
+@compiled
+def no_repeats(zero: float) -> Repeats:
+    """Before the first sample."""
+    return Repeats(zero, 0, zero, 0, 0)
+
+
+@compiled
+def without_stuck(sample: RollSample, before: Repeats, stuck: int) -> tuple[RollSample, Repeats]:
+    """The sample without the values that came ``stuck`` times in a row or more."""
+    square, accel = sample.square_rad2ps2, sample.accel_radps2
+    squares = before.same_squares + 1 if square == before.square_rad2ps2 else 1
+    accels = before.same_accels + 1 if accel == before.accel_radps2 else 1
+    has_accel, has_square = sample.has_accel and accels < stuck, sample.has_square and squares < stuck
+    n_stuck = before.n_stuck
+    if has_accel != sample.has_accel or has_square != sample.has_square:
+        n_stuck += 1
+    kept = RollSample(sample.dt_s, accel, square, has_accel, has_square, sample.direction)
+    return kept, Repeats(square, squares, accel, accels, n_stuck)

@@ -1,0 +1,254 @@
+"""``roll-guarded``: angle, rate and the bias of the angular acceleration as states, guarded against bad samples.
+
+What paper 000's filters do not survive (docs/roll.md): a bias of the tangential accelerometer, glitches at the start,
+zeros, a stuck sensor, lost samples. States x = (angle, rate, bias b), input u = omega', observation y = omega^2::
+
+    angle' = angle + T rate + T^2/2 (u - b)     rate' = rate + T (u - b)     b' = b
+
+The angle takes part in the update by its covariance with the rate, so the noise of u that the update removes from the
+rate is removed from the angle too; integrating the filtered rate would leave it there. An observation beyond
+``gate_sd`` standard deviations is left out. The variance R is widened by alpha as in (16), (17), up to a cap that keeps
+the filter from running away. After ``lockout`` observations in a row were left out, the rate starts anew at the median
+of the last nine. Values that repeat to the last bit are a stuck sensor's and count as missing.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.recording import SpinGeometry
+from stillpoint.datasets.settings import number
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_guard import (
+    Refusals,
+    Repeats,
+    Window,
+    ended,
+    median_refused,
+    no_refusals,
+    no_repeats,
+    no_window,
+    passed,
+    refused,
+    widened,
+    without_stuck,
+)
+from stillpoint.filters.roll_noise import Noise, RollParams, noise
+from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, no_tally, tallied, usable_accel
+from stillpoint.filters.roll_sample import (
+    Roll,
+    RollLog,
+    RollOutput,
+    RollSample,
+    RollTrack,
+    keep_roll,
+    no_roll,
+    roll_sample_at,
+    turned,
+)
+from stillpoint.filters.roll_start import Start, gather, no_start, rate_variance, root
+
+
+@dataclass(frozen=True)
+class Params(RollParams):
+    """Parameters of ``roll-guarded``."""
+
+    window: float = number(5, 2, 100, "how many innovations are averaged for alpha")
+    largest_alpha: float = number(10, 1, 1e6, "most that the variance of the observation is widened by")
+    gate_sd: float = number(5, 2, 100, "an observation further off than so many standard deviations is left out")
+    lockout: float = number(25, 9, 1e6, "so many left out in a row: start anew from them")
+    stuck: float = number(16, 3, 1e6, "a value that is the same so many times in a row counts as missing")
+    bias_sd_radps2: float = number(1.0, 0.0, 1e3, "bias of the angular acceleration at the start, rad/s^2")
+    bias_drift_radps2_rts: float = number(1e-3, 0.0, 10.0, "random walk of that bias, rad/s^2 per root second")
+    unknown_accel_radps2: float = number(5.0, 0.1, 1e4, "angular acceleration to reckon with where it is missing")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    noise: Noise
+    window: int
+    largest_alpha: float
+    gate: float  # square of the number of standard deviations
+    lockout: int
+    stuck: int
+    bias_var: float
+    drift_var: float  # per second
+    unknown_var: float  # of an angular acceleration that is missing
+
+
+class Bias(NamedTuple):
+    """The bias of the angular acceleration, with its part of the covariance."""
+
+    accel_radps2: float
+    angle_cov: float
+    rate_cov: float
+    var: float
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    start: Start
+    roll: Roll
+    bias: Bias
+    accel_radps2: float  # at the sample before
+    knows_accel: bool  # whether there was one
+    window: Window
+    refusals: Refusals
+    repeats: Repeats
+    tally: Tally
+
+
+def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
+    """Of these parameters for a geometry."""
+    return Coefficients(
+        noise=noise(params, geometry),
+        window=round(params.window),
+        largest_alpha=params.largest_alpha,
+        gate=params.gate_sd**2,
+        lockout=round(params.lockout),
+        stuck=round(params.stuck),
+        bias_var=params.bias_sd_radps2**2,
+        drift_var=params.bias_drift_radps2_rts**2,
+        unknown_var=params.unknown_accel_radps2**2,
+    )
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    zero = like(c.gate, 0.0)
+    bias = Bias(zero, zero, zero, c.bias_var)
+    begin_with, nothing = no_start(MEDIAN_OF, zero), no_roll(zero)
+    window, refusals = no_window(c.window, zero), no_refusals(zero)
+    return State(begin_with, nothing, bias, zero, False, window, refusals, no_repeats(zero), no_tally())
+
+
+@compiled
+def moved(
+    roll: Roll, bias: Bias, accel_radps2: float, knows_accel: bool, dt_s: float, c: Coefficients
+) -> tuple[Roll, Bias]:
+    """Angle and rate moved on by an angular acceleration, or without one."""
+    t, half_s = dt_s, like(dt_s, 0.5) * dt_s
+    accel, bias_s, q = accel_radps2 - bias.accel_radps2, dt_s, c.noise.accel_var
+    if not knows_accel:
+        accel, bias_s, q = like(dt_s, 0.0), like(dt_s, 0.0), c.unknown_var
+    turns, rest = turned(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
+    # covariances: the angle takes half_s * bias_s of the bias, the rate bias_s of it
+    of_angle = bias.angle_cov + t * bias.rate_cov - half_s * bias_s * bias.var
+    of_rate = bias.rate_cov - bias_s * bias.var
+    rate_var = roll.rate_var - bias_s * (bias.rate_cov + of_rate)
+    cross_var = roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov - bias_s * of_angle
+    angle_var = roll.angle_var + t * roll.cross_var - half_s * bias_s * bias.angle_cov
+    angle_var += t * (roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
+    step_var = t * t * q
+    moved_roll = Roll(
+        turns,
+        rest,
+        roll.rate_radps + t * accel,
+        angle_var + half_s * half_s * step_var,
+        cross_var + half_s * step_var,
+        rate_var + step_var,
+    )
+    return moved_roll, Bias(bias.accel_radps2, of_angle, of_rate, bias.var + t * c.drift_var)
+
+
+@compiled
+def corrected(roll: Roll, bias: Bias, residual: float, total: float) -> tuple[Roll, Bias]:
+    """All states by an observation whose residual has the variance ``total``; H = (0, 2 rate, 0)."""
+    h = roll.rate_radps + roll.rate_radps
+    along = h * residual / total
+    less = h * h / total
+    turns, rest = turned(roll.turns, roll.rest_rad + roll.cross_var * along)
+    after = Roll(
+        turns,
+        rest,
+        roll.rate_radps + roll.rate_var * along,
+        roll.angle_var - less * roll.cross_var * roll.cross_var,
+        roll.cross_var * (like(less, 1.0) - less * roll.rate_var),
+        roll.rate_var * (like(less, 1.0) - less * roll.rate_var),
+    )
+    return after, Bias(
+        bias.accel_radps2 + bias.rate_cov * along,
+        bias.angle_cov - less * roll.cross_var * bias.rate_cov,
+        bias.rate_cov * (like(less, 1.0) - less * roll.rate_var),
+        bias.var - less * bias.rate_cov * bias.rate_cov,
+    )
+
+
+@compiled
+def restarted(state: State, c: Coefficients) -> State:
+    """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
+    roll, zero = state.roll, like(state.accel_radps2, 0.0)
+    rate = median_refused(state.refusals, state.start.rates_radps)
+    if roll.rate_radps < zero:
+        rate = -rate
+    lost = (rate - roll.rate_radps) * state.refusals.lasting_s
+    rate_var = rate_variance(rate, c.noise.square_var)
+    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, zero, rate_var)
+    bias = Bias(state.bias.accel_radps2, zero, zero, c.bias_var)
+    window, refusals = Window(state.window.squares, 0), ended(state.refusals)
+    accel, knows_accel = state.accel_radps2, state.knows_accel
+    return State(state.start, roll, bias, accel, knows_accel, window, refusals, state.repeats, state.tally)
+
+
+@compiled
+def begin(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """One of the first samples."""
+    sense = c.noise.sense if sample.direction == 0 else sample.direction
+    begun, roll = gather(state.start, sample, state.accel_radps2, sense, c.noise.square_var)
+    accel, tally = usable_accel(sample), tallied(state.tally, sample, False)
+    refusals, repeats = state.refusals, state.repeats
+    state = State(begun, roll, state.bias, accel, sample.has_accel, state.window, refusals, repeats, tally)
+    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == MEDIAN_OF)
+
+
+@compiled
+def observed(
+    roll: Roll, bias: Bias, window: Window, refusals: Refusals, sample: RollSample, c: Coefficients
+) -> tuple[Roll, Bias, Window, Refusals, float]:
+    """Judge an observation by its innovation, then correct by it or leave it out; also the normalised innovation."""
+    rate = roll.rate_radps
+    residual = sample.square_rad2ps2 - rate * rate
+    expected = like(rate, 4.0) * rate * rate * roll.rate_var + c.noise.square_var
+    window, alpha = widened(window, residual, expected, c.largest_alpha)
+    if residual * residual <= c.gate * alpha * expected:
+        roll, bias = corrected(roll, bias, residual, alpha * expected)
+        refusals = passed(refusals)
+    else:
+        refusals = refused(refusals, root(sample.square_rad2ps2), sample.dt_s)
+    return roll, bias, window, refusals, residual / sqrt(expected)
+
+
+@compiled
+def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """Predict, judge the observation, and correct, leave it out, or start anew."""
+    sample, repeats = without_stuck(sample, state.repeats, c.stuck)
+    window, refusals = state.window, state.refusals
+    if state.start.held < MEDIAN_OF:
+        before = state.roll, state.bias, state.accel_radps2, state.knows_accel
+        return begin(State(state.start, *before, window, refusals, repeats, state.tally), sample, c)
+    roll, bias = moved(state.roll, state.bias, state.accel_radps2, state.knows_accel, sample.dt_s, c)
+    innovation = like(sample.dt_s, np.nan)
+    if sample.has_square:
+        roll, bias, window, refusals, innovation = observed(roll, bias, window, refusals, sample, c)
+    roll, is_turned_over = faced(roll, sample.direction)
+    if is_turned_over:
+        bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)
+    accel, tally = usable_accel(sample), tallied(state.tally, sample, is_turned_over)
+    state = State(state.start, roll, bias, accel, sample.has_accel, window, refusals, repeats, tally)
+    if refusals.in_row >= c.lockout:
+        state = restarted(state, c)
+    return state, RollOutput(state.roll, innovation, True)
+
+
+@compiled
+def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, output = step(state, roll_sample_at(log, k), c)
+        keep_roll(track, k, output)
+    return state

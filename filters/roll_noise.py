@@ -1,0 +1,46 @@
+"""What the estimators of roll are told about noise and sense, and what a geometry makes of it (paper 000, eq (25))."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.recording import Floats, SpinGeometry
+from stillpoint.datasets.settings import Settings, choice, number
+from stillpoint.datasets.spin import TERMS, channels, coefficients
+
+
+@dataclass(frozen=True)
+class RollParams(Settings):
+    """Parameters that all estimators of roll have."""
+
+    radial_var_m2ps4: float = number(
+        0.8, 1e-8, 1e6, "noise variance D4 of the accelerometers that see the square of the rate, (m/s^2)^2"
+    )
+    tangential_var_m2ps4: float = number(
+        0.12, 1e-8, 1e6, "noise variance D5 of those that see more of the angular acceleration, (m/s^2)^2"
+    )
+    direction: Literal["positive", "negative"] = choice(
+        "positive", "sense of the spin about x where no sensor tells it: a square has no sign"
+    )
+
+
+class Noise(NamedTuple):
+    """Variances of the two observations, and the sense to assume."""
+
+    accel_var: float  # Q of (25), (rad/s^2)^2
+    square_var: float  # R of (25), (rad^2/s^2)^2
+    sense: int  # +1 or -1
+
+
+def accel_variances(params: RollParams, geometry: SpinGeometry) -> Floats:
+    """Noise variance (k,) of each accelerometer, by which of the two it sees more of in m/s^2 per 1/s^2."""
+    seen = np.abs(coefficients(geometry))
+    tangential = seen[:, TERMS.index("omega_x dot")] > seen[:, TERMS.index("omega_x^2")]
+    return np.where(tangential, params.tangential_var_m2ps4, params.radial_var_m2ps4)
+
+
+def noise(params: RollParams, geometry: SpinGeometry) -> Noise:
+    """Q and R of (25) for a geometry; raises :class:`Unobservable` where it does not fix rate and acceleration."""
+    by = channels(geometry, accel_variances(params, geometry))
+    return Noise(by.q_rad2ps4, by.r_rad2ps4, 1 if params.direction == "positive" else -1)

@@ -1,0 +1,78 @@
+"""Steps that the estimators with the rate as their only state share: prediction, and the angle as its integral.
+
+The angle is never corrected. Its variance follows from that of the rate all the same: with A the share of the rate's
+error that an update leaves, the errors of angle and rate go on as (e_angle + T/2 (e + e'), e' = A e + noise).
+"""
+
+from typing import NamedTuple
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_noise import Noise
+from stillpoint.filters.roll_sample import Roll, RollSample, turned
+
+MEDIAN_OF = 9  # samples
+
+
+class Tally(NamedTuple):
+    """What was met on the way."""
+
+    n_no_accel: int  # samples whose angular acceleration is missing: counted as none
+    n_no_square: int  # samples without an update
+    n_turned_over: int  # times that the sense of the spin was found to be the other one
+
+
+class Process(NamedTuple):
+    """How the rate goes on from sample to sample."""
+
+    noise: Noise
+    per_step: bool  # True: T^2 Q is added per step, as x' = x + T u asks for; False: Q as (12) is printed
+
+
+@compiled
+def no_tally() -> Tally:
+    """Nothing yet."""
+    return Tally(0, 0, 0)
+
+
+@compiled
+def tallied(tally: Tally, sample: RollSample, is_turned_over: bool) -> Tally:
+    """One sample more."""
+    return Tally(
+        tally.n_no_accel + (0 if sample.has_accel else 1),
+        tally.n_no_square + (0 if sample.has_square else 1),
+        tally.n_turned_over + (1 if is_turned_over else 0),
+    )
+
+
+@compiled
+def usable_accel(sample: RollSample) -> float:
+    """The angular acceleration at this sample, 0 where it is missing."""
+    return sample.accel_radps2 if sample.has_accel else like(sample.dt_s, 0.0)
+
+
+@compiled
+def predicted(roll: Roll, accel_radps2: float, dt_s: float, process: Process) -> tuple[float, float]:
+    """(12): rate and its variance, by the angular acceleration at the sample before."""
+    q = process.noise.accel_var
+    return roll.rate_radps + dt_s * accel_radps2, roll.rate_var + (dt_s * dt_s * q if process.per_step else q)
+
+
+@compiled
+def integrated(roll: Roll, rate_radps: float, left: float, rate_var: float, dt_s: float) -> Roll:
+    """The angle moved on by the mean of both rates; ``left`` is the share A of the rate's error that is still there."""
+    half_s = like(dt_s, 0.5) * dt_s
+    turns, rest = turned(roll.turns, roll.rest_rad + half_s * (roll.rate_radps + rate_radps))
+    kept = left * roll.rate_var
+    crossed = left * roll.cross_var
+    angle_var = roll.angle_var + dt_s * (roll.cross_var + crossed)
+    angle_var += half_s * half_s * (roll.rate_var + kept + kept + rate_var)
+    return Roll(turns, rest, rate_radps, angle_var, crossed + half_s * (kept + rate_var), rate_var)
+
+
+@compiled
+def faced(roll: Roll, direction: int) -> tuple[Roll, bool]:
+    """The roll with its rate in the sense that a sensor tells, and whether it had to be turned over."""
+    rate = roll.rate_radps
+    if direction == 0 or rate * like(rate, direction) >= like(rate, 0.0) or rate * rate < roll.rate_var:
+        return roll, False
+    return Roll(roll.turns, roll.rest_rad, -rate, roll.angle_var, -roll.cross_var, roll.rate_var), True

@@ -1,0 +1,90 @@
+"""The rate to start from: the median of the first samples, or the first alone as in paper 000.
+
+A single sample may be a glitch, and an adaptive filter that starts on one does not come back. Each sample gives a rate,
+the root of the square; what was gained since by the angular acceleration is taken off, so that the median also holds
+while the body spins up.
+"""
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.roll_sample import Roll, RollSample, turned
+
+MEDIAN_VAR = 1.5708  # pi / 2: the variance of a median over that of the mean, for normal noise
+
+
+class Start(NamedTuple):
+    """The first samples. The array is handed on from step to step and written in place."""
+
+    rates_radps: NDArray[np.float64]  # (room,) size of the rate at the first sample by each sample, ascending
+    held: int
+    gained_radps: float  # by the angular acceleration, since the first sample
+    gained_rad: float
+    elapsed_s: float
+
+
+@compiled
+def no_start(room: int, zero: float) -> Start:
+    """Before the first sample; ``zero`` gives the precision."""
+    return Start(np.full(room, zero), 0, zero, zero, zero)
+
+
+@compiled
+def root(square_rad2ps2: float) -> float:
+    """The size of a rate by its square; 0 where noise made the square negative."""
+    return sqrt(max(square_rad2ps2, like(square_rad2ps2, 0.0)))
+
+
+@compiled
+def rate_variance(rate_radps: float, square_var: float) -> float:
+    """Of a rate that is the root of a square with this variance; R / (2 x)^2, bounded where the rate is near 0."""
+    return square_var / max(like(square_var, 4.0) * rate_radps * rate_radps, sqrt(square_var))
+
+
+@compiled
+def insert(sorted_values: NDArray[np.float64], held: int, value: float) -> None:
+    """Put a value among the first ``held``, which ascend."""
+    place = held
+    while place > 0 and sorted_values[place - 1] > value:
+        sorted_values[place] = sorted_values[place - 1]
+        place -= 1
+    sorted_values[place] = value
+
+
+@compiled
+def median(sorted_values: NDArray[np.float64], held: int) -> float:
+    """Of the first ``held`` values, which ascend."""
+    middle = held // 2
+    if held % 2 == 1:
+        return sorted_values[middle]
+    return (sorted_values[middle - 1] + sorted_values[middle]) * like(sorted_values[middle], 0.5)
+
+
+@compiled
+def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, square_var: float) -> tuple[Start, Roll]:
+    """One sample more, and angle (from the first sample on) and rate by all so far.
+
+    ``accel_radps2`` is of the sample before; ``sense`` is +1 or -1, the sense of the spin.
+    """
+    rates, held, gained, gained_rad, elapsed_s = start
+    dt_s, sign = sample.dt_s, like(sample.dt_s, sense)
+    half = like(dt_s, 0.5)
+    gained_rad += dt_s * (gained + half * dt_s * accel_radps2)
+    gained += dt_s * accel_radps2
+    elapsed_s += dt_s
+    if sample.has_square:
+        insert(rates, held, root(sample.square_rad2ps2) - sign * gained)
+        held += 1
+    start = Start(rates, held, gained, gained_rad, elapsed_s)
+    zero = like(dt_s, 0.0)
+    first = sign * median(rates, held) if held > 0 else zero
+    rate = first + gained
+    var = rate_variance(rate, square_var)
+    if held > 1:
+        var *= like(var, MEDIAN_VAR) / like(var, held)
+    turns, rest = turned(0, first * elapsed_s + gained_rad)
+    return start, Roll(turns, rest, rate, var * elapsed_s * elapsed_s, var * elapsed_s, var)
