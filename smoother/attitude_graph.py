@@ -85,6 +85,8 @@ def _noises(g_mps2: float, params: GraphParams) -> dict[str, gtsam.Preintegratio
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
     """The effective bias of an interval: C = B + M [mean force, mean rate, change of the force]."""
     noise, eye, step = diagonal(EFFECTIVE_BIAS_SD), np.eye(6), steps_of_bias(keys, params)
+    origin = gtsam.Values()  # without it gtsam takes the factors for ones on changes, and never sees a violation
+    origin.insert(M(0), np.zeros(CALIBRATION))
     for i in keys.intervals(~keys.gap):
         by_matrix = np.zeros((6, CALIBRATION))
         for axis in range(3):
@@ -92,10 +94,9 @@ def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
             by_matrix[3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[i]
         by_matrix[:3, 18] = -keys.jerk_b_mps3[i]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
         linear = gtsam.JacobianFactor(C(i), eye, B(step[i]), -eye, M(0), -by_matrix, np.zeros(6), noise)
-        origin = gtsam.Values()  # without it gtsam takes the factor for one on changes, and never sees a violation
         origin.insert(C(i), FREE)
-        origin.insert(B(step[i]), FREE)
-        origin.insert(M(0), np.zeros(CALIBRATION))
+        if not origin.exists(B(step[i])):
+            origin.insert(B(step[i]), FREE)
         yield gtsam.LinearContainerFactor(linear, origin)
 
 

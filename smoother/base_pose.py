@@ -17,7 +17,7 @@ from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.trajectory import BasePoseReturn
-from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing
+from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing, walk_steps
 
 LEVEL_FIELD_SHARE = 0.05  # a field nearer to the vertical than this has no heading
 
@@ -88,10 +88,10 @@ def find_returns(
     verdicts: list[BasePoseReturn] = []
     spans: list[tuple[int, int]] = []
     swings: list[Swing] = []
-    left = base.end
+    left, walk_rad2 = base.end, walk_steps(imu.t_ns, errors)
     for start, end in np.searchsorted(imu.t_ns, rests_ns[1:]):
         tilt_rad = _angle(base.accel_b_mps2, imu.accel_b_mps2[start : end + 1].mean(axis=0))
-        path = swing(imu, base.gyro_bias_b_radps, left, int(start), base.q_nb, errors)
+        path = swing(imu, base.gyro_bias_b_radps, left, int(start), base.q_nb, walk_rad2)
         accepted, reason = _judge(tilt_rad, path, base, errors, params)
         verdicts.append(BasePoseReturn(int(imu.t_ns[start]), int(imu.t_ns[end]), tilt_rad, accepted, reason))
         if accepted:

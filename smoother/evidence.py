@@ -55,7 +55,9 @@ class Evidence:
         if self.base is None or self.returns is None:
             return None, ()
         middle = [(self.base.start + self.base.end) // 2, *(sum(span) // 2 for span in self.returns.spans)]
-        base, *returns = (int(np.abs(self.keys.row - row).argmin()) for row in middle)
+        after = np.clip(np.searchsorted(self.keys.row, middle), 1, len(self.keys.row) - 1)
+        nearer = np.array(middle) - self.keys.row[after - 1] <= self.keys.row[after] - middle
+        base, *returns = (after - nearer).tolist()
         return base, tuple(state for state in returns if state in self.keys.states)
 
 

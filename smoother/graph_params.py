@@ -13,7 +13,7 @@ class KeyParams(Settings):
 
     moving_s: float = number(0.1, 0.02, 1.0, "between keys in motion")
     resting_s: float = number(1.0, 0.1, 10.0, "between keys at rest")
-    window_s: float = number(3600.0, 60.0, 1e6, "longer recordings are solved in windows of this length")
+    window_s: float = number(1800.0, 60.0, 1e6, "longer recordings are solved in windows of this length")
     overlap_s: float = number(120.0, 10.0, 3600.0, "by which neighbouring windows overlap")
 
 

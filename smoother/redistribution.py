@@ -38,6 +38,7 @@ from stillpoint.smoother.strapdown import (
     last_drift_matrix,
     swing,
     unknowns_variance,
+    walk_steps,
 )
 
 Axes = Literal["body", "earth"]
@@ -85,8 +86,9 @@ def redistributed(recording: Recording, params: RedistributionParams, axes: Axes
     for path in returns.swings:
         q_nb[path.rows] = spread(path, base.q_nb, axes)
         cov_n[path.rows] = spread_covariance(path, closure(path, base).as_rotvec(), scale, params, axes)
+    walk_rad2 = walk_steps(imu.t_ns, params.gyro)
     for start, stop in ((base.start, 0), (returns.spans[-1][1], n - 1)):
-        path = swing(imu, base.gyro_bias_b_radps, start, stop, base.q_nb, params.gyro)
+        path = swing(imu, base.gyro_bias_b_radps, start, stop, base.q_nb, walk_rad2)
         q_nb[path.rows] = path.q_nb
         cov_n[path.rows] = repeat + scale * free_covariance(path, params.gyro)
     return Reference(

@@ -20,10 +20,11 @@ STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The optimum: values of all states, and the linear system there."""
+    """The optimum: values of all states, and the linear system next to it (within ``turn_limit_rad``)."""
 
     values: gtsam.Values
-    system: gtsam.GaussianFactorGraph
+    system: gtsam.GaussianFactorGraph  # of the last iteration
+    last_step: gtsam.VectorValues  # that solves it
     ordering: gtsam.Ordering  # in which its unknowns are eliminated
     field_scale_ut: float  # of the magnetometer's robust weights
     q_steps_rad: tuple[float, ...]  # the largest turn of a state, per iteration
@@ -63,8 +64,8 @@ def solve(
             smaller = next_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and turn < params.turn_limit_rad:
-            system, residual = linearised(graph, values, measured, scale_ut, params)
-            return Solution(values, system, ordering, scale_ut, tuple(steps), residual, float(graph.error(values)))
+            cost = float(graph.error(values))
+            return Solution(values, system, step, ordering, scale_ut, tuple(steps), residual, cost)
     raise Unobservable(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -132,8 +133,9 @@ def accuracy_of(
 
     Raises :class:`Unobservable` when there are none: a converged solve is not an answer until they exist.
     """
+    up_b = rotations_of(solution.values, counted)[:, 2]
     try:
-        tree = solution.system.eliminateMultifrontal(solution.ordering)
+        tree = _pushed(solution, counted, up_b).eliminateMultifrontal(solution.ordering)
         attitude = np.array([tree.marginalCovariance(X(int(i)))[:3, :3] for i in states])
         calibration = tree.marginalCovariance(M(0))
         field = tree.marginalCovariance(H(0)) if solution.values.exists(H(0)) else None
@@ -142,8 +144,13 @@ def accuracy_of(
         raise _unobservable(name) from error
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise _unobservable(name)
-    up_b = rotations_of(solution.values, states)[:, 2]
-    shared, variance = _with_mean_heading(solution, tree.optimize(), states, counted)
+    moved = tree.optimize()
+
+    def with_mean_heading(which: NDArray[np.int64]) -> Floats:
+        return np.array([moved.at(X(int(i)))[:3] - solution.last_step.at(X(int(i)))[:3] for i in which])
+
+    variance = float(np.mean(np.sum(with_mean_heading(counted) * up_b, axis=1)))
+    up_b, shared = rotations_of(solution.values, states)[:, 2], with_mean_heading(states)
     cross = shared[:, :, None] * up_b[:, None, :]
     relative = attitude - cross - cross.transpose(0, 2, 1) + variance * up_b[:, :, None] * up_b[:, None, :]
     return Accuracy(relative, variance, calibration, field, tuple(closing))
@@ -184,22 +191,15 @@ def _closing_square(
     return left**2 / max(variance - covariance, 1e-3 * variance)
 
 
-def _with_mean_heading(
-    solution: Solution, optimum: gtsam.VectorValues, states: NDArray[np.int64], counted: NDArray[np.int64]
-) -> tuple[Floats, float]:
-    """Covariance of the rotations of ``states`` with the mean heading s, (m, 3), and the variance of s.
+def _pushed(solution: Solution, counted: NDArray[np.int64], up_b: Floats) -> gtsam.GaussianFactorGraph:
+    """The system with another right side, by which its solution moves by the covariance with the mean heading s.
 
-    s = b' d with b = up / K at the K states that count; a solve with b for its right side gives cov(d, s) = P b.
+    s = b' d with b = up / K at the K states that count: with b added to the right side the solution moves by P b, which
+    is cov(d, s). Covariances do not change.
     """
-    up_b = rotations_of(solution.values, counted)[:, 2]
     pushed = solution.system.clone()
     nothing = np.zeros((6, 6))
     for i, up in zip(counted, up_b, strict=True):
         gradient = np.concatenate([up / len(counted), np.zeros(3)])
         pushed.push_back(gtsam.HessianFactor(X(int(i)), nothing, gradient, 0.0))
-    moved = pushed.eliminateMultifrontal(solution.ordering).optimize()
-
-    def shared(which: NDArray[np.int64]) -> Floats:
-        return np.array([moved.at(X(int(i)))[:3] - optimum.at(X(int(i)))[:3] for i in which])
-
-    return shared(states), float(np.mean(np.sum(shared(counted) * up_b, axis=1)))
+    return pushed

@@ -45,23 +45,29 @@ class Swing:
     walk_rad2: Floats  # (M,) variance of the random walk, per axis, since the start
 
 
-def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Floats, errors: GyroErrors) -> Swing:
+def walk_steps(t_ns: Times, errors: GyroErrors) -> Floats:
+    """Variance (N - 1,) by which the random walk grows over each interval between stamps; a gap widens it."""
+    step_s = np.diff(t_ns) / 1e9
+    hidden = np.where(gaps(t_ns), (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
+    return np.asarray(errors.walk_rad_rts**2 * step_s + hidden)
+
+
+def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Floats, walk_rad2: Floats) -> Swing:
     """Integrate from the attitude ``q_start_nb`` (4,) at sample ``start`` to sample ``stop``, forwards or back.
 
-    An interval that is a gap is crossed with the rate at its end, and widens the random walk.
+    An interval that is a gap is crossed with the rate at its end; ``walk_rad2`` are the stream's :func:`walk_steps`.
     """
     forwards = stop >= start
     intervals = np.arange(start + 1, stop + 1) if forwards else np.arange(start, stop, -1)
     step_s = (imu.t_ns[intervals] - imu.t_ns[intervals - 1]) / 1e9
     rate = imu.gyro_b_radps[intervals] - bias_b_radps
     dt_s = step_s if forwards else -step_s
-    hidden = np.where(gaps(imu.t_ns)[intervals - 1], (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
     return Swing(
         rows=intervals if forwards else intervals - 1,
         q_nb=integrate(np.asarray(q_start_nb, dtype=np.float64), rate, dt_s),
         rate_b_radps=rate,
         dt_s=dt_s,
-        walk_rad2=np.cumsum(errors.walk_rad_rts**2 * step_s + hidden),
+        walk_rad2=np.cumsum(walk_rad2[intervals - 1]),
     )
 
 

@@ -80,7 +80,7 @@ def hand_over(
     common = [X(until), V(until), B(step), M(0)]
     common += [H(0)] if values.exists(H(0)) else []
     common += [X(base)] if base is not None else []
-    rest = system.marginal(gtsam.KeyVector(common))
+    _, rest = system.eliminatePartialMultifrontal(_without(solution.ordering, system, common))
     return Past(
         factors=tuple(gtsam.LinearContainerFactor(rest.at(k), values) for k in range(rest.size())),
         values=values,
@@ -88,6 +88,16 @@ def hand_over(
         base=base,
         gyro_bias_b_radps=values.atConstantBias(B(step)).gyroscope(),
     )
+
+
+def _without(ordering: gtsam.Ordering, system: gtsam.GaussianFactorGraph, kept: list[int]) -> gtsam.Ordering:
+    """The unknowns of the system but for those kept, in the window's order: it is good for its past, too."""
+    wanted = set(system.keyVector()).difference(kept)
+    shorter = gtsam.Ordering()
+    for k in range(ordering.size()):
+        if ordering.at(k) in wanted:
+            shorter.push_back(ordering.at(k))
+    return shorter
 
 
 def attitudes_after(past: Past, evidence: Evidence) -> Floats:

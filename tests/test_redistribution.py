@@ -17,7 +17,7 @@ from stillpoint.scoring import score
 from stillpoint.smoother import reference
 from stillpoint.smoother.base_pose import level_attitude
 from stillpoint.smoother.redistribution import spread
-from stillpoint.smoother.strapdown import GyroErrors, drift_matrices, integrate, swing
+from stillpoint.smoother.strapdown import GyroErrors, drift_matrices, integrate, swing, walk_steps
 
 BASE = Rotation.from_rotvec([0.3, -0.2, 1.0])
 UP = np.array([0.0, 0.0, 9.81])
@@ -80,10 +80,14 @@ def test_integration_is_the_product_of_the_steps(seed):
     assert (got.inv() * expected).magnitude() < 1e-12
 
 
+def walk_of(imu):
+    return walk_steps(imu.t_ns, GyroErrors())
+
+
 def test_integrating_back_undoes_integrating_forth():
     imu = protocol().imu
-    there = swing(imu, np.zeros(3), 0, 4000, quaternion(BASE), GyroErrors())
-    back = swing(imu, np.zeros(3), 4000, 0, there.q_nb[-1], GyroErrors())
+    there = swing(imu, np.zeros(3), 0, 4000, quaternion(BASE), walk_of(imu))
+    back = swing(imu, np.zeros(3), 4000, 0, there.q_nb[-1], walk_of(imu))
     assert back.rows[-1] == 0
     assert (rotation(back.q_nb[-1]).inv() * BASE).magnitude() < 1e-12
 
@@ -96,14 +100,14 @@ def test_drift_matrix_is_the_derivative_of_the_integral(element):
     change = np.zeros(12)
     change[element] = size
     wrong = imu.gyro_b_radps @ change[:9].reshape(3, 3) + change[9:]
-    path = swing(imu, np.zeros(3), 1000, 2000, quaternion(BASE), GyroErrors())
+    path = swing(imu, np.zeros(3), 1000, 2000, quaternion(BASE), walk_of(imu))
     true = swing(
         Imu(imu.t_ns, imu.gyro_b_radps + wrong, imu.accel_b_mps2),
         np.zeros(3),
         1000,
         2000,
         quaternion(BASE),
-        GyroErrors(),
+        walk_of(imu),
     )
     error_n = (rotation(true.q_nb) * rotation(path.q_nb).inv()).as_rotvec() / size
     got = np.concatenate([matrix[:, :, element] for _, matrix in drift_matrices(path)])
@@ -121,7 +125,7 @@ def test_spreading_ends_on_the_anchor_and_leaves_the_start(axes, seed):
     n = 400
     imu = Imu(np.cumsum(rng.integers(5_000_000, 15_000_000, n)), rng.normal(0, 1, (n, 3)), np.tile(UP, (n, 1)))
     end = quaternion(Rotation.random(random_state=rng))
-    path = swing(imu, np.zeros(3), 0, n - 1, quaternion(BASE), GyroErrors())
+    path = swing(imu, np.zeros(3), 0, n - 1, quaternion(BASE), walk_of(imu))
     done = spread(path, end, axes)
     assert (rotation(done[-1]).inv() * rotation(end)).magnitude() < 1e-12
     first_step = (rotation(done[0]) * rotation(path.q_nb[0]).inv()).magnitude()
@@ -134,9 +138,10 @@ def test_a_constant_bias_about_the_axis_of_rotation_is_removed_exactly(axes):
     axis = np.array([0.6, 0.0, 0.8])
     rate = 3.0 * np.sin(np.arange(n) / 50)[:, None] * axis
     t_ns = np.arange(n) * 10_000_000
-    true = swing(Imu(t_ns, rate, np.tile(UP, (n, 1))), np.zeros(3), 0, n - 1, quaternion(BASE), GyroErrors())
+    imu = Imu(t_ns, rate, np.tile(UP, (n, 1)))
+    true = swing(imu, np.zeros(3), 0, n - 1, quaternion(BASE), walk_of(imu))
     biased = Imu(t_ns, rate + 0.02 * axis, np.tile(UP, (n, 1)))
-    path = swing(biased, np.zeros(3), 0, n - 1, quaternion(BASE), GyroErrors())
+    path = swing(biased, np.zeros(3), 0, n - 1, quaternion(BASE), walk_of(imu))
     before = (rotation(path.q_nb).inv() * rotation(true.q_nb)).magnitude()
     after = (rotation(spread(path, true.q_nb[-1], axes)).inv() * rotation(true.q_nb)).magnitude()
     assert before.max() > 0.3

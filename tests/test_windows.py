@@ -53,7 +53,8 @@ def test_what_is_handed_over_says_all_that_the_past_says(recording: Recording, e
     past = hand_over(build(recording, closed, None, HANDHELD)[0], closed, evidence.keys, whole, HANDHELD)
     rest, resumed = build(recording, later, past, HANDHELD)
     system, _ = linearised(rest, resumed, later.measured, whole.field_scale_ut, HANDHELD)
-    tree, wanted = whole.system.eliminateMultifrontal(whole.ordering), whole.system.optimize()
+    there, _ = linearised(graph, whole.values, evidence.measured, whole.field_scale_ut, HANDHELD)
+    tree, wanted = there.eliminateMultifrontal(whole.ordering), there.optimize()
     same, step = system.eliminateMultifrontal(gtsam.Ordering.MetisGaussianFactorGraph(system)), system.optimize()
     for key in (M(0), H(0), X(n // 2), X(3 * n // 4), X(n - 1)):
         sd = np.sqrt(np.diagonal(tree.marginalCovariance(key)))
