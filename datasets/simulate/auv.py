@@ -9,6 +9,7 @@ velocity spline and the acceleration its derivative, both exact.
 import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +31,7 @@ PLACE = (36.9, 50.9, -27.0)  # the Caspian sea off the coast where the paper was
 DATE = "2022-08-09T08:00:00+00:00"  # the day on which the journal received it
 START_NS = 1_660_032_000_000_000_000
 
-SURFACE_S, DIVE_S = 120.0, 40.0  # before and after; down and up
+SURFACE_S, DIVE_S = 110.0, 40.0  # before and after; down and up
 SHORTEST_CRUISE_S = 60.0
 DIVE_PITCH_DEG = 20.0
 SPEED_MPS = (1.5, 2.5)  # on the surface, below
@@ -82,6 +83,11 @@ class IronModel:
     y_ut: float = 0.0
     z_ut: float = 0.0
 
+    @property
+    def hard_iron_b_ut(self) -> Floats:
+        """As a vector (3,)."""
+        return np.array([self.x_ut, self.y_ut, self.z_ut])
+
 
 @dataclass(frozen=True)
 class AuvSensor(Sensor):
@@ -96,7 +102,7 @@ class AuvSensor(Sensor):
 AUV = AuvSensor(
     "auv",
     gyro=GyroModel(noise_density_degps_rthz=0.007, bias_instability_degph=4.0, scale_error=0.002, misalignment_deg=0.1),
-    accel=AccelModel(noise_density_ug_rthz=110.0, bias_instability_ug=20.0, turn_on_bias_mg=0.2, scale_error=0.001),
+    accel=AccelModel(noise_density_ug_rthz=150.0, bias_instability_ug=20.0, turn_on_bias_mg=0.2, scale_error=0.001),
     mag=MagModel(noise_density_ut_rthz=0.04, soft_iron=0.001),
     imu_clock=ClockModel(rate_error=0.001, jitter_s=1e-4),
     mag_clock=ClockModel(rate_error=0.001, jitter_s=1e-3),
@@ -176,7 +182,7 @@ def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, r
     gps_at = sample(path, ClockModel(), GPS_HZ, world, seed, "gps")
     imu, drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
     mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
-    iron = sensor.iron
+    drift_b, drift_drawn = drift_b_radps(sensor.drift, imu_at.t_s, seed)
     info = Info(
         source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
         licence="CC0-1.0",
@@ -186,7 +192,7 @@ def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, r
         place_lat_lon_alt=PLACE,
         extra={
             "sensor_model": json.dumps(asdict(sensor)),
-            "sensor_drawn": json.dumps(drawn | mag_drawn),
+            "sensor_drawn": json.dumps(drawn | mag_drawn | drift_drawn),
             "sea": json.dumps(asdict(sea)),
             "phases_s": json.dumps(asdict(path.phases)),
             "body_axes": "forward, right, down",
@@ -194,8 +200,8 @@ def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, r
     )
     return Recording(
         f"{kind}-seed{seed}",
-        imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_radps(sensor.drift, imu_at.t_s, seed)),
-        mag=replace(mag, mag_b_ut=mag.mag_b_ut + np.array([iron.x_ut, iron.y_ut, iron.z_ut])),
+        imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_b),
+        mag=replace(mag, mag_b_ut=mag.mag_b_ut + sensor.iron.hard_iron_b_ut),
         gps=measure_gps(path, sensor.gps, gps_at, PLACE, seed),
         truth=truth(path, imu_at, world),
         info=info,
@@ -275,9 +281,10 @@ def waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, n
     return np.sum(parts, axis=0)
 
 
-def drift_radps(drift: DriftModel, t_s: Floats, seed: int) -> Floats:
-    """The swinging bias of the gyro (N, 3)."""
+def drift_b_radps(drift: DriftModel, t_s: Floats, seed: int) -> tuple[Floats, dict[str, Any]]:
+    """The swinging bias of the gyro (N, 3), and what was drawn for this unit."""
     rng = draws(seed, "gyro/drift")
-    sign, angle = rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3)
-    swing = 1 + drift.swing * np.sin(2 * np.pi * t_s[:, None] / drift.period_s + angle)
-    return np.deg2rad(drift.bias_degph / 3600) * sign * swing
+    sign, phase = rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3)
+    swing = 1 + drift.swing * np.sin(2 * np.pi * t_s[:, None] / drift.period_s + phase)
+    drawn = {"sign": sign.tolist(), "phase_rad": phase.tolist()}
+    return np.deg2rad(drift.bias_degph / 3600) * sign * swing, {"drift": drawn}
