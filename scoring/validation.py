@@ -17,7 +17,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.score import score
-from stillpoint.smoother import METHODS, reference
+from stillpoint.smoother import METHODS, attitude_reference
 
 FIGURES = (
     "total_rmse_deg",
@@ -86,7 +86,7 @@ def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: Al
     try:
         begun = perf_counter()
         made: Reference | Estimate = (
-            reference(recording, row.method) if row.method in METHODS else estimate(recording, row.method)
+            attitude_reference(recording, row.method) if row.method in METHODS else estimate(recording, row.method)
         )
         seconds = perf_counter() - begun
         scored = score(made, truth, align)

@@ -21,7 +21,7 @@ from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.report import PAGE, gather
 from stillpoint.scripts.score import print_scores
 from stillpoint.scripts.text_file import write_text
-from stillpoint.smoother import DEFAULT_METHOD, find_rests, reference
+from stillpoint.smoother import DEFAULT_METHOD, attitude_reference, find_rests
 
 KIND = "phone-3"
 COMPARED = "redistribution"  # the method of the literature, scored beside ours
@@ -58,10 +58,10 @@ def demo(
     _say(recording, rests_ns, diagnosis)
     made_from = {path.name: sha256(path)}
     with _step(f"reference by {DEFAULT_METHOD}"):
-        made = replace(reference(recording), made_from=made_from)
+        made = replace(attitude_reference(recording), made_from=made_from)
         write(folder / f"{recording.name}.reference.mcap", made)
     with _step(f"reference by {COMPARED}, to compare"):
-        compared = replace(reference(recording, COMPARED), made_from=made_from)
+        compared = replace(attitude_reference(recording, COMPARED), made_from=made_from)
         write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
     for name in ESTIMATORS:
         with _step(f"estimate by {name}"):

@@ -20,7 +20,7 @@ from stillpoint.datasets.store import read_recording
 from stillpoint.scoring import AlignKind, compare
 from stillpoint.scoring.figures import COLOURS, draw_band, view_of
 from stillpoint.scripts.readme_figure import STYLE
-from stillpoint.smoother import DEFAULT_METHOD, reference
+from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 ALIGN: AlignKind = "heading+mounting+time"
 TRIALS, BANDS = Path("docs/figures/method_trials.png"), Path("docs/figures/method_bands.png")
@@ -72,7 +72,7 @@ def _bands(recordings: Sequence[Path]) -> Figure:
         recording = read_recording(file)
         if recording.truth is None:
             raise BadParameter(f"{file}: has no independent truth to draw the error against")
-        comparison = compare(reference(recording, DEFAULT_METHOD), recording.truth, ALIGN)
+        comparison = compare(attitude_reference(recording, DEFAULT_METHOD), recording.truth, ALIGN)
         draw_band(list(column), view_of([comparison], recording.truth, "nwu", int(recording.truth.t_ns[0])))
         column[0].set_title(recording.name, loc="left", fontsize=9)
         column[-1].set_xlabel("time (s)")

@@ -13,7 +13,7 @@ from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.scoring.figures import draw_angles, draw_scores, view_of
 from stillpoint.scoring.report import Material, Verdict, judge
 from stillpoint.scripts.demo import KIND
-from stillpoint.smoother import reference
+from stillpoint.smoother import attitude_reference
 
 TARGET = Path("docs/figures/demo.png")
 CLOSE_UP_S = 12.0
@@ -30,7 +30,7 @@ def main(target: Path = TARGET) -> None:
     """Simulate, make the reference, run all estimators, and draw angles in close-up beside their scores."""
     recording = simulate(KIND)
     estimates = tuple(estimate(recording, name) for name in ESTIMATORS)
-    material = Material(recording.name, recording, (reference(recording),), estimates)
+    material = Material(recording.name, recording, (attitude_reference(recording),), estimates)
     target.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         _draw(judge(material)[0]).savefig(target, dpi=110, metadata={"Software": None})

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets import Reference, write
+from stillpoint.datasets import Reference, RollReference, write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings, chosen
@@ -23,7 +23,7 @@ from stillpoint.scripts.json_file import JsonFile
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.graph_params import PRESETS
-from stillpoint.smoother.reference import settings_of
+from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, default_method, settings_of
 
 COLUMNS = (
     "recording",
@@ -39,6 +39,20 @@ COLUMNS = (
 )
 
 
+ROLL_COLUMNS = (
+    "recording",
+    "method",
+    "sd of rate, deg/s",
+    "sd of angle, deg",
+    "at the end",
+    "left out",
+    "glitches",
+    "iterations",
+    "s",
+    "angle",
+)
+
+
 @dataclass(frozen=True)
 class _Job:
     source: Path
@@ -46,12 +60,20 @@ class _Job:
     method: str
 
 
+@dataclass(frozen=True)
+class _Choice:
+    """What the user asked for."""
+
+    settings: dict[str, Settings]  # of each method
+    by_stream: bool  # nothing was named: each recording gets the method of its streams
+
+
 def reference(
     paths: Inputs,
     /,
     *,
     out: OutDir = Path(),
-    method: str = DEFAULT_METHOD,
+    method: str | None = None,
     preset: str | None = None,
     set_: SetFlag = None,
     jobs: Jobs = None,
@@ -70,7 +92,8 @@ def reference(
     out
         Folder to write into; made when it is not there.
     method
-        How: graph, redistribution (paper 002), redistribution-earth; several with commas between.
+        How: graph (the default), redistribution (paper 002), redistribution-earth; several with commas between. Or
+        roll-graph, for spinning bodies, the default for recordings of nothing but these.
     preset
         How the sensor is moved, for the method graph: handheld (the default), phone, vehicle or bench.
     set_
@@ -81,16 +104,19 @@ def reference(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    methods = list(dict.fromkeys(name.strip() for name in method.split(",")))
+    methods = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
     changes = assignments(set_, "returns.tilt_gate_rad=0.02")
-    settings = _settings(methods, preset, changes)
+    asked = _Choice(_settings(methods, preset, changes), by_stream=method is None and preset is None and not changes)
     sources = inputs.recordings(paths)
     work = _jobs(sources, methods, inputs.output_dir(out))
-    outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
+    outcomes = run_jobs(partial(_make, asked=asked), work, jobs, "reference")
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
+    roll = bool(rows) and all(row["error"] is not None or row["method"] == DEFAULT_ROLL_METHOD for row in rows)
+    if roll:
+        return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json)
     return report_made("references", COLUMNS, rows, _cells, json)
 
 
@@ -115,16 +141,16 @@ def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list
     return work
 
 
-def _make(job: _Job, settings: dict[str, Settings]) -> dict[str, Any]:
+def _make(job: _Job, asked: _Choice) -> dict[str, Any]:
     """Read, make, write; the facts of the table."""
     recording = read_recording(job.source)
+    name = default_method(recording) if asked.by_stream else job.method
     begun = perf_counter()
-    made = replace(
-        make_reference(recording, job.method, settings[job.method]), made_from={job.source.name: sha256(job.source)}
-    )
+    made = make_reference(recording, name, asked.settings.get(name))
     seconds = perf_counter() - begun
+    made = replace(made, made_from={job.source.name: sha256(job.source)})
     write(job.target, made)
-    return {**_facts(made), "seconds": seconds}
+    return {**(_facts(made) if isinstance(made, Reference) else _roll_facts(made)), "seconds": seconds}
 
 
 def _facts(made: Reference) -> dict[str, Any]:
@@ -143,9 +169,23 @@ def _facts(made: Reference) -> dict[str, Any]:
     }
 
 
+def _roll_facts(made: RollReference) -> dict[str, Any]:
+    angle_sd_deg, rate_sd_degps = np.rad2deg(made.angle_sd_rad), np.rad2deg(made.rate_sd_radps)
+    return {
+        "method": made.method,
+        "samples": len(made.t_ns),
+        "rate_sd_median_degps": float(np.median(rate_sd_degps)),
+        "angle_sd_median_deg": float(np.median(angle_sd_deg)),
+        "angle_sd_last_deg": float(angle_sd_deg[-1]),
+        "diagnostics": dict(made.diagnostics),
+    }
+
+
 def _cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(COLUMNS) - 2)]
+    if row["method"] == DEFAULT_ROLL_METHOD:
+        return _roll_in_attitude_table(row)
     accepted = sum(one["accepted"] for one in row["returns"])
     closing = row["diagnostics"].get("closing_error_deg", [])
     return [
@@ -159,4 +199,30 @@ def _cells(row: dict[str, Any]) -> list[str]:
         f"{row['heading_sd_deg']:.2f}",
         str(row["diagnostics"].get("iterations", "-")),
         f"{row['seconds']:.1f}",
+    ]
+
+
+def _roll_in_attitude_table(row: dict[str, Any]) -> list[str]:
+    """Beside attitudes an angle has its sd, and nothing else that they have."""
+    sd = f"{row['angle_sd_median_deg']:.2f}"
+    last = f"{row['angle_sd_last_deg']:.2f}"
+    iterations = str(row["diagnostics"]["iterations"])
+    return [row["recording"], row["method"], "-", "-", "-", sd, last, "-", iterations, f"{row['seconds']:.1f}"]
+
+
+def _roll_cells(row: dict[str, Any]) -> list[str]:
+    if row["error"] is not None:
+        return [row["recording"], row["method"], *["-"] * (len(ROLL_COLUMNS) - 2)]
+    found = row["diagnostics"]
+    return [
+        row["recording"],
+        row["method"],
+        f"{row['rate_sd_median_degps']:.2f}",
+        f"{row['angle_sd_median_deg']:.2f}",
+        f"{row['angle_sd_last_deg']:.2f}",
+        str(found["n_squared_rate_missing"] + found["n_acceleration_missing"]),
+        str(found["n_squared_rate_glitches"] + found["n_acceleration_glitches"]),
+        str(found["iterations"]),
+        f"{row['seconds']:.1f}",
+        found["angle"],
     ]

@@ -7,7 +7,7 @@ from pathlib import Path
 from stillpoint.datasets.settings import Settings, describe
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import find
-from stillpoint.smoother import METHODS
+from stillpoint.smoother import METHODS, ROLL_METHODS
 
 PAGES = (Path("docs/estimators.md"), Path("docs/method.md"))
 BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -39,7 +39,8 @@ def _estimators() -> str:
 
 def _defaults(name: str) -> Settings:
     """Of a reference method or an estimator."""
-    return METHODS[name].defaults if name in METHODS else find(name).params()
+    methods = METHODS | ROLL_METHODS
+    return methods[name].defaults if name in methods else find(name).params()
 
 
 def _settings(settings: Settings) -> str:

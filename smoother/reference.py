@@ -4,22 +4,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.datasets.trajectory import Reference
+from stillpoint.datasets.trajectory import Reference, RollReference
 from stillpoint.smoother.graph_params import PRESETS, GraphParams
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
+from stillpoint.smoother.roll_params import RollGraphParams
 
 DEFAULT_METHOD = "graph"
+DEFAULT_ROLL_METHOD = "roll-graph"
 
 
 @dataclass(frozen=True)
 class Method:
     """One way to make a reference."""
 
-    function: Callable[[Recording, Any], Reference]
+    function: Callable[[Recording, Any], Reference | RollReference]
     defaults: Settings  # its settings; their class is what ``params`` must be of
     summary: str
 
@@ -34,6 +36,18 @@ def _graph(recording: Recording, params: GraphParams) -> Reference:
             "use --method redistribution here"
         ) from error
     return calibrating_graph(recording, params)
+
+
+def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
+    """The graph of a spinning body; gtsam is loaded when it is needed."""
+    try:
+        from stillpoint.smoother.roll_reference import roll_graph
+    except ImportError as error:
+        raise BadParameter(
+            f"method roll-graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
+            "use `stillpoint estimate --estimator roll-guarded` here"
+        ) from error
+    return roll_graph(recording, params)
 
 
 METHODS: dict[str, Method] = {
@@ -54,11 +68,26 @@ METHODS: dict[str, Method] = {
     ),
 }
 
+ROLL_METHODS: dict[str, Method] = {
+    "roll-graph": Method(
+        _roll_graph,
+        RollGraphParams(),
+        "angle and rate of a spinning body from its accelerometers (the default where there is no gyro of three axes)",
+    ),
+}
+"""Of recordings with a spin stream: angle and rate about one axis."""
+
 
 def method_of(name: str) -> Method:
     """The table's entry; raises :class:`BadParameter` with the nearest name for one that is not there."""
-    require_known(name, METHODS, "reference method")
-    return METHODS[name]
+    known = METHODS | ROLL_METHODS
+    require_known(name, known, "reference method")
+    return known[name]
+
+
+def default_method(recording: Recording) -> str:
+    """The method for the streams that a recording has."""
+    return DEFAULT_ROLL_METHOD if recording.imu is None and recording.spin is not None else DEFAULT_METHOD
 
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
@@ -67,13 +96,25 @@ def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Set
 
 
 def reference(
-    recording: Recording, method: str = DEFAULT_METHOD, params: Settings | Mapping[str, Any] | None = None
-) -> Reference:
-    """The reference trajectory of a recording.
+    recording: Recording, method: str | None = None, params: Settings | Mapping[str, Any] | None = None
+) -> Reference | RollReference:
+    """The reference trajectory of a recording: an attitude, or angle and rate about the axis of a spinning body.
 
-    ``params`` is an object of the method's settings class, or a mapping of dotted names to values
+    ``method`` is one of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams. ``params`` is
+    an object of the method's settings class, or a mapping of dotted names to values
     (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. Raises :class:`BadParameter` for a method or
     setting that is not there, :class:`Unobservable` when the recording does not fix a reference.
     """
-    settings = settings_of(method, params)
-    return replace(method_of(method).function(recording, settings), params=asdict(settings))
+    name = default_method(recording) if method is None else method
+    settings = settings_of(name, params)
+    return replace(method_of(name).function(recording, settings), params=asdict(settings))
+
+
+def attitude_reference(
+    recording: Recording, method: str = DEFAULT_METHOD, params: Settings | Mapping[str, Any] | None = None
+) -> Reference:
+    """:func:`reference` for those who need an attitude; raises :class:`BadRecording` where there is but an angle."""
+    made = reference(recording, method, params)
+    if not isinstance(made, Reference):
+        raise BadRecording(f"{recording.name}: {method} gives an angle about one axis; an attitude is needed here")
+    return made

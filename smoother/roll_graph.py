@@ -1,0 +1,160 @@
+"""The graph of a spinning body: angle and rate at every sample, with all that is not known of its sensors.
+
+    K angle and rate at a key, every few samples        C biases, errors of the lever arms, gravity, the encoder's
+                                                          offset and latency: a step every 10 s
+          C0 ---------------- C1
+        / |  \              /
+      K0 ---- K1 ---- K2 ---- K3 ...      each line K-K is one block: its samples of acceleration and squared rate,
+      |                                   and the rates inside it, which are taken out exactly (roll_blocks.py)
+      where the angle begins
+
+The measurement equations (roll_rows.py) are linearised anew in every iteration, with robust weights: Gauss-Newton with
+a line search. gtsam eliminates the keys and gives their covariances.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, K
+
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.roll_blocks import Condensed, condense, inside_of, variances_of
+from stillpoint.smoother.roll_params import RollGraphParams
+from stillpoint.smoother.roll_rows import Chain, angles_of, jacobian
+from stillpoint.smoother.roll_samples import RollSamples
+from stillpoint.smoother.roll_start import Harmonic
+from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
+
+HELD = 1e-7  # sd of a constant that is not estimated, and of its change from step to step
+ZERO_SD_RAD = 1e-6  # of the first angle where nothing else says where zero is
+FREE_SD_RAD = 10.0  # of an angle that the data has to fix
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before the data: the angle at the first sample, and the constants around zero."""
+
+    angle_rad: float
+    angle_sd_rad: float
+    mean: Floats  # (7,)
+    cov: Floats  # (7, 7)
+    walk_cov: Floats  # (7, 7) from step to step
+
+
+def prior_of(
+    samples: RollSamples, harmonic: Harmonic | None, encoder: bool, angle_rad: float, params: RollGraphParams
+) -> Prior:
+    """Constants that nothing can tell about are held."""
+    p = params.calibration
+    sizes = np.full(len(CONSTANTS), HELD)
+    sizes[2:4] = p.lever_arm_sd
+    if harmonic is not None:
+        sizes[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
+    if encoder:
+        sizes[LATENCY] = params.encoder.latency_sd_s
+        sizes[OFFSET] = FREE_SD_RAD if harmonic is not None else HELD
+    cov = np.diag(sizes**2)
+    bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
+    cov[:2, :2] = p.accel_bias_sd_mps2**2 * bias
+    walk = np.diag(np.full(len(CONSTANTS), HELD**2))
+    walk[:2, :2] = p.accel_bias_walk**2 * p.step_s * bias
+    mean = np.zeros(len(CONSTANTS))
+    mean[AMPLITUDE] = 0.0 if harmonic is None else harmonic.amplitude_mps2
+    free = harmonic is not None or encoder
+    return Prior(angle_rad, FREE_SD_RAD if free else ZERO_SD_RAD, mean, cov, walk)
+
+
+def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
+    """Where the angle begins, and the constants: around their means, and walking from step to step."""
+    first = np.array([[1.0, chain.step_s[0]]]) / prior.angle_sd_rad
+    off = (prior.angle_rad - angles_of(chain, state)[0]) / prior.angle_sd_rad
+    yield gtsam.JacobianFactor(K(0), first, np.array([off]), gtsam.noiseModel.Unit.Create(1))
+    unit = gtsam.noiseModel.Unit.Create(len(CONSTANTS))
+    root = np.linalg.inv(np.linalg.cholesky(prior.cov))
+    yield gtsam.JacobianFactor(C(0), root, root @ (prior.mean - state.constants[0]), unit)
+    root = np.linalg.inv(np.linalg.cholesky(prior.walk_cov))
+    for s, change in enumerate(np.diff(state.constants, axis=0)):
+        yield gtsam.JacobianFactor(C(s), -root, C(s + 1), root, -root @ change, unit)
+
+
+def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
+    """What the samples of each block say about its two keys and the constants."""
+    unit = gtsam.noiseModel.Unit.Create(chain.layout.shared)
+    for i, (a, b) in enumerate(zip(blocks.outer, blocks.outer_right, strict=True)):
+        c = C(int(chain.constants_of[i]))
+        yield gtsam.JacobianFactor(K(i), a[:, :2], K(i + 1), a[:, 2:4], c, a[:, 4:], b, unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The graph linearised at a state, and eliminated."""
+
+    blocks: Condensed
+    tree: gtsam.GaussianBayesTree
+
+
+def eliminated(chain: Chain, state: RollState, prior: Prior, sds: tuple[float, float], name: str) -> Linear:
+    """Raises :class:`Unobservable` when the system is singular."""
+    blocks = condense(jacobian(chain, state, sds), chain.layout.inside)
+    graph = gtsam.GaussianFactorGraph()
+    for factor in block_factors(chain, blocks):
+        graph.push_back(factor)
+    for factor in prior_factors(chain, state, prior):
+        graph.push_back(factor)
+    # Nested dissection: the way from any key to the root is short, which is what covariances cost. QR, not Cholesky:
+    # angles at neighbouring keys are tied together 1e6 times as closely as anything ties them to zero.
+    ordering = gtsam.Ordering.MetisGaussianFactorGraph(graph)
+    try:
+        return Linear(blocks, graph.eliminateMultifrontal(ordering, gtsam.EliminateQR))
+    except RuntimeError as error:
+        raise Unobservable(
+            f"{name}: the samples do not fix the rate; more of them must give the squared rate, within the range"
+        ) from error
+
+
+def step_of(chain: Chain, linear: Linear, steps: int) -> RollState:
+    """The change of the state to the linear optimum."""
+    found = linear.tree.optimize()
+    keys = np.array([found.at(K(i)) for i in range(chain.blocks + 1)])
+    constants = np.array([found.at(C(s)) for s in range(steps)])
+    shared = np.concatenate([keys[:-1], keys[1:], constants[chain.constants_of]], axis=1)
+    inside = inside_of(linear.blocks, shared)
+    rates = np.append(np.concatenate([keys[:-1, 1:], inside], axis=1).ravel(), keys[-1, 1])
+    return RollState(float(keys[0, 0]), rates[: len(chain.samples) + 1], constants)
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Standard deviations at the optimum."""
+
+    angle_sd_rad: Floats  # (N,)
+    rate_sd_radps: Floats  # (N,)
+    constants_sd: Floats  # (7,) in the first step
+
+
+def accuracy_of(chain: Chain, linear: Linear, name: str) -> Accuracy:
+    """Raises :class:`Unobservable` when there are no covariances: a converged solve is no answer until they exist."""
+    layout, m, n = chain.layout, chain.layout.m, len(chain.samples)
+    try:
+        shared = np.array([_shared_covariance(chain, linear, i) for i in range(chain.blocks)])
+        constants = linear.tree.marginalCovariance(C(0))
+    except RuntimeError as error:
+        raise Unobservable(f"{name}: the samples fix the rate, but not how well; look for long gaps") from error
+    local = np.arange(m)
+    wanted = np.zeros((chain.blocks, 2 * m, layout.inside + layout.shared))
+    steps = in_blocks(chain.step_s[:-1], m, 0.0)
+    wanted[:, :m, layout.angle] = 1.0
+    wanted[:, :m, layout.rates[:m]] = steps[:, None, :] * np.tril(np.ones((m, m)))
+    wanted[:, m + local, layout.rates[:-1]] = chain.before
+    wanted[:, m + local, layout.rates[1:]] += 1 - chain.before
+    sd = np.sqrt(variances_of(linear.blocks, shared, wanted))
+    return Accuracy(sd[:, :m].ravel()[:n], sd[:, m:].ravel()[:n], np.sqrt(np.diag(constants)))
+
+
+def _shared_covariance(chain: Chain, linear: Linear, block: int) -> Floats:
+    keys = [K(block), K(block + 1), C(int(chain.constants_of[block]))]
+    joint = linear.tree.jointMarginalCovariance(gtsam.KeyVector(keys))
+    return np.block([[joint.at(a, b) for b in keys] for a in keys])

@@ -1,0 +1,92 @@
+"""What the graph of a spinning body reads: acceleration and squared rate per sample, with validity and noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import binom
+
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.recording import Floats, Recording, Spin, Times
+from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure
+from stillpoint.smoother.roll_params import RollNoise
+
+DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
+MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
+FEWEST = 50  # valid samples of a channel
+NORMAL_SPREAD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
+
+
+@dataclass(frozen=True, eq=False)
+class RollSamples:
+    """Both channels at N samples. A channel's gravity is ``amplitude * (c cos angle + s sin angle)``."""
+
+    t_ns: Times
+    step_s: Floats  # (N,) from the sample before; the first has the median step
+    accel_radps2: Floats  # (N,) angular acceleration, 0 where it is not valid
+    squared_rad2ps2: Floats  # (N,) squared rate, 0 where it is not valid
+    accel_valid: NDArray[np.bool_]  # (N,)
+    squared_valid: NDArray[np.bool_]  # (N,)
+    accel_sd: float  # rad/s^2, white, per sample
+    squared_sd: float  # rad^2/s^2, white, per sample
+    accel_gravity: Floats  # (2,) 1/m: c and s of gravity's amplitude in m/s^2
+    squared_gravity: Floats  # (2,) 1/m
+    bias_per_accel: Floats  # (2, k) 1/m: biases of squared rate and acceleration by those of the accelerometers
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
+    """The channels of a recording's spin stream; raises :class:`Unobservable` when too few samples are valid."""
+    spin = recording.spin
+    if spin is None:
+        raise Unobservable(f"{recording.name}: has no spin stream; method roll-graph needs one")
+    by = channels(spin.geometry)
+    seen = measure(spin, by)
+    accel = np.where(seen.omega_dot_valid, seen.omega_dot_radps2, 0.0)
+    squared = np.where(seen.omega_squared_valid, seen.omega_squared_radps2, 0.0)
+    for name, valid in (("angular acceleration", seen.omega_dot_valid), ("squared rate", seen.omega_squared_valid)):
+        if valid.sum() < FEWEST:
+            raise Unobservable(
+                f"{recording.name}: {int(valid.sum())} of {len(valid)} samples give the {name}, {FEWEST} are needed; "
+                "the others are missing or at the range of an accelerometer"
+            )
+    given = params.source == "given"
+    return RollSamples(
+        t_ns=spin.t_ns,
+        step_s=_steps_s(spin),
+        accel_radps2=accel,
+        squared_rad2ps2=squared,
+        accel_valid=seen.omega_dot_valid,
+        squared_valid=seen.omega_squared_valid,
+        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, seen.omega_dot_valid),
+        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, seen.omega_squared_valid),
+        accel_gravity=_gravity(by, by.omega_dot),
+        squared_gravity=_gravity(by, by.omega_squared),
+        bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
+    )
+
+
+def white_sd(values: Floats, valid: NDArray[np.bool_]) -> float:
+    """The white noise in a smooth signal (N,), robustly: from its differences of fourth order.
+
+    Not below what the steps of its converter make of it.
+    """
+    whole = np.convolve(valid, np.ones(DIFFERENCE + 1), "valid") == DIFFERENCE + 1
+    differences = np.diff(values, DIFFERENCE)[whole]
+    size = float(np.median(np.abs(differences))) * MEDIAN_TO_SD / np.sqrt(binom(2 * DIFFERENCE, DIFFERENCE))
+    levels = np.diff(np.unique(values[valid]))
+    coarse = float(levels.min()) if len(levels) else 0.0
+    return max(size, NORMAL_SPREAD * coarse, 1e-9 * float(np.abs(values).max()), 1e-12)
+
+
+def _steps_s(spin: Spin) -> Floats:
+    steps = np.diff(spin.t_ns) / 1e9
+    return np.concatenate([[np.median(steps)], steps])
+
+
+def _gravity(by: SpinChannels, channel: Channel) -> Floats:
+    """At angle 0 the body's z axis points up as far as the spin axis allows: up = z cos(angle) + y sin(angle)."""
+    seen = channel.accel @ by.geometry.accel_axis_b
+    return np.array([seen[2], seen[1]])

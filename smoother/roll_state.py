@@ -1,0 +1,59 @@
+"""The unknowns of a spinning body's graph, and where they stand in the rows of a block of samples."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats
+
+CONSTANTS = ("bias_squared", "bias_accel", "arm_squared", "arm_accel", "amplitude", "offset", "latency")
+BIAS_S, BIAS_A, ARM_S, ARM_A, AMPLITUDE, OFFSET, LATENCY = range(len(CONSTANTS))
+
+
+@dataclass(frozen=True, eq=False)
+class RollState:
+    """A trajectory: the angle before the first sample, mean rates, and constants that change in steps."""
+
+    start_angle_rad: float
+    mean_rate_radps: Floats  # (N + 1,) x_0 .. x_N
+    constants: Floats  # (S, 7) CONSTANTS: 1/s^2, 1/s^2, 1, 1, m/s^2, rad, s
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of a block of m samples: m - 1 rates inside, then angle and rate of both keys, then the constants."""
+
+    m: int
+
+    @property
+    def inside(self) -> int:
+        """How many unknowns no other block has."""
+        return self.m - 1
+
+    @property
+    def shared(self) -> int:
+        """How many it shares: both keys and the constants."""
+        return 4 + len(CONSTANTS)
+
+    @property
+    def angle(self) -> int:
+        """The angle at the key before the first sample; that at the key after the last one stands two columns on."""
+        return self.inside
+
+    @property
+    def rates(self) -> NDArray[np.int64]:
+        """Columns of the m + 1 rates in order of time."""
+        return np.concatenate([[self.inside + 1], np.arange(self.inside), [self.inside + 3]])
+
+    @property
+    def constants(self) -> NDArray[np.int64]:
+        """Columns of CONSTANTS."""
+        return np.asarray(self.inside + 4 + np.arange(len(CONSTANTS)))
+
+
+def in_blocks(values: NDArray, m: int, fill: object) -> NDArray:
+    """A column (N,) as (B, m), filled up."""
+    whole = np.full(-(-len(values) // m) * m, fill, dtype=values.dtype)
+    whole[: len(values)] = values
+    return whole.reshape(-1, m)
