@@ -31,7 +31,8 @@ def compiled(function: Function) -> Function:
 
 
 def _with_numba(function: Callable[..., Any], cache: bool) -> Any:
-    return njit(cache=cache, error_model="numpy", nogil=True)(function)
+    # Steps are chains of small functions that hand structures on: without inlining these go through memory.
+    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=True)(function)
 
 
 def drop_stale(cache: Path) -> None:

@@ -16,14 +16,14 @@ is left out and the gyro alone turns the estimate (``n_gimbal``).
 """
 
 from dataclasses import dataclass
-from math import atan2, nan, pi, sqrt
+from math import atan2, cos, nan, pi, sin, sqrt
 from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
-from stillpoint.filters.rotation import Quaternion, Vector, dot, multiply, normalise, rotate, scale
+from stillpoint.filters.rotation import Quaternion, Vector, dot, multiply, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 # Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.
@@ -110,12 +110,11 @@ class Tilted(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Parts of the rotation matrix of an attitude, and where its Euler angles turn."""
+    """Where the Euler angles of an attitude turn, in body axes."""
 
-    up_b: Vector  # third row: (-sin pitch, cos pitch sin roll, cos pitch cos roll)
+    up_b: Vector  # axis of heading: (-sin pitch, cos pitch sin roll, cos pitch cos roll)
+    pitch_b: Vector  # axis of pitch: (0, cos roll, -sin roll)
     cos_pitch: float
-    pitch_n: Vector  # axis of pitch in n, level
-    pitch_b: Vector  # the same in b
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
@@ -158,11 +157,11 @@ def correct(axis: Axis, innovation: float, r: float) -> tuple[float, Axis, float
     P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
     """
     bias, p_angle, p_cross, p_bias = axis
-    s = p_angle + r
-    left = r / s
-    determinant = max(p_angle * p_bias - p_cross * p_cross, like(s, 0.0))
-    new = Axis(bias + p_cross / s * innovation, p_angle * left, p_cross * left, p_bias * left + determinant / s)
-    return p_angle / s * innovation, new, innovation / sqrt(s)
+    per_s = like(r, 1.0) / (p_angle + r)  # one division: they are slow
+    left, by = r * per_s, innovation * per_s
+    determinant = max(p_angle * p_bias - p_cross * p_cross, like(r, 0.0))
+    new = Axis(bias + p_cross * by, p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
+    return p_angle * by, new, innovation * sqrt(per_s)
 
 
 @compiled
@@ -175,14 +174,50 @@ def renewed(axis: Axis, p_angle: float, p_bias: float) -> Axis:
 def frame_of(q: Quaternion) -> Frame:
     """Where the Euler angles of an attitude turn; the pitch's axis is arbitrary where x is vertical."""
     w, x, y, z = q
-    one, zero = like(w, 1.0), like(w, 0.0)
-    up_b = ((x * z - w * y) * like(w, 2.0), (y * z + w * x) * like(w, 2.0), one - (x * x + y * y) * like(w, 2.0))
-    cos_pitch = sqrt(up_b[1] * up_b[1] + up_b[2] * up_b[2])
+    one, two = like(w, 1.0), like(w, 2.0)
+    up_x, up_y, up_z = (x * z - w * y) * two, (y * z + w * x) * two, one - (x * x + y * y) * two
+    square = up_y * up_y + up_z * up_z
+    cos_pitch = sqrt(square)
     if cos_pitch < like(w, GIMBAL):
-        return Frame(up_b, cos_pitch, (zero, one, zero), (zero, one, zero))
-    east, north = one - (y * y + z * z) * like(w, 2.0), (x * y + w * z) * like(w, 2.0)  # body x in n
-    flat = one / sqrt(east * east + north * north)
-    return Frame(up_b, cos_pitch, (-north * flat, east * flat, zero), (zero, up_b[2] / cos_pitch, -up_b[1] / cos_pitch))
+        return Frame((up_x, up_y, up_z), (one - one, one, one - one), cos_pitch)
+    share = cos_pitch * (one / square)  # sooner there than 1 / cos_pitch
+    return Frame((up_x, up_y, up_z), (one - one, up_z * share, -up_y * share), cos_pitch)
+
+
+@compiled
+def half_turn(angle: float) -> tuple[float, float]:
+    """Cosine and sine of half an angle; of small ones by their series, exact to 1e-17."""
+    half = angle * like(angle, 0.5)
+    if abs(half) < like(angle, 0.05):
+        t = half * half
+        one = like(angle, 1.0)
+        even = t * like(angle, 1 / 24) * (one - t * like(angle, 1 / 30) * (one - t * like(angle, 1 / 56)))
+        odd = t * like(angle, 1 / 6) * (one - t * like(angle, 1 / 20) * (one - t * like(angle, 1 / 42)))
+        return one - t * (like(angle, 0.5) - even), half - half * odd
+    return cos(half), sin(half)
+
+
+@compiled
+def tilting(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
+    """A turn by ``pitch`` about the axis of pitch, then by ``roll`` about body x: on the right of an attitude."""
+    (cp, sp), (cr, sr) = half_turn(pitch), half_turn(roll)
+    y, z = pitch_b[1] * sp, pitch_b[2] * sp
+    return cp * cr, cp * sr, y * cr + z * sr, z * cr - y * sr
+
+
+@compiled
+def turned_about_up(q: Quaternion, angle: float) -> Quaternion:
+    """The attitude after a turn about up."""
+    c, s = half_turn(angle)
+    return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
+
+
+@compiled
+def unit(q: Quaternion) -> Quaternion:
+    """Length 1 for a quaternion that is off by rounding only: one Newton step, with neither root nor division."""
+    half = like(q[0], 0.5)
+    share = like(q[0], 1.5) - half * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] * share, q[1] * share, q[2] * share, q[3] * share
 
 
 @compiled
@@ -244,7 +279,7 @@ def without_coriolis(sample: Sample, state: State, frame: Frame, c: Coefficients
 @compiled
 def tilted(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> tuple[Tilted, Vector]:
     """Gyro, then roll and pitch by the accelerometer; the normalised innovations, NaN for none."""
-    dt_s, none, zero = sample.dt_s, like(sample.dt_s, nan), like(sample.dt_s, 0.0)
+    dt_s, none = sample.dt_s, like(sample.dt_s, nan)
     q_nb = multiply(state.q_nb, rotation.exp(scale(sample.gyro_b_radps, dt_s)))
     frame = frame_of(q_nb)
     roll, pitch = state.roll, state.pitch
@@ -260,8 +295,7 @@ def tilted(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> tu
         by_roll, roll, nu_roll = correct(roll, wrapped(off_roll - turn_roll), r_roll)
         by_pitch, pitch, nu_pitch = correct(pitch, wrapped(off_pitch - turn_pitch), c.tilt_rad2)
         turn_roll, turn_pitch = turn_roll + by_roll, turn_pitch + by_pitch
-    q_nb = multiply(q_nb, rotation.exp((turn_roll, zero, zero)))
-    q_nb = multiply(rotation.exp(scale(frame.pitch_n, turn_pitch)), q_nb)
+    q_nb = multiply(q_nb, tilting(turn_roll, turn_pitch, frame.pitch_b))
     return Tilted(q_nb, roll, pitch, False), (nu_roll, nu_pitch, none)
 
 
@@ -310,7 +344,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
                 innovations, is_headed = (innovations[0], innovations[1], nu_heading), True
             else:
                 n_no_north += 1
-        q_nb = normalise(multiply(rotation.exp((zero, zero, turn)), q_nb))
+        q_nb = unit(turned_about_up(q_nb, turn))
     frame = frame_of(q_nb)
     state = State(
         q_nb, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed,
