@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets import BadParameter, Estimate, Imu, Mag, Recording
-from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import peers
+from stillpoint.filters import front, peers
+from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sample import GAP_S, Floats, Log, Track, counts
-from stillpoint.filters.table import Estimator, Peer, find
+from stillpoint.filters.roll_run import estimate_roll
+from stillpoint.filters.sample import Log, Track, counts
+from stillpoint.filters.sources import Sources, as_raw_log, learnt, sources_of
+from stillpoint.filters.table import Estimator, Peer, RollEstimator, find
 
 
 def estimate(
@@ -22,6 +25,10 @@ def estimate(
     name: str,
     params: Settings | Mapping[str, Any] | None = None,
     precision: Precision = "double",
+    heading: Heading = "mag",
+    *,
+    heading_params: Settings | Mapping[str, Any] | None = None,
+    ranges: Settings | Mapping[str, Any] | None = None,
 ) -> Estimate:
     """What the estimator ``name`` of :data:`ESTIMATORS` says at every IMU sample of ``recording``.
 
@@ -40,70 +47,46 @@ def estimate(
         An instance of the estimator's ``Params``, or a mapping with the fields that differ from their default.
     precision
         ``"single"``: every operation in float32, as on a microcontroller (not for peers).
+    heading
+        ``"gps-course"``: the course of satellite fixes while they are valid, and the magnetometer, calibrated by
+        them, otherwise; see :mod:`stillpoint.filters.heading_source`.
+    heading_params
+        Of ``"gps-course"``, likewise.
+    ranges
+        Full scales of the sensors (:class:`stillpoint.filters.guard.Ranges`), likewise, to know saturated samples by.
 
     Raises
     ------
     BadParameter
         Unknown name, unknown or impossible parameter, missing package of a peer.
     BadRecording
-        No IMU.
+        No IMU; or no satellite fixes, when the heading is to come from them.
     """
     entry = find(name)
     settings = chosen(entry.params(), params, name)
+    if isinstance(entry, RollEstimator):
+        return estimate_roll(recording, name, entry, settings, precision)
     imu = recording.require_imu()
-    mag, declination, facts = heading_source(recording)
+    sources = sources_of(recording, heading, heading_params, ranges)
+    if isinstance(entry, Peer) and precision != "double":
+        raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
+    raw, facts = as_raw_log(imu, sources)
+    front_c = in_precision(sources.front, precision)
+    passed, log = front.run(in_precision(raw, precision), in_precision(front.start(front_c), precision), front_c)
+    facts |= counts(passed) | sources.facts | learnt(passed.heading)
     if isinstance(entry, Peer):
-        if precision != "double":
-            raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
-        data, counted = peers.at_constant_rate(imu, mag)
-        begun = perf_counter_ns()
-        found = entry.batch(data, settings)
-        elapsed_ns = perf_counter_ns() - begun
-        columns = found._replace(q_nb=to_true_north(found.q_nb, declination))._asdict()
+        columns, met, elapsed_ns = _run_peer(entry, settings, imu, log, sources)
     else:
-        log, counted = as_log(imu, mag)
-        columns, met, elapsed_ns = _run(entry, log, settings, declination, precision)
-        counted |= met | {"precision": precision}
+        columns, met, elapsed_ns = _run(entry, log, settings, sources.declination_rad, precision)
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
         recording=recording.name,
         params=asdict(settings),
-        diagnostics=counted | facts,
+        diagnostics=facts | met,
         ns_per_sample=elapsed_ns / len(imu.t_ns),
         **columns,
     )
-
-
-def heading_source(recording: Recording) -> tuple[Mag | None, float, dict[str, Any]]:
-    """The magnetometer to use, if there is one, the declination (rad, east positive), and words about both.
-
-    One that is not calibrated is not used: a hard iron of the field's size or more makes every heading wrong.
-    """
-    facts: dict[str, Any] = {"declination_rad": 0.0}
-    if recording.mag is None:
-        return None, 0.0, facts | {"heading": "arbitrary: there is no magnetometer"}
-    if recording.info.mag_uncalibrated:
-        facts["n_mag_uncalibrated"] = len(recording.mag.t_ns)
-        return None, 0.0, facts | {"heading": "arbitrary: the magnetometer is not calibrated"}
-    declination, heading = local_declination(recording.info)
-    return recording.mag, declination, {"declination_rad": declination, "heading": heading}
-
-
-def as_log(imu: Imu, mag: Mag | None) -> tuple[Log, dict[str, Any]]:
-    """The samples in the order in which a stream would bring them, and counts of what is irregular in them."""
-    dt_s = np.diff(imu.t_ns, prepend=imu.t_ns[0]) / 1e9
-    mag_row = np.full(len(dt_s), -1, dtype=np.int64)
-    facts: dict[str, Any] = {"n_imu_gaps": int((dt_s > GAP_S).sum())}
-    if mag is None:
-        nothing = np.zeros((1, 3))
-        nothing.flags.writeable = False  # as a recording's columns are: the same compiled code serves both
-        return Log(dt_s, imu.gyro_b_radps, imu.accel_b_mps2, nothing, mag_row), facts
-    newest = np.searchsorted(mag.t_ns, imu.t_ns, side="right") - 1
-    is_new = np.diff(newest, prepend=-1) > 0
-    mag_row[is_new] = newest[is_new]
-    facts["n_mag_unused"] = len(mag.t_ns) - int(is_new.sum())
-    return Log(dt_s, imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut, mag_row), facts
 
 
 def to_true_north(q_nb: Floats, declination: float) -> Floats:
@@ -113,12 +96,26 @@ def to_true_north(q_nb: Floats, declination: float) -> Floats:
     return quaternion(heading_rotation(-declination) * rotation(q_nb))
 
 
+def _run_peer(
+    entry: Peer, params: Settings, imu: Imu, log: Log, sources: Sources
+) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """As :func:`_run`. A peer has no way to leave a sample out, so the accelerometer is as it was recorded."""
+    mag = sources.mag
+    if sources.gps is not None:
+        imu = Imu(imu.t_ns, log.gyro_b_radps, imu.accel_b_mps2)
+        mag = Mag(imu.t_ns[log.has_mag], log.mag_b_ut[log.has_mag]) if log.has_mag.any() else None
+    data, met = peers.at_constant_rate(imu, mag)
+    begun = perf_counter_ns()
+    found = entry.batch(data, params)
+    elapsed_ns = perf_counter_ns() - begun
+    return found._replace(q_nb=to_true_north(found.q_nb, sources.declination_rad))._asdict(), met, elapsed_ns
+
+
 def _run(
     entry: Estimator, log: Log, params: Settings, declination: float, precision: Precision
-) -> tuple[dict[str, Any], dict[str, int], int]:
-    """Columns of the estimate, counts, and the time of the compiled run in ns."""
+) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """Columns of the estimate, counts, and the time of the estimator's compiled run in ns."""
     c = in_precision(entry.coefficients(params, declination), precision)
-    log = in_precision(log, precision)
     n = len(log.dt_s)
     track = Track(
         q_nb=np.empty((n, 4)),
@@ -135,4 +132,4 @@ def _run(
     columns = track._asdict()
     if track.cov_b_rad2 is not None:
         columns["cov_b_rad2"] = track.cov_b_rad2.reshape(n, 3, 3)
-    return columns, counts(state), elapsed_ns
+    return columns, counts(state) | {"precision": precision}, elapsed_ns

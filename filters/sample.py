@@ -54,8 +54,9 @@ class Log(NamedTuple):
     dt_s: Floats  # (N,)
     gyro_b_radps: Floats  # (N, 3)
     accel_b_mps2: Floats  # (N, 3)
-    mag_b_ut: Floats  # (M, 3)
-    mag_row: NDArray[np.int64]  # (N,) the row of the field that this sample brings, -1 for none
+    mag_b_ut: Floats  # (N, 3)
+    has_accel: NDArray[np.bool_]  # (N,)
+    has_mag: NDArray[np.bool_]  # (N,)
 
 
 class Track(NamedTuple):
@@ -71,16 +72,14 @@ class Track(NamedTuple):
 @compiled
 def sample_at(log: Log, k: int) -> Sample:
     """Sample ``k`` of the columns."""
-    gyro, accel = log.gyro_b_radps, log.accel_b_mps2
-    row = log.mag_row[k]
-    field = log.mag_b_ut[max(row, 0)]
+    gyro, accel, mag = log.gyro_b_radps, log.accel_b_mps2, log.mag_b_ut
     return Sample(
         log.dt_s[k],
         (gyro[k, 0], gyro[k, 1], gyro[k, 2]),
         (accel[k, 0], accel[k, 1], accel[k, 2]),
-        (field[0], field[1], field[2]),
-        True,
-        row >= 0,
+        (mag[k, 0], mag[k, 1], mag[k, 2]),
+        log.has_accel[k],
+        log.has_mag[k],
     )
 
 

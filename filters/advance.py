@@ -1,0 +1,94 @@
+"""One call per sample: guard, heading source and estimator as one compiled function, the state inside it.
+
+Between two calls the state lies in a *cell*, a compiled list with one entry: to turn some fifty numbers into Python
+objects and back costs more than a step. The compiled functions close over the estimator's *module*, which numba keeps
+on disk; over the function itself it would compile anew in every process.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from numba import boolean, float64, int64, typeof
+from numba.typed import List
+
+from stillpoint.filters import front
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.front import State
+from stillpoint.filters.guard import Fix, Raw
+from stillpoint.filters.sample import Sample
+
+Advance = Callable[..., Any]
+# Stamp; rate, specific force, field; is there a field; course, speed; is there a fix.
+ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
+
+
+@cache
+def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
+    """The function that makes the cell of a new stream from both coefficients."""
+
+    @compiled
+    def begin(front_c: Any, c: Any) -> Any:
+        zero = like(front_c.guard.gyro_radps, 0.0)
+        none = (zero, zero, zero)
+        # What is said before the first sample is what is said after nothing.
+        _, output = estimator.step(estimator.start(c), Sample(zero, none, none, none, False, False), c)
+        cell = List()
+        cell.append((front_c, c, front.start(front_c), estimator.start(c), output))
+        return cell
+
+    return begin
+
+
+@cache
+def advancing(estimator: ModuleType) -> Callable[..., Any]:
+    """The function that takes the cell and one sample and gives the output."""
+
+    @compiled
+    def advance(
+        cell: Any,
+        t_ns: int,
+        gyro_x: float,
+        gyro_y: float,
+        gyro_z: float,
+        accel_x: float,
+        accel_y: float,
+        accel_z: float,
+        mag_x: float,
+        mag_y: float,
+        mag_z: float,
+        has_mag: bool,
+        course_rad: float,
+        speed_mps: float,
+        has_fix: bool,
+    ) -> Any:
+        front_c, c, front_state, state, output = cell[0]
+        rate, force, field = (gyro_x, gyro_y, gyro_z), (accel_x, accel_y, accel_z), (mag_x, mag_y, mag_z)
+        raw = Raw(t_ns, rate, force, field, has_mag, Fix(course_rad, speed_mps), has_fix)
+        front_state, sample, is_taken = front.step(front_state, raw, front_c)
+        if is_taken:
+            state, output = estimator.step(state, sample, c)
+        cell[0] = (front_c, c, front_state, state, output)
+        return output
+
+    return advance
+
+
+def entry_point(estimator: ModuleType, cell: Any) -> Advance:
+    """:func:`advancing` for this cell, without the search for the right types at every call."""
+    return advancing(estimator).compile((typeof(cell), *ARGUMENTS))
+
+
+@compiled
+def look(cell: Any) -> Any:
+    """Both coefficients, both states and the newest output; arrays are those of the stream itself."""
+    return cell[0]
+
+
+@compiled
+def filled(front_c: Any, c: Any, front_state: State, state: Any, output: Any) -> Any:
+    """The cell of a stream that goes on."""
+    cell = List()
+    cell.append((front_c, c, front_state, state, output))
+    return cell

@@ -1,0 +1,97 @@
+"""What stands between the sensors and every estimator: the guard, then the source of the heading.
+
+One compiled step for a stream and for the loop over a recording, so both give an estimator the same samples.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats, Times
+from stillpoint.filters import guard, heading_source
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.guard import Fix, Raw
+from stillpoint.filters.sample import Log, Sample
+
+
+class Coefficients(NamedTuple):
+    """Of both stages."""
+
+    guard: guard.Coefficients
+    heading: heading_source.Coefficients
+
+
+class State(NamedTuple):
+    """Of both stages."""
+
+    guard: guard.Guard
+    heading: heading_source.State
+
+
+class RawLog(NamedTuple):
+    """A recording as the sensors would bring it: N samples of the IMU, and the fields and fixes new at each."""
+
+    t_ns: Times  # (N,)
+    gyro_b_radps: Floats  # (N, 3)
+    accel_b_mps2: Floats  # (N, 3)
+    mag_b_ut: Floats  # (M, 3)
+    mag_row: NDArray[np.int64]  # (N,) the row of the field that this sample brings, -1 for none
+    course_rad: Floats  # (F,)
+    speed_mps: Floats  # (F,)
+    fix_row: NDArray[np.int64]  # (N,) likewise
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    return State(guard.start(c.guard), heading_source.start(c.heading))
+
+
+@compiled
+def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
+    """The sample for the estimator; False: none, as time has not risen."""
+    watched, sample, is_taken = guard.step(state.guard, raw, c.guard)
+    heading = state.heading
+    if is_taken:
+        heading, sample = heading_source.step(heading, sample, raw.fix, raw.has_fix, c.heading)
+    return State(watched, heading), sample, is_taken
+
+
+@compiled
+def raw_at(log: RawLog, k: int) -> Raw:
+    """Sample ``k`` of the columns."""
+    gyro, accel = log.gyro_b_radps, log.accel_b_mps2
+    field, fix = log.mag_b_ut[max(log.mag_row[k], 0)], max(log.fix_row[k], 0)
+    return Raw(
+        log.t_ns[k],
+        (gyro[k, 0], gyro[k, 1], gyro[k, 2]),
+        (accel[k, 0], accel[k, 1], accel[k, 2]),
+        (field[0], field[1], field[2]),
+        log.mag_row[k] >= 0,
+        Fix(log.course_rad[fix], log.speed_mps[fix]),
+        log.fix_row[k] >= 0,
+    )
+
+
+@compiled
+def run(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
+    """Every sample of a log, whose time rises: what the estimator gets."""
+    n, zero = len(raw.t_ns), like(c.guard.gyro_radps, 0.0)
+    log = Log(
+        np.full(n, zero),
+        np.full((n, 3), zero),
+        np.full((n, 3), zero),
+        np.full((n, 3), zero),
+        np.full(n, False),
+        np.full(n, False),
+    )
+    for k in range(n):
+        state, sample, _ = step(state, raw_at(raw, k), c)
+        log.dt_s[k] = sample.dt_s
+        for i in range(3):
+            log.gyro_b_radps[k, i] = sample.gyro_b_radps[i]
+            log.accel_b_mps2[k, i] = sample.accel_b_mps2[i]
+            log.mag_b_ut[k, i] = sample.mag_b_ut[i]
+        log.has_accel[k], log.has_mag[k] = sample.has_accel, sample.has_mag
+    return state, log

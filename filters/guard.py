@@ -1,0 +1,178 @@
+"""What a sensor may bring that is no measurement, and what becomes of it before any estimator sees it.
+
+A table in docs/streaming.md says it in full: time that does not rise, vectors that are not finite, readings at the end
+of a sensor's range, readings that repeat. Each is counted.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from stillpoint.datasets.settings import Settings, number
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.rotation import Vector
+from stillpoint.filters.sample import GAP_S, Sample
+
+# No sensor reads as much, in rad/s, m/s^2 or uT: such a number is a broken one.
+LARGEST = 1e6
+# The last good rate stands in for broken ones that long; after it the body is taken to rest.
+HOLD_S = 1.0
+
+
+@dataclass(frozen=True)
+class Ranges(Settings):
+    """Full scale of each sensor: a component that reaches it is saturated. The default means that it is not known."""
+
+    gyro_radps: float = number(LARGEST, 0.0, LARGEST, "full scale of the gyro, rad/s")
+    accel_mps2: float = number(LARGEST, 0.0, LARGEST, "full scale of the accelerometer, m/s^2")
+    mag_ut: float = number(LARGEST, 0.0, LARGEST, "full scale of the magnetometer, uT")
+
+
+class Fix(NamedTuple):
+    """What a satellite receiver says about the motion."""
+
+    course_rad: float  # clockwise from true north
+    speed_mps: float  # over ground
+
+
+class Raw(NamedTuple):
+    """One stamp of the IMU as the sensors bring it, with the newest field and fix not brought before. Doubles."""
+
+    t_ns: int
+    gyro_b_radps: Vector
+    accel_b_mps2: Vector
+    mag_b_ut: Vector
+    has_mag: bool
+    fix: Fix
+    has_fix: bool
+
+
+class Coefficients(NamedTuple):
+    """Full scales, in the precision of the run."""
+
+    gyro_radps: float
+    accel_mps2: float
+    mag_ut: float
+
+
+class Gyro(NamedTuple):
+    """What is remembered of the gyro."""
+
+    last: Vector  # good one
+    held_s: float  # for how long it has stood in
+    n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
+    n_saturated_gyro: int  # used as they are: no better rate is known
+    n_same_gyro: int  # bit for bit the one before; used
+
+
+class Accel(NamedTuple):
+    """What is remembered of the accelerometer."""
+
+    last: Vector
+    n_bad_accel: int  # left out
+    n_saturated_accel: int  # left out: a clipped vector points elsewhere
+    n_same_accel: int  # used
+
+
+class Mag(NamedTuple):
+    """What is remembered of the magnetometer."""
+
+    last: Vector
+    n_bad_mag: int  # left out
+    n_saturated_mag: int  # left out
+    n_same_mag: int  # used
+
+
+class Guard(NamedTuple):
+    """What is remembered of the samples before, and what was met in them."""
+
+    t_ns: int  # of the last sample taken, -1 before the first
+    gyro: Gyro
+    accel: Accel
+    mag: Mag
+    n_imu_gaps: int  # intervals too long for one rate to describe them
+    n_out_of_order: int  # samples left out: their time does not rise
+
+
+class Reading(NamedTuple):
+    """One vector in the precision of the run, and what is to be said about it."""
+
+    vector: Vector
+    is_usable: bool
+    is_saturated: bool
+    is_same: bool
+
+
+def coefficients(ranges: Ranges) -> Coefficients:
+    """Of these ranges."""
+    return Coefficients(ranges.gyro_radps, ranges.accel_mps2, ranges.mag_ut)
+
+
+@compiled
+def start(c: Coefficients) -> Guard:
+    """Before the first sample."""
+    zero = like(c.gyro_radps, 0.0)
+    none = (zero, zero, zero)
+    return Guard(-1, Gyro(none, zero, 0, 0, 0), Accel(none, 0, 0, 0), Mag(none, 0, 0, 0), 0, 0)
+
+
+@compiled
+def read(v: Vector, last: Vector, limit: float) -> Reading:
+    """A vector as it came. NaN is not usable: it is not less than anything."""
+    is_usable = abs(v[0]) < LARGEST and abs(v[1]) < LARGEST and abs(v[2]) < LARGEST
+    vector = like(limit, v[0]), like(limit, v[1]), like(limit, v[2])
+    reaches = abs(vector[0]) >= limit or abs(vector[1]) >= limit or abs(vector[2]) >= limit
+    return Reading(vector, is_usable, is_usable and reaches, is_usable and vector == last)
+
+
+@compiled
+def rate_of(gyro: Gyro, reading: Reading, dt_s: float) -> tuple[Gyro, Vector]:
+    """The rate to go by: the one that was read, else the last good one for a while, else rest."""
+    last, held_s, n_bad, n_saturated, n_same = gyro
+    n_same += 1 if reading.is_same else 0
+    n_saturated += 1 if reading.is_saturated else 0
+    zero = like(dt_s, 0.0)
+    if reading.is_usable:
+        return Gyro(reading.vector, zero, n_bad, n_saturated, n_same), reading.vector
+    held_s += dt_s
+    rate = last if held_s <= like(dt_s, HOLD_S) else (zero, zero, zero)
+    return Gyro(last, held_s, n_bad + 1, n_saturated, n_same), rate
+
+
+@compiled
+def left_out(reading: Reading) -> bool:
+    """An accelerometer or magnetometer vector whose direction says nothing."""
+    return reading.is_saturated or not reading.is_usable
+
+
+@compiled
+def counted(reading: Reading) -> tuple[int, int, int]:
+    """Bad, saturated, the same as before: 1 or 0 each."""
+    return 0 if reading.is_usable else 1, 1 if reading.is_saturated else 0, 1 if reading.is_same else 0
+
+
+@compiled
+def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
+    """The sample that an estimator gets; False: none, as time has not risen."""
+    t_ns, gyro, accel, mag, n_gaps, n_out_of_order = guard
+    zero = like(c.gyro_radps, 0.0)
+    none = (zero, zero, zero)
+    if raw.t_ns <= t_ns:
+        guard = Guard(t_ns, gyro, accel, mag, n_gaps, n_out_of_order + 1)
+        return guard, Sample(zero, none, none, none, False, False), False
+    dt_s = like(zero, (raw.t_ns - t_ns) / 1e9) if t_ns >= 0 else zero
+    n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
+    gyro, rate = rate_of(gyro, read(raw.gyro_b_radps, gyro.last, c.gyro_radps), dt_s)
+    force = read(raw.accel_b_mps2, accel.last, c.accel_mps2)
+    n_bad, n_saturated, n_same = counted(force)
+    last = force.vector if force.is_usable else accel.last
+    accel = Accel(last, accel.n_bad_accel + n_bad, accel.n_saturated_accel + n_saturated, accel.n_same_accel + n_same)
+    field = read(raw.mag_b_ut, mag.last, c.mag_ut)
+    if raw.has_mag:
+        n_bad, n_saturated, n_same = counted(field)
+        last = field.vector if field.is_usable else mag.last
+        mag = Mag(last, mag.n_bad_mag + n_bad, mag.n_saturated_mag + n_saturated, mag.n_same_mag + n_same)
+    has_accel, has_mag = not left_out(force), raw.has_mag and not left_out(field)
+    sample = Sample(
+        dt_s, rate, force.vector if has_accel else none, field.vector if has_mag else none, has_accel, has_mag
+    )
+    return Guard(raw.t_ns, gyro, accel, mag, n_gaps, n_out_of_order), sample, True

@@ -1,0 +1,217 @@
+"""``gps-course``: GPS course as the source of the heading, in front of any estimator (paper 003, source selection).
+
+While satellite fixes are valid and the body moves (a vehicle on the surface), each field that the estimator gets is the
+one that would be measured at the heading of the course: its tilt-compensated heading *is* the course. The body's x axis
+is taken to lie along the track, ``mounting_yaw_rad`` beside it; drift by current, wind and waves is an error of the
+heading. Between fixes the heading goes on by the gyro, fields come at the magnetometer's own rate; without a
+magnetometer they come with the fixes. Without valid course the estimator gets the magnetometer, corrected by what was
+learnt meanwhile.
+
+**What is learnt.** With attitude R (tilt by the stage's own complementary filter, heading by the course) the
+magnetometer reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h, linear in both, so six numbers by
+recursive least squares. One heading alone fixes the sideways part of h only, and that is all that this heading needs;
+a turn fixes the rest. What the motion does not show stays where it was: h at 0, the azimuth of F at the declination.
+
+**The gyro.** The same complementary filter finds the gyro's bias: about the horizontal axes always, about the vertical
+while there is a course. Estimators with a bias state find it by themselves from the fields they get; ``gyro_bias =
+"remove"`` takes it off the rates for those that have none.
+
+An estimator sees nothing of this but its samples, so none has to know.
+"""
+
+from dataclasses import dataclass
+from math import atan2, cos, pi, sin
+from typing import Literal, NamedTuple
+
+from stillpoint.datasets.settings import Settings, choice, degrees, number
+from stillpoint.filters import rotation
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.fields import FREE_FALL_MPS2, tilt_of
+from stillpoint.filters.guard import Fix
+from stillpoint.filters.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
+from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, dot, multiply, normalise, rotate, scale
+from stillpoint.filters.sample import GAP_S, Sample
+
+Heading = Literal["mag", "gps-course"]
+HEADINGS: dict[str, str] = {
+    "mag": "the magnetometer as it is",
+    "gps-course": "gps course while it is valid, the magnetometer calibrated by it otherwise",
+}
+# So many fixes in succession before the heading counts: the first ones alone are as noisy as one fix.
+FIXES_TO_SETTLE = 3
+# Body x this close to the vertical (its horizontal part, squared) has no heading to compare with a course.
+STEEP = 0.25
+# How well the declination is known when it is given, and when it is not.
+DECLINATION_SD_RAD = (pi / 180, pi / 9)
+
+
+@dataclass(frozen=True)
+class Params(Settings):
+    """Parameters of the heading source ``gps-course``."""
+
+    least_speed_mps: float = number(0.5, 0.0, 1e3, "a course counts from this speed over ground on, m/s")
+    longest_age_s: float = number(2.5, 0.01, 600.0, "a fix stands for at most so long, s")
+    course_time_s: float = number(10.0, 0.0, 600.0, "time constant of following the courses, s; 0 = each as it comes")
+    tilt_time_s: float = number(10.0, 0.01, 600.0, "time constant of the stage's own tilt, s")
+    mounting_yaw_rad: float = degrees(0.0, -180.0, 180.0, "from the track to body x, clockwise from above")
+    hard_iron_sd_ut: float = number(20.0, 0.0, 1e3, "how large a hard iron may be, uT; 0 = none is looked for")
+    field_sd_ut: float = number(1.0, 1e-3, 1e3, "error of one second of fields, by noise, tilt and course, uT")
+    gyro_bias: Literal["leave", "remove"] = choice("leave", "leave the gyro's bias to the estimator, or take it off")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    is_on: bool  # False: the magnetometer as it is
+    least_speed_mps: float
+    longest_age_s: float
+    course_time_s: float
+    tilt_time_s: float
+    mounting_yaw_rad: float
+    removes_bias: bool
+    prior: Prior
+
+
+class Attitude(NamedTuple):
+    """The stage's own, by gyro and accelerometer; its heading is that of the course, while there is one."""
+
+    q_nb: Quaternion
+    bias_b_radps: Vector  # of the gyro
+    is_level: bool
+    age_s: float  # since it was levelled, up to the time constant
+
+
+class Courses(NamedTuple):
+    """What is remembered of the fixes."""
+
+    since_s: float  # the last one that counted
+    n_in_row: int
+    n_course_used: int
+    n_course_left_out: int  # not finite, too slow, or the body too steep to have a heading
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    attitude: Attitude
+    courses: Courses
+    calibration: Calibration
+    since_mag_s: float
+    n_mag_by_course: int  # fields given with the heading of the course
+    n_mag_corrected: int  # fields given without a course, corrected by what was learnt
+
+
+def coefficients(params: Params | None, declination_rad: float | None) -> Coefficients:
+    """Of these parameters, None: the magnetometer as it is; at a place with this declination, None: not known."""
+    p = Params() if params is None else params
+    return Coefficients(
+        params is not None,
+        p.least_speed_mps,
+        p.longest_age_s,
+        p.course_time_s,
+        p.tilt_time_s,
+        p.mounting_yaw_rad,
+        p.gyro_bias == "remove",
+        Prior(
+            0.0 if declination_rad is None else declination_rad,
+            DECLINATION_SD_RAD[declination_rad is None],
+            p.hard_iron_sd_ut,
+            p.field_sd_ut,
+        ),
+    )
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    one, zero = like(c.tilt_time_s, 1.0), like(c.tilt_time_s, 0.0)
+    attitude = Attitude((one, zero, zero, zero), (zero, zero, zero), False, zero)
+    return State(attitude, Courses(zero, 0, 0, 0), uncalibrated(zero), zero, 0, 0)
+
+
+@compiled
+def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
+    """Of an error that stands for ``error_s``: what to turn by, and what to take off the bias, 1/s.
+
+    A critically damped PI filter of this time constant, and at first, up to this age, the mean of what there is.
+    """
+    one, longest_s = like(error_s, 1.0), max(time_s, error_s)
+    turn = error_s / max(min(age_s, longest_s), error_s) if error_s > 0 else one
+    bias = error_s / (like(error_s, 4.0) * longest_s * longest_s) if error_s > 0 else like(error_s, 0.0)
+    return turn, bias
+
+
+@compiled
+def turned(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
+    """Turn by a share of an error, which is a rotation vector in n, and take another share of it off the bias."""
+    q_nb, bias, is_level, age_s = attitude
+    bias = add(bias, rotate(conjugate(q_nb), scale(error_n, -share[1])))
+    return Attitude(normalise(multiply(rotation.exp(scale(error_n, share[0])), q_nb)), bias, is_level, age_s)
+
+
+@compiled
+def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
+    """Turn with the rate less its bias, then towards the accelerometer's up."""
+    q_nb, bias, is_level, age_s = attitude
+    dt_s, zero, one = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, 1.0)
+    if dt_s > like(dt_s, GAP_S):
+        is_level = False
+    if is_level:
+        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, scale(bias, -one)), dt_s)))
+        age_s = min(age_s + dt_s, c.tilt_time_s)
+    if not sample.has_accel or dot(sample.accel_b_mps2, sample.accel_b_mps2) < like(dt_s, FREE_FALL_MPS2**2):
+        return Attitude(normalise(q_nb), bias, is_level, age_s)
+    tilt_x, tilt_y = tilt_of(rotate(q_nb, sample.accel_b_mps2))
+    share = shares(dt_s, age_s, c.tilt_time_s) if is_level else (one, zero)
+    return turned(Attitude(q_nb, bias, True, age_s if is_level else zero), (tilt_x, tilt_y, zero), share)
+
+
+@compiled
+def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
+    """Turn towards the course of one fix; False where it does not count."""
+    since_s, n_in_row, n_used, n_left_out = courses
+    zero, one = like(since_s, 0.0), like(since_s, 1.0)
+    east, north, _ = rotate(attitude.q_nb, (one, zero, zero))
+    is_steep = east * east + north * north < like(since_s, STEEP)
+    course_rad, speed_mps = like(since_s, fix.course_rad), like(since_s, fix.speed_mps)
+    counts = attitude.is_level and not is_steep and abs(course_rad) < like(since_s, 1e3)
+    if not (counts and speed_mps >= c.least_speed_mps):
+        return attitude, Courses(since_s, n_in_row, n_used, n_left_out + 1), False
+    behind = course_rad + c.mounting_yaw_rad - atan2(east, north)
+    error_n = (zero, zero, -atan2(sin(behind), cos(behind)))
+    share = shares(since_s, since_s * like(since_s, n_in_row + 1), c.course_time_s) if n_in_row > 0 else (one, zero)
+    return turned(attitude, error_n, share), Courses(zero, n_in_row + 1, n_used + 1, n_left_out), True
+
+
+@compiled
+def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients) -> tuple[State, Sample]:
+    """The sample that the estimator gets in place of this one."""
+    if not c.is_on:
+        return state, sample
+    dt_s, gyro, accel, mag, has_accel, has_mag = sample
+    attitude, (since_s, n_in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
+    since_s += dt_s
+    if since_s > c.longest_age_s or dt_s > like(dt_s, GAP_S):
+        n_in_row = 0
+    courses, is_new = Courses(since_s, n_in_row, n_used, n_left_out), False
+    if has_fix:
+        attitude, courses, is_new = followed(attitude, courses, fix, c)
+    calibration, since_mag_s = state.calibration, state.since_mag_s + dt_s
+    n_by_course, n_corrected = state.n_mag_by_course, state.n_mag_corrected
+    if courses.n_in_row >= FIXES_TO_SETTLE:
+        if has_mag:
+            calibration = learn(
+                begun(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior
+            )
+        has_mag = has_mag or (is_new and not calibration.is_begun)
+        mag = field_at(calibration, attitude.q_nb, c.prior)
+        n_by_course += 1 if has_mag else 0
+    elif has_mag and calibration.is_begun:
+        mag = corrected(calibration, attitude.q_nb, mag, c.prior)
+        n_corrected += 1
+    if sample.has_mag:
+        since_mag_s = like(dt_s, 0.0)
+    if c.removes_bias:
+        gyro = add(gyro, scale(attitude.bias_b_radps, like(dt_s, -1.0)))
+    state = State(attitude, courses, calibration, since_mag_s, n_by_course, n_corrected)
+    return state, Sample(dt_s, gyro, accel, mag, has_accel, has_mag)

@@ -1,0 +1,112 @@
+"""Least squares of a magnetometer whose attitude is known: the Earth's field and the hard iron (paper 003).
+
+A magnetometer at attitude R reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h in b, six numbers, in
+which it is linear. They are found recursively, one field after another. What the attitudes so far do not show stays
+where the prior has it: no hard iron, and the azimuth of F at the declination.
+"""
+
+from math import atan2, cos, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, rotate
+
+# Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
+INDEPENDENT_S = 1.0
+# How far F may be from the first field besides the hard iron, uT.
+FIRST_FIELD_SD_UT = 5.0
+# F and h wander that much, uT/sqrt(s): old fields are forgotten over hours, and the covariance stays positive.
+WALK_UT_RTS = 0.01
+# The horizontal field where there is no magnetometer, uT; only its direction matters.
+NOMINAL_UT = 20.0
+
+
+class Prior(NamedTuple):
+    """What is known before the first field."""
+
+    declination_rad: float  # east of true north
+    declination_sd_rad: float
+    hard_iron_sd_ut: float
+    field_sd_ut: float  # error of one second of fields
+
+
+class Calibration(NamedTuple):
+    """The arrays are handed on from step to step and written in place."""
+
+    x_ut: Floats  # (6,) F East, North, Up, then h in b
+    cov_ut2: Floats  # (6, 6) of x
+    is_begun: bool
+    n_mag_learnt: int  # fields that it was learnt from
+
+
+@compiled
+def uncalibrated(zero: float) -> Calibration:
+    """Before the first field."""
+    return Calibration(np.full(6, zero), np.full((6, 6), zero), False, 0)
+
+
+@compiled
+def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
+    """The prior, if it is not there yet: F as large as this first field, and at the declination."""
+    if calibration.is_begun:
+        return calibration
+    x, cov = calibration.x_ut, calibration.cov_ut2
+    east, north, up = rotate(q_nb, mag)
+    flat = sqrt(east * east + north * north)
+    e, n = sin(prior.declination_rad), cos(prior.declination_rad)
+    x[0], x[1], x[2] = flat * e, flat * n, up
+    iron = prior.hard_iron_sd_ut * prior.hard_iron_sd_ut
+    along = iron + like(flat, FIRST_FIELD_SD_UT**2)
+    across = flat * flat * prior.declination_sd_rad * prior.declination_sd_rad
+    cov[0, 0], cov[1, 1] = along * e * e + across * n * n, along * n * n + across * e * e
+    cov[0, 1] = cov[1, 0] = (along - across) * e * n
+    cov[2, 2] = along
+    for i in range(3, 6):
+        cov[i, i] = iron
+    return Calibration(x, cov, True, 0)
+
+
+@compiled
+def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: float, prior: Prior) -> Calibration:
+    """Recursive least squares by one field, ``since_s`` after the one before: its three components in turn."""
+    x, cov, is_begun, n_learnt = calibration
+    zero, one = like(since_s, 0.0), like(since_s, 1.0)
+    q_bn, independent_s = conjugate(q_nb), like(since_s, INDEPENDENT_S)
+    east, north, up = rotate(q_bn, (one, zero, zero)), rotate(q_bn, (zero, one, zero)), rotate(q_bn, (zero, zero, one))
+    stands_s = min(max(since_s, like(since_s, 1e-3)), independent_s)
+    variance = prior.field_sd_ut * prior.field_sd_ut * independent_s / stands_s
+    moved = np.full(6, zero)
+    for i in range(6):
+        cov[i, i] += like(since_s, WALK_UT_RTS**2) * stands_s
+    for axis in range(3):
+        for i in range(6):
+            moved[i] = cov[i, 0] * east[axis] + cov[i, 1] * north[axis] + cov[i, 2] * up[axis] + cov[i, 3 + axis]
+        spread = moved[0] * east[axis] + moved[1] * north[axis] + moved[2] * up[axis] + moved[3 + axis] + variance
+        left = mag[axis] - (x[0] * east[axis] + x[1] * north[axis] + x[2] * up[axis] + x[3 + axis])
+        for i in range(6):
+            x[i] += moved[i] * left / spread
+            for j in range(6):
+                cov[i, j] -= moved[i] * moved[j] / spread
+    return Calibration(x, cov, is_begun, n_learnt + 1)
+
+
+@compiled
+def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector:
+    """The field in b that F makes at this attitude, with its azimuth at the declination."""
+    x, zero = calibration.x_ut, like(prior.declination_rad, 0.0)
+    flat, up = sqrt(x[0] * x[0] + x[1] * x[1]), x[2]
+    if not calibration.is_begun:
+        flat, up = like(zero, NOMINAL_UT), zero
+    return rotate(conjugate(q_nb), (flat * sin(prior.declination_rad), flat * cos(prior.declination_rad), up))
+
+
+@compiled
+def corrected(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Vector:
+    """A field less the hard iron, turned about the up of this attitude by what F is off the declination."""
+    x = calibration.x_ut
+    field_n = rotate(q_nb, (mag[0] - x[3], mag[1] - x[4], mag[2] - x[5]))
+    turn = atan2(x[0], x[1]) - prior.declination_rad
+    return rotate(conjugate(q_nb), rotate(about_up(turn), field_n))
