@@ -14,7 +14,7 @@ from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import Peer, find
+from stillpoint.filters.table import Peer, RollEstimator, find
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
@@ -55,7 +55,7 @@ def estimate(
     paths
         Recordings: MCAP files, folders or globs.
     estimators
-        Names with commas between, or all: acc, acc-ma, gyro, cf, and the peers vqf and offline-vqf.
+        Names with commas between; all: every one of attitude; roll: every one of a fast spin about one axis.
     out
         Folder to write into; made when it is not there.
     set_
@@ -67,7 +67,7 @@ def estimate(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    names = list(ESTIMATORS) if estimators == "all" else list(dict.fromkeys(n.strip() for n in estimators.split(",")))
+    names = _names(estimators)
     settings = _settings(assignments(set_, EXAMPLE), names)
     sources = inputs.recordings(paths)
     work = _jobs(sources, settings, inputs.output_dir(out), single)
@@ -77,6 +77,16 @@ def estimate(
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     return report_made("estimates", COLUMNS, rows, _cells, json)
+
+
+def _names(estimators: str) -> list[str]:
+    """The estimators that a word of the command line stands for."""
+    rolls = [name for name, entry in ESTIMATORS.items() if isinstance(entry, RollEstimator)]
+    if estimators == "roll":
+        return rolls
+    if estimators == "all":
+        return [name for name in ESTIMATORS if name not in rolls]
+    return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
 
 
 def _settings(changes: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, Any]]:

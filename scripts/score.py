@@ -14,12 +14,15 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
+from stillpoint.scoring.roll import RollScore, roll_score_row
 from stillpoint.scripts import inputs
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.flags import Inputs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.score_roll import is_roll, print_roll_scores, score_roll_file
 from stillpoint.scripts.tables import print_table
 
 COLUMNS = ("recording", "estimate", "found", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw")
@@ -47,7 +50,8 @@ def score(
     """Score estimates against a reference or a truth.
 
     Prints one row per estimate: RMSE of the total, heading and inclination error over the moving samples, its 95th
-    percentile and maximum, and RMSE / largest absolute error of roll, pitch and yaw, all in degrees.
+    percentile and maximum, and RMSE / largest absolute error of roll, pitch and yaw, all in degrees. Angle and rate of
+    a spin are scored by their largest error and RMSE, against the truth or the encoder of the recording.
 
     Parameters
     ----------
@@ -64,7 +68,8 @@ def score(
         Also write all figures as JSON to this file; - is the standard output.
     """
     files = _files(paths)
-    rows, scores = [], []
+    rows: list[dict[str, Any]] = []
+    scores: list[Score | RollScore] = []
     for file in track(files, "score", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
         try:
             found = _score_file(file, against, align, frame)
@@ -74,9 +79,11 @@ def score(
             rows.append({"recording": recording_name(file), "file": str(file), "error": str(error)})
             continue
         scores.append(found)
-        rows.append({**score_row(found), "file": str(file)})
+        row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
+        rows.append({**row, "file": str(file)})
     if json != STDOUT:
-        print_scores(scores)
+        print_scores([s for s in scores if isinstance(s, Score)])
+        print_roll_scores([s for s in scores if isinstance(s, RollScore)])
         for row in rows:
             if row["error"] is not None:
                 print(f"not scored: {row['error']}")
@@ -126,8 +133,10 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
 
 
-def _score_file(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score:
+def _score_file(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score | RollScore:
     thing = read(file)
+    if isinstance(thing, Estimate | RollReference) and is_roll(thing):
+        return score_roll_file(file, thing, against, align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
     judge = judge_of(_beside(file, thing) if against is None else against)
