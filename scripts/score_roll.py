@@ -1,0 +1,128 @@
+"""What ``stillpoint score`` does with angle and rate about a spin axis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.recording import Encoder, Recording
+from stillpoint.datasets.store import read, read_recording, sha256
+from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.roll import AngleZero, RollScore, score_roll
+from stillpoint.scripts import inputs
+from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.tables import print_table
+
+COLUMNS = (
+    "recording",
+    "estimate",
+    "angle max",
+    "angle RMSE",
+    "rate max",
+    "rate RMSE",
+    "NEES angle",
+    "rate",
+    "95 %",
+    "rate",
+)
+ZEROS: dict[AlignKind, AngleZero] = {"heading": "start", "none": "none"}
+
+
+@dataclass(frozen=True, eq=False)
+class RollJudge:
+    """What scores: a roll reference, or the truth or encoder of a recording; and what it was made from."""
+
+    path: Path
+    truth: Encoder | RollReference
+    name: str  # "truth", "encoder", "" for a reference
+    made_from: Mapping[str, str]
+
+
+def is_roll(thing: object) -> bool:
+    """Whether a thing is an angle and a rate rather than an attitude."""
+    return isinstance(thing, RollReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
+
+
+def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path | None, align: AlignKind) -> RollScore:
+    """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
+    if align not in ZEROS:
+        raise BadParameter(
+            f"{file}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
+            "(the angle counts from the first sample) or none"
+        )
+    judge = roll_judge_of(_beside(file, thing) if against is None else against)
+    require_same(file, thing.made_from, judge.path, judge.made_from)
+    return score_roll(thing, judge.truth, ZEROS[align], judge.name)
+
+
+def roll_judge_of(path: Path) -> RollJudge:
+    """The roll reference in a file, or the truth, else the encoder, of a recording; raises :class:`BadParameter`."""
+    thing = read(path)
+    if isinstance(thing, RollReference):
+        return RollJudge(path, thing, "", thing.made_from)
+    if isinstance(thing, Recording) and (thing.roll_truth is not None or thing.encoder is not None):
+        made_from = {path.name: sha256(path)}
+        if thing.roll_truth is not None:
+            return RollJudge(path, thing.roll_truth, "truth", made_from)
+        assert thing.encoder is not None
+        return RollJudge(path, thing.encoder, "encoder", made_from)
+    raise BadParameter(
+        f"{path}: holds no angle about a spin axis; give a roll reference, or a recording with an encoder"
+    )
+
+
+def print_roll_scores(scores: Sequence[RollScore]) -> None:
+    """A table per judge, a section per recording, best rate first; then what was left out."""
+    ordered = sorted(scores, key=lambda s: (s.against, s.recording, s.rate_rmse_degps))
+    for against, same in groupby(ordered, key=lambda s: s.against):
+        judged = list(same)
+        sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=lambda s: s.recording)]
+        zero = {"start": "the angle counts from the first sample", "none": "absolute angles"}[judged[0].zero]
+        print_table(f"roll against the {against}, {zero}; deg and deg/s", COLUMNS, sections)
+        for s in judged:
+            for note in _notes(s):
+                print(note)
+
+
+def _beside(file: Path, thing: Estimate | RollReference) -> Path:
+    """What judges a file when nothing was named: as for attitudes, the reference, else the recording."""
+    name = recording_name(file) if isinstance(thing, Estimate) else thing.name
+    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
+    if len(candidates) == 1:
+        return candidates[0]
+    if candidates:
+        raise BadParameter(
+            f"{file}: {', '.join(path.name for path in candidates)} lie beside it; name one with --against"
+        )
+    recording = file.parent / f"{name}{inputs.SUFFIX}"
+    if recording.is_file():
+        found = read_recording(recording)
+        if found.roll_truth is not None or found.encoder is not None:
+            return recording
+    raise BadParameter(
+        f"{file}: no {name}{inputs.KINDS['reference']} and no encoder in {recording.name} beside it; name one with "
+        "--against"
+    )
+
+
+def _cells(s: RollScore) -> list[str]:
+    figures = (s.angle_max_deg, s.angle_rmse_deg, s.rate_max_degps, s.rate_rmse_degps)
+    fits = (s.angle_nees, s.rate_nees, s.angle_coverage95, s.rate_coverage95)
+    shown = ["-" if value is None else f"{value:.2f}" for value in fits]
+    return [s.recording, s.estimated, *(f"{value:.2f}" for value in figures), *shown]
+
+
+def _notes(s: RollScore) -> list[str]:
+    notes = []
+    left_out = {"outside": s.samples_outside, "in gaps": s.samples_in_gap, "not ready": s.samples_unready}
+    counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)
+    if counts:
+        notes.append(f"{s.recording} {s.estimated}: {s.samples} samples scored, left out: {counts}")
+    if s.samples_interpolated:
+        notes.append(f"{s.recording} {s.estimated}: {s.samples_interpolated} samples between two of the {s.against}")
+    if s.reference_angle_sd_deg is not None and s.reference_rate_sd_degps is not None:
+        own = f"{s.reference_angle_sd_deg:.2g} deg and {s.reference_rate_sd_degps:.2g} deg/s"
+        notes.append(f"{s.recording} {s.estimated}: the reference's own sd is {own} (median)")
+    return notes
