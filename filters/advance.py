@@ -8,7 +8,7 @@ on disk; over the function itself it would compile anew in every process.
 from collections.abc import Callable
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from numba import boolean, float64, int64, typeof
 from numba.typed import List
@@ -42,7 +42,7 @@ def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
 
 
 @cache
-def advancing(estimator: ModuleType) -> Callable[..., Any]:
+def advancing(estimator: ModuleType) -> Any:
     """The function that takes the cell and one sample and gives the output."""
 
     @compiled
@@ -77,7 +77,7 @@ def advancing(estimator: ModuleType) -> Callable[..., Any]:
 
 def entry_point(estimator: ModuleType, cell: Any) -> Advance:
     """:func:`advancing` for this cell, without the search for the right types at every call."""
-    return advancing(estimator).compile((typeof(cell), *ARGUMENTS))
+    return cast(Advance, advancing(estimator).compile((typeof(cell), *ARGUMENTS)))
 
 
 @compiled

@@ -97,7 +97,7 @@ class Stream:
         ax, ay, az = accel_b_mps2
         mx, my, mz = NO_VECTOR if mag_b_ut is None else mag_b_ut
         course_rad, speed_mps = NO_FIX if course is None else course
-        return self._advance(  # type: ignore[no-any-return]
+        output: Output = self._advance(
             self._cell,
             t_ns,
             gx,
@@ -114,6 +114,7 @@ class Stream:
             speed_mps,
             course is not None,
         )
+        return output
 
     def save(self) -> Saved:
         """All that is needed to go on from here, also in another process."""
