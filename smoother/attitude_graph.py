@@ -56,30 +56,42 @@ def steps_of_bias(keys: Keys, params: GraphParams) -> np.ndarray:
 def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float, params: GraphParams) -> Iterator:
     """Neighbouring states differ by what gyro and accelerometer measured between them, less the bias C."""
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
-    summed = {kind: gtsam.PreintegratedImuMeasurements(noise, start) for kind, noise in _noises(g_mps2, params).items()}
-    accel, gyro, dt_s = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
+    p, eye = params.inertial, np.eye(3)
+    sizes = {
+        "moving": (p.gyro_radps_rthz, p.accel_mps2_rthz),
+        "rest": (p.gyro_rest_radps_rthz, p.accel_rest_mps2_rthz),
+    }
+    summed = {
+        kind: gtsam.PreintegratedImuMeasurements(_noise(gyro**2 * eye, accel**2 * eye, g_mps2, params), start)
+        for kind, (gyro, accel) in sizes.items()
+    }
+    accel, gyro, dt_s, clipped = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s, keys.clipped
     for i in keys.intervals(~keys.gap):
-        between = summed["rest" if keys.at_rest[i] else "clipped" if keys.clipped[i] else "moving"]
+        if clipped[i]:
+            between = gtsam.PreintegratedImuMeasurements(_clipped_noise(keys, i, g_mps2, params), start)
+        else:
+            between = summed["rest" if keys.at_rest[i] else "moving"]
         between.resetIntegration()
         for k in range(keys.row[i] + 1, keys.row[i + 1] + 1):
             between.integrateMeasurement(accel[k], gyro[k], dt_s[k])
         yield gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
 
 
-def _noises(g_mps2: float, params: GraphParams) -> dict[str, gtsam.PreintegrationParams]:
-    p = params.inertial
-    sizes = {
-        "moving": (p.gyro_radps_rthz, p.accel_mps2_rthz),
-        "rest": (p.gyro_rest_radps_rthz, p.accel_rest_mps2_rthz),
-        "clipped": (p.gyro_radps_rthz * p.clipped_factor, p.accel_mps2_rthz * p.clipped_factor),
-    }
-    noises = {}
-    for kind, (gyro, accel) in sizes.items():
-        noises[kind] = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
-        noises[kind].setGyroscopeCovariance(gyro**2 * np.eye(3))
-        noises[kind].setAccelerometerCovariance(accel**2 * np.eye(3))
-        noises[kind].setIntegrationCovariance(params.motion.integration_sd_m_rts**2 * np.eye(3))
-    return noises
+def _noise(gyro_rad2ps: Floats, accel_m2ps3: Floats, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
+    """Densities (3, 3) of both sensors, squared, as gtsam takes them."""
+    noise = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
+    noise.setGyroscopeCovariance(gyro_rad2ps)
+    noise.setAccelerometerCovariance(accel_m2ps3)
+    noise.setIntegrationCovariance(params.motion.integration_sd_m_rts**2 * np.eye(3))
+    return noise
+
+
+def _clipped_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
+    """In a clipped axis there was more than was read: a share of the range, for as long as it was clipped."""
+    p, seconds = params.inertial, keys.t_s[i + 1] - keys.t_s[i]
+    gyro = p.gyro_radps_rthz**2 + (p.gyro_beyond * keys.gyro_clipped_rad[i]) ** 2 / seconds
+    accel = p.accel_mps2_rthz**2 + (p.accel_beyond * keys.accel_clipped_mps[i]) ** 2 / seconds
+    return _noise(np.diag(gyro), np.diag(accel), g_mps2, params)
 
 
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:

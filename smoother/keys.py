@@ -25,7 +25,8 @@ class Motion:
     gyro_b_radps: Floats  # (N, 3)
     accel_b_mps2: Floats  # (N, 3)
     at_rest: NDArray[np.bool_]  # (N,)
-    clipped: NDArray[np.bool_]  # (N,)
+    gyro_beyond_radps: Floats  # (N, 3) the range of an axis where its reading is clipped, 0 elsewhere
+    accel_beyond_mps2: Floats  # (N, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Keys:
     t_s: Floats  # (n,)
     at_rest: NDArray[np.bool_]  # (n - 1,) no motion in the interval
     gap: NDArray[np.bool_]  # (n - 1,) samples are missing for more than LONG_GAP_S
-    clipped: NDArray[np.bool_]  # (n - 1,)
+    gyro_clipped_rad: Floats  # (n - 1, 3) the range of an axis times how long it was clipped
+    accel_clipped_mps: Floats  # (n - 1, 3)
     gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
     accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
     jerk_b_mps3: Floats  # (n - 1, 3) change of the specific force over the interval
@@ -66,6 +68,11 @@ class Keys:
         return replace(self, first=first, end=end)
 
     @property
+    def clipped(self) -> NDArray[np.bool_]:
+        """Intervals with a clipped reading, (n - 1,)."""
+        return np.asarray((self.gyro_clipped_rad > 0).any(axis=1) | (self.accel_clipped_mps > 0).any(axis=1))
+
+    @property
     def span_s(self) -> Floats:
         """Lengths of the intervals, (n - 1,)."""
         return np.diff(self.t_s)
@@ -77,11 +84,11 @@ def motion_of(imu: Imu, rests_ns: Times) -> Motion:
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for start, end in np.searchsorted(imu.t_ns, rests_ns):
         at_rest[start : end + 1] = True
-    clipped = _clipped(imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
-    clipped |= _clipped(imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
+    gyro_beyond = _range_where_clipped(imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
+    accel_beyond = _range_where_clipped(imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
     step_s = np.diff(t_s)
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
-    return Motion(t_s, dt_s, imu.gyro_b_radps, imu.accel_b_mps2, at_rest, clipped)
+    return Motion(t_s, dt_s, imu.gyro_b_radps, imu.accel_b_mps2, at_rest, gyro_beyond, accel_beyond)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:
@@ -92,14 +99,14 @@ def choose_keys(motion: Motion, params: KeyParams) -> Keys:
     first, last = rows[:-1] + 1, rows[1:] + 1
     span_s = (total_s[last] - total_s[first])[:, None]
     moving = np.concatenate([[0], np.cumsum(~motion.at_rest)])
-    clipped = np.concatenate([[0], np.cumsum(motion.clipped)])
     longest = np.maximum.reduceat(motion.dt_s, first) if len(first) else np.zeros(0)
     return Keys(
         row=rows,
         t_s=motion.t_s[rows],
         at_rest=(moving[last] - moving[rows[:-1]]) == 0,
         gap=longest > max(LONG_GAP_S, GAP_STEPS * float(np.median(motion.dt_s))),
-        clipped=(clipped[last] - clipped[first]) > 0,
+        gyro_clipped_rad=_sums(motion.gyro_beyond_radps * motion.dt_s[:, None], first),
+        accel_clipped_mps=_sums(motion.accel_beyond_mps2 * motion.dt_s[:, None], first),
         gyro_b_radps=(turned[last] - turned[first]) / span_s,
         accel_b_mps2=(pushed[last] - pushed[first]) / span_s,
         jerk_b_mps3=(motion.accel_b_mps2[rows[1:]] - motion.accel_b_mps2[rows[:-1]]) / span_s,
@@ -139,9 +146,15 @@ def _running(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.concatenate([[0.0], np.cumsum(dt_s)]), integral
 
 
-def _clipped(values: Floats, smallest_range: float) -> NDArray[np.bool_]:
-    """Samples at an end of the range: the largest reading of an axis, met again and again."""
+def _sums(values: Floats, first: NDArray[np.int64]) -> Floats:
+    """Sums (n - 1, 3) over the samples of each interval, exactly 0 where all are."""
+    return np.asarray(np.add.reduceat(values, first, axis=0)) if len(first) else np.zeros((0, 3))
+
+
+def _range_where_clipped(values: Floats, smallest_range: float) -> Floats:
+    """The largest reading of an axis (N, 3) where it is met, again and again; 0 elsewhere."""
     size = np.abs(values)
-    at_end = size >= size.max(axis=0) * (1 - 1e-9)
-    stuck = (at_end.sum(axis=0) >= CLIP_COUNT) & (size.max(axis=0) >= smallest_range)
-    return np.asarray((at_end & stuck).any(axis=1))
+    largest = size.max(axis=0)
+    at_end = size >= largest * (1 - 1e-9)
+    stuck = (at_end.sum(axis=0) >= CLIP_COUNT) & (largest >= smallest_range)
+    return np.where(at_end & stuck, largest, 0.0)

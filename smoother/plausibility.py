@@ -57,6 +57,7 @@ def fit_of(
     The last ``inherited`` factors sum up the window's past: their residuals belong to the windows before.
     """
     total: dict[str, list[float]] = {}
+    clipped = keys.clipped
     for i in range(graph.size() - inherited):
         factor = graph.at(i)
         if isinstance(factor, gtsam.LinearContainerFactor):
@@ -64,7 +65,7 @@ def fit_of(
         kind = KINDS.get(type(factor), "anchors")
         if kind == "imu":
             state = gtsam.Symbol(factor.keys()[0]).index()
-            kind = "imu at rest" if keys.at_rest[state] else "imu"
+            kind = "imu at rest" if keys.at_rest[state] else "imu clipped" if clipped[state] else "imu"
         degrees = 9 if isinstance(factor, gtsam.ImuFactor) else factor.dim()  # gtsam names only its first part's
         total.setdefault(kind, []).append(2 * factor.error(solution.values) / degrees)
     squares = {kind: float(np.mean(values)) for kind, values in total.items()}

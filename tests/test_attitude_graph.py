@@ -81,6 +81,22 @@ def test_a_gyro_sample_describes_the_interval_that_ends_at_it():
     assert max(factor.error(values_of(keys, attitude)) for factor in made) < 1e-6
 
 
+def test_a_clipped_axis_may_have_turned_farther_the_others_not():
+    """Beyond the reading about the clipped axis costs little, as much about another costs as ever."""
+    motion, keys, attitude = turning(RATE)
+    clipped = np.where([False, True, False], keys.span_s[:, None] * 4.4, 0.0)
+    cut = replace(keys, gyro_clipped_rad=clipped)
+    costs = {}
+    for axis in range(3):
+        farther = attitude * Rotation.from_rotvec(0.05 * np.arange(len(attitude))[:, None] * np.eye(3)[axis])
+        for name, of in (("free", keys), ("cut", cut)):
+            made = list(factors.imu_factors(motion, of, np.zeros(3), G, PARAMS))
+            costs[name, axis] = sum(factor.error(values_of(keys, farther)) for factor in made)
+    assert costs["cut", 1] < 0.05 * costs["free", 1]
+    assert costs["cut", 0] > 0.2 * costs["free", 0]
+    assert costs["cut", 2] > 0.2 * costs["free", 2]
+
+
 def test_a_gyro_that_reads_one_per_cent_too_much_has_m_plus_one_per_cent():
     """corrected = gyro_matrix (measured - bias) with gyro_matrix = 1 - M: too much is less than 1."""
     motion, keys, attitude = turning(RATE)
