@@ -143,7 +143,7 @@ class SpinGeometry:
     The body spins about its x axis, through the centre of rotation.
     """
 
-    accel_r_b_m: Floats  # (k, 3) lever arms from the centre of rotation
+    accel_r_b_m: Floats  # (k, 3) lever arms from the centre of rotation; NaN where they are not known
     accel_axis_b: Floats  # (k, 3) unit vectors of the sensitive axes
     gyro_axis_b: Floats  # (m, 3) unit vectors of the sensitive axes
     accel_range_mps2: Floats | None = None  # (k,) the largest size each can give; None where it is not known
@@ -151,7 +151,9 @@ class SpinGeometry:
 
     def __post_init__(self) -> None:
         k, m = len(self.accel_r_b_m), len(self.gyro_axis_b)
-        arms = check_floats("spin.geometry", "accel_r_b_m", self.accel_r_b_m, (k, 3))
+        arms = check_floats("spin.geometry", "accel_r_b_m", self.accel_r_b_m, (k, 3), finite=False)
+        if np.isinf(arms).any():
+            raise BadRecording("spin.geometry.accel_r_b_m: a lever arm is infinite; give NaN where it is not known")
         axes = check_floats("spin.geometry", "accel_axis_b", self.accel_axis_b, (k, 3))
         gyros = check_floats("spin.geometry", "gyro_axis_b", np.reshape(self.gyro_axis_b, (m, 3)), (m, 3))
         for name, vectors in (("accel_axis_b", axes), ("gyro_axis_b", gyros)):

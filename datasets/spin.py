@@ -159,6 +159,12 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
     :class:`BadParameter` for variances that are not positive.
     """
     k = len(geometry.accel_r_b_m)
+    unknown = np.flatnonzero(np.isnan(geometry.accel_r_b_m).any(axis=1)) + 1
+    if len(unknown):
+        raise Unobservable(
+            f"the lever arm of accelerometer {', '.join(map(str, unknown))} is not known: measure it, or let the "
+            "smoother find it from a recording whose gyro sees the spin"
+        )
     variance = np.broadcast_to(np.asarray(accel_variance_m2ps4, dtype=np.float64), (k,))
     if not (np.isfinite(variance) & (variance > 0)).all():
         raise BadParameter(f"accelerometer variances {variance.tolist()}: give positive numbers, in (m/s^2)^2")

@@ -22,7 +22,7 @@ from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_table
 
 NO_FLAGS = Flags()
-STREAMS = ("imu", "mag", "gps", "truth")  # that importers make, in the order of the table
+STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def import_(
     Parameters
     ----------
     kind
-        broad, tyrex, bench, csv, sensorlogger, phyphox or ros.
+        broad, tyrex, bench, csv, sensorlogger, phyphox, spin, flatball or ros.
     sources
         Files or folders of that kind.
     out

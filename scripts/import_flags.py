@@ -7,16 +7,22 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 ALL = Group("All kinds", sort_key=1)
-OWN = Group("Own recordings: csv, sensorlogger, phyphox, ros", sort_key=2)
+OWN = Group("Own recordings: csv, spin, sensorlogger, phyphox, ros", sort_key=2)
 PHONES = Group("Phones: tyrex, sensorlogger", sort_key=3)
-CSV = Group("Delimited logs: csv", sort_key=4)
-ROS = Group("Bags: ros", sort_key=5)
+LOG = Group("Delimited logs: csv, spin", sort_key=4)
+CSV = Group("Logs of an IMU: csv", sort_key=5)
+SPIN = Group("Logs of a spinning body: spin", sort_key=6)
+ROS = Group("Bags: ros", sort_key=7)
 
 AnyKind = Annotated[bool, Parameter(group=ALL, negative="")]
 Own = Annotated[str | None, Parameter(group=OWN)]
 Phone = Annotated[str | None, Parameter(group=PHONES)]
+LogSetting = Annotated[str | None, Parameter(group=LOG)]
 Setting = Annotated[str | None, Parameter(group=CSV)]
 Columns = Annotated[str | None, Parameter(group=CSV, allow_leading_hyphen=True)]
+SpinSetting = Annotated[str | None, Parameter(group=SPIN)]
+SpinColumns = Annotated[str | None, Parameter(group=SPIN, allow_leading_hyphen=True)]
+SpinSize = Annotated[float | None, Parameter(group=SPIN)]
 TopicName = Annotated[str | None, Parameter(group=ROS)]
 
 
@@ -41,7 +47,7 @@ class Flags:
     platform
         sensorlogger: ios or android, where no Metadata.csv says it.
     config
-        A TOML file with the settings of this group, as gyro = "gx,gy,gz:deg/s".
+        A TOML file with the settings of the kind, as gyro = "gx,gy,gz:deg/s".
     time
         The column of time and its unit, t:ms (s, ms, us, ns).
     rate
@@ -62,6 +68,22 @@ class Flags:
         What separates the columns, where it is not found by itself.
     drop_disordered
         Sort by time and drop equal stamps, counted, where time does not rise.
+    geometry
+        Where the accelerometers sit: bench (the default: F4, F5), five (F1 to F5, g1, g2), or a .toml file.
+    d1_m
+        Lever arm of F4 in m, 0.10 unless given.
+    d2_m
+        Lever arm of F5 in m, 0.50 unless given.
+    range_g
+        Range of the accelerometers, 16 unless given.
+    accels
+        Columns and unit of the accelerometers in the order of the geometry, F4,F5:g.
+    gyros
+        Columns and unit of the gyros, g1,g2:deg/s.
+    encoder_angle
+        Column and unit of the shaft's angle (rad, deg, rev), angle:deg.
+    encoder_rate
+        Column and unit of its rate, speed:deg/s.
     imu_topic
         The topic of gyro and accelerometer, where there are several.
     mag_topic
@@ -81,17 +103,25 @@ class Flags:
     mag_uncalibrated: Annotated[bool, Parameter(group=OWN, negative="")] = False
     mag: Annotated[str | None, Parameter(group=[PHONES, CSV], allow_leading_hyphen=True)] = None
     platform: Phone = None
-    config: Annotated[Path | None, Parameter(group=CSV)] = None
-    time: Setting = None
-    rate: Annotated[float | None, Parameter(group=CSV)] = None
+    config: Annotated[Path | None, Parameter(group=LOG)] = None
+    time: LogSetting = None
+    rate: Annotated[float | None, Parameter(group=LOG)] = None
     gyro: Columns = None
     accel: Columns = None
     truth: Columns = None
     truth_frame: Setting = None
     position: Columns = None
     moving: Setting = None
-    delimiter: Setting = None
-    drop_disordered: Annotated[bool, Parameter(group=CSV, negative="")] = False
+    delimiter: LogSetting = None
+    drop_disordered: Annotated[bool, Parameter(group=LOG, negative="")] = False
+    geometry: SpinSetting = None
+    d1_m: SpinSize = None
+    d2_m: SpinSize = None
+    range_g: SpinSize = None
+    accels: SpinColumns = None
+    gyros: SpinColumns = None
+    encoder_angle: SpinColumns = None
+    encoder_rate: SpinColumns = None
     imu_topic: TopicName = None
     mag_topic: TopicName = None
     gps_topic: TopicName = None

@@ -79,8 +79,8 @@ def spins(draw):
     axes = draw(quaternions(k + m))[:, :3]
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     ranges = draw(maybe(floats(k, elements=st.floats(1e-300, 1e300))))
-    geometry = SpinGeometry(draw(floats(k, 3)), axes[:k], axes[k:], ranges, draw(st.booleans()))
     values = st.floats(**ANY) | st.just(np.nan)
+    geometry = SpinGeometry(draw(floats(k, 3, elements=values)), axes[:k], axes[k:], ranges, draw(st.booleans()))
     return Spin(t, draw(floats(len(t), k, elements=values)), draw(floats(len(t), m, elements=values)), geometry)
 
 

@@ -30,12 +30,13 @@ class Columns:
         return f", sign of {', '.join(axes)} flipped" if axes else ""
 
 
-def vector(text: str, flag: str, units: dict[str, float]) -> Columns:
-    """``X,Y,Z:UNIT``; raises :class:`BadParameter` that names the flag."""
+def vector(text: str, flag: str, units: dict[str, float], count: int = 3) -> Columns:
+    """``X,Y,Z:UNIT``, or as many columns as ``count`` says; raises :class:`BadParameter` that names the flag."""
     columns, unit = split(text, "")
     if not unit:
-        raise BadParameter(f"{flag} {text!r}: has no unit; write X,Y,Z:UNIT with one of {', '.join(units)}")
-    return _columns(columns, 3, flag, scale(unit, units, flag))
+        form = ",".join("XYZ"[:count] if count <= 3 else "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[:count])
+        raise BadParameter(f"{flag} {text!r}: has no unit; write {form}:UNIT with one of {', '.join(units)}")
+    return _columns(columns, count, flag, scale(unit, units, flag))
 
 
 def quaternion_columns(text: str, flag: str) -> Columns:

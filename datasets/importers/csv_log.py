@@ -4,38 +4,32 @@
 per count. Columns go by their names in the header, or by numbers from 1 where there is none.
 """
 
-import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
-from stillpoint.datasets.importers.bundle import digests, existing
+from stillpoint.datasets.importers.bundle import digests
 from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising
-from stillpoint.datasets.importers.columns import quaternion_columns, split, vector
-from stillpoint.datasets.importers.delimited import Table, parse
-from stillpoint.datasets.importers.options import OwnOptions
+from stillpoint.datasets.importers.columns import quaternion_columns, vector
+from stillpoint.datasets.importers.delimited import Table
+from stillpoint.datasets.importers.log_options import LogOptions, clock_of, log_files, table_of, with_config
 from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE, TIME_EXPONENT
-from stillpoint.datasets.nearest import nearest
+from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE
 from stillpoint.datasets.recording import Mag, Recording, Times, Truth
 
 SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
 FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
-TIME_WORDS = ("time", "stamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms")
 
 
 @dataclass(frozen=True)
-class CsvOptions(OwnOptions):
-    """Where the log keeps what. Each may also stand in the TOML file ``config``; a flag wins over the file."""
+class CsvOptions(LogOptions):
+    """Where the log keeps what."""
 
-    config: Path | None = None
-    time: str | None = None  # "COLUMN:UNIT"
-    rate: float | None = None  # Hz, where the log has no time
     gyro: str | None = None  # "X,Y,Z:UNIT"
     accel: str | None = None
     mag: str | None = None
@@ -43,8 +37,6 @@ class CsvOptions(OwnOptions):
     truth_frame: Literal["enu", "nwu", "ned"] = "enu"  # the local frame that the truth's quaternion leads to
     position: str | None = None  # "X,Y,Z:UNIT" in the truth's local frame
     moving: str | None = None  # a column that is 0 where the truth is not to be scored
-    delimiter: str | None = None
-    drop_disordered: bool = False  # sort by time and drop equal stamps, counted, instead of refusing
 
 
 def read_csv(source: Path, options: CsvOptions) -> Iterator[Recording]:
@@ -52,46 +44,15 @@ def read_csv(source: Path, options: CsvOptions) -> Iterator[Recording]:
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """
-    existing(source)
-    options = _with_config(options)
-    suffixes = (".csv", ".tsv", ".txt")
-    files = sorted(f for f in source.iterdir() if f.suffix.lower() in suffixes) if source.is_dir() else [source]
-    if not files:
-        raise BadSource(f"{source}: holds no .csv, .tsv or .txt file; name the log")
+    files = log_files(source)
+    options = with_config(options)
     for file in files:
         yield _recording(file, options)
 
 
-def _with_config(options: CsvOptions) -> CsvOptions:
-    """The options with what the TOML file says where no flag was given."""
-    if options.config is None:
-        return options
-    try:
-        said: dict[str, Any] = tomllib.loads(options.config.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadParameter(f"{options.config}: cannot be read ({error.strerror}); name a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadParameter(f"{options.config}: is not TOML ({error})") from None
-    said = {key.replace("-", "_"): value for key, value in said.items()}
-    default = CsvOptions()
-    known = {field.name: type(getattr(default, field.name)) for field in fields(CsvOptions) if field.name != "config"}
-    for key, value in said.items():
-        if key not in known:
-            raise BadParameter(f"{options.config}: no setting {key!r}; {nearest(key, known)}")
-        wanted = (int, float) if key == "rate" else bool if known[key] is bool else str
-        if not isinstance(value, wanted) or (wanted is not bool and isinstance(value, bool)):
-            raise BadParameter(f"{options.config}: {key} = {value!r} is of the wrong kind; see docs/importing.md")
-    unset = {key: value for key, value in said.items() if getattr(options, key) == getattr(default, key)}
-    return replace(options, **unset)
-
-
 def _recording(file: Path, options: CsvOptions) -> Recording:
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        text = file.read_text(encoding="latin-1")
-    reading = Reading(parse(text, str(file), options.delimiter), options, Log())
-    t_ns = reading.clock()
+    reading = Reading(table_of(file, options), options, Log())
+    t_ns = clock_of(reading.table, options, reading.log)
     gyro = reading.series("gyro", t_ns)
     accel = reading.series("accel", t_ns)
     if gyro is None or accel is None:
@@ -114,37 +75,6 @@ class Reading:
     table: Table
     options: CsvOptions
     log: Log
-
-    def clock(self) -> Times:
-        """The stamp of every row; raises for no clock, two clocks, and a clock that does not rise."""
-        options, table = self.options, self.table
-        if options.time is not None and options.rate is not None:
-            raise BadParameter(f"{table.where}: has two clocks, --time and --rate; give one of them")
-        if options.rate is not None:
-            if not options.rate > 0:
-                raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
-            self.log.converted(f"stamps from the row number at {options.rate:g} Hz")
-            return np.asarray(np.round(np.arange(len(table.rows)) * (1e9 / options.rate)), dtype=np.int64)
-        if options.time is None:
-            likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
-            hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
-            raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
-        column, unit = split(options.time, "s")
-        if unit not in TIME_EXPONENT:
-            raise BadParameter(f"--time: no unit {unit!r}; there are {', '.join(TIME_EXPONENT)}")
-        t_ns = table.times(column, TIME_EXPONENT[unit])
-        falls = np.flatnonzero(np.diff(t_ns) <= 0)
-        if len(falls) and not options.drop_disordered:
-            line = table.first_line + int(falls[0]) + 1
-            raise BadSource(
-                f"{table.where}, line {line}, column {column!r}: time does not rise ({len(falls)} such lines); "
-                "correct the log, or import it with --drop-disordered"
-            )
-        self.log.converted(f"time {column!r} in {unit}")
-        if t_ns.min() < 0:
-            self.log.converted(f"all times moved by {-t_ns.min() / 1e9:.9f} s so that none is negative")
-            t_ns = t_ns - t_ns.min()
-        return t_ns
 
     def series(self, what: str, t_ns: Times) -> Series | None:
         """One sensor in SI on the stamps of its rows; a row without numbers for it is no sample of it."""

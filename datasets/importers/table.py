@@ -9,10 +9,12 @@ from stillpoint.datasets.errors import BadRecording, BadSource
 from stillpoint.datasets.importers.bench import read_bench
 from stillpoint.datasets.importers.broad import read_broad
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv
+from stillpoint.datasets.importers.flatball import read_flatball
 from stillpoint.datasets.importers.options import Options, OwnOptions, PhoneOptions, TyrexOptions
 from stillpoint.datasets.importers.phyphox import read_phyphox
 from stillpoint.datasets.importers.ros import RosOptions, read_ros
 from stillpoint.datasets.importers.sensorlogger import read_sensorlogger
+from stillpoint.datasets.importers.spin_csv import SpinOptions, read_spin
 from stillpoint.datasets.importers.tyrex import read_tyrex
 from stillpoint.datasets.recording import Recording
 
@@ -45,5 +47,7 @@ IMPORTERS: dict[str, Importer] = {
     "csv": Importer(read_csv, CsvOptions, "any delimited log: columns, units, signs and clock by flags or a TOML file"),
     "sensorlogger": Importer(read_sensorlogger, PhoneOptions, "the phone app Sensor Logger: its zip or its folder"),
     "phyphox": Importer(read_phyphox, OwnOptions, "the phone app phyphox: its zip, its folder or one CSV file"),
+    "spin": Importer(read_spin, SpinOptions, "delimited logs of accelerometers on a spinning body, with its encoder"),
+    "flatball": Importer(read_flatball, Options, "flights of the instrumented disc of flatball-ins"),
     "ros": Importer(read_ros, RosOptions, "ROS 1 bags, ROS 2 bags and MCAP files of others"),
 }

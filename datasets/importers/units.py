@@ -16,6 +16,7 @@ RATE: dict[str, float] = {
     "rev/s": 2 * math.pi,
     "rpm": 2 * math.pi / 60,
 }
+ANGLE: dict[str, float] = {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi}
 FORCE: dict[str, float] = {
     "m/s^2": 1.0,
     "g": STANDARD_GRAVITY_MPS2,

@@ -1,0 +1,61 @@
+"""Flights of the instrumented disc of misc-protolabs/flatball-ins: one IMU beside the spin axis, and a magnetometer.
+
+The log has no time; the firmware samples at 100 Hz. The IMU is an ISM330DHCX: steps of 0.488 mg and 0.14 deg/s say
++-16 g and +-4000 deg/s. Where on the disc it sits is not published, so its lever arm is NaN in the geometry: to be
+found from the flight. In the frame of the recording x is the spin axis (the IMU's z), y the IMU's x, z the IMU's y.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.importers.bundle import digests
+from stillpoint.datasets.importers.clock import Log
+from stillpoint.datasets.importers.log_options import LogOptions, log_files, table_of
+from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.importers.units import FIELD, FORCE, RATE
+from stillpoint.datasets.recording import Info, Mag, Recording, Spin, SpinGeometry
+
+RATE_HZ = 100
+RANGE_G = 16.0
+# Columns in the recording's order: along the spin axis, then the IMU's x and y.
+ACCEL, GYRO, MAG = ("acc-z", "acc-x", "acc-y"), ("gz", "gx", "gy"), ("mag-z", "mag-x", "mag-y")
+GEOMETRY = SpinGeometry(
+    accel_r_b_m=np.full((3, 3), np.nan),
+    accel_axis_b=np.eye(3),
+    gyro_axis_b=np.eye(3),
+    accel_range_mps2=np.full(3, RANGE_G * FORCE["g"]),
+)
+
+
+def read_flatball(source: Path, options: Options) -> Iterator[Recording]:
+    """The flight of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
+    for file in log_files(source):
+        yield _flight(file, options)
+
+
+def _flight(file: Path, options: Options) -> Recording:
+    table, log = table_of(file, LogOptions()), Log()
+    missing = [name for name in (*ACCEL, *GYRO, *MAG) if name not in table.columns]
+    if missing:
+        raise BadSource(f"{file}: no column {', '.join(missing)}; name a log of the flatball firmware")
+    t_ns = np.arange(len(table.rows), dtype=np.int64) * (1_000_000_000 // RATE_HZ)
+    log.converted(f"stamps from the row number at {RATE_HZ} Hz, the rate of the firmware")
+    log.converted("accelerometer g -> m/s^2; gyro deg/s -> rad/s; axes z, x, y of the IMU -> x (spin axis), y, z")
+    log.noted("the place of the IMU on the disc is not published: its lever arm is NaN")
+    log.noted("the attitude of the on-board filter and what it derived (fe-acc, fl-acc) are not imported")
+    spin = Spin(t_ns, FORCE["g"] * table.floats(ACCEL), RATE["deg/s"] * table.floats(GYRO), GEOMETRY)
+    info = Info(
+        source="misc-protolabs/flatball-ins",
+        licence="Apache 2.0",
+        citation="misc-protolabs: flatball-ins, https://github.com/misc-protolabs/flatball-ins",
+        sensor="ISM330DHCX, MMC5983MA",
+        mag_uncalibrated=True,
+        units_unchecked=options.units_unchecked,
+        sha256=digests([file], file.parent),
+        conversions=tuple(log.conversions),
+        notes=tuple(log.notes),
+    )
+    return Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(MAG)), info=info)
