@@ -115,6 +115,10 @@ ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
 }
 
 
+ATTITUDES = tuple(name for name, entry in ESTIMATORS.items() if not isinstance(entry, RollEstimator))
+ROLLS = tuple(name for name in ESTIMATORS if name not in ATTITUDES)
+
+
 def find(name: str) -> Estimator | RollEstimator | Peer:
     """The entry of this name; raises :class:`BadParameter` with the nearest one."""
     require_known(name, ESTIMATORS, "estimator")

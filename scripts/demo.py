@@ -14,7 +14,8 @@ from stillpoint.datasets.doctor import Diagnosis, diagnose
 from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
-from stillpoint.filters import ESTIMATORS, estimate
+from stillpoint.filters import estimate
+from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring.report import judge, report_html
 from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
@@ -63,7 +64,7 @@ def demo(
     with _step(f"reference by {COMPARED}, to compare"):
         compared = replace(attitude_reference(recording, COMPARED), made_from=made_from)
         write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
-    for name in ESTIMATORS:
+    for name in ATTITUDES:
         with _step(f"estimate by {name}"):
             found = replace(estimate(recording, name), made_from=made_from)
             write(folder / f"{recording.name}.{name}.estimate.mcap", found)

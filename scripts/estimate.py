@@ -11,10 +11,9 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import chosen
 from stillpoint.datasets.store import read_recording, sha256
-from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import Peer, RollEstimator, find
+from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, find
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
@@ -81,11 +80,8 @@ def estimate(
 
 def _names(estimators: str) -> list[str]:
     """The estimators that a word of the command line stands for."""
-    rolls = [name for name, entry in ESTIMATORS.items() if isinstance(entry, RollEstimator)]
-    if estimators == "roll":
-        return rolls
-    if estimators == "all":
-        return [name for name in ESTIMATORS if name not in rolls]
+    if estimators in ("all", "roll"):
+        return list(ATTITUDES if estimators == "all" else ROLLS)
     return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
 
 

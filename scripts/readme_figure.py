@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.simulate import simulate
-from stillpoint.filters import ESTIMATORS, estimate
+from stillpoint.filters import estimate
+from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring.figures import draw_angles, draw_scores, view_of
 from stillpoint.scoring.report import Material, Verdict, judge
 from stillpoint.scripts.demo import KIND
@@ -29,7 +30,7 @@ STYLE: dict[Any, Any] = {
 def main(target: Path = TARGET) -> None:
     """Simulate, make the reference, run all estimators, and draw angles in close-up beside their scores."""
     recording = simulate(KIND)
-    estimates = tuple(estimate(recording, name) for name in ESTIMATORS)
+    estimates = tuple(estimate(recording, name) for name in ATTITUDES)
     material = Material(recording.name, recording, (attitude_reference(recording),), estimates)
     target.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):

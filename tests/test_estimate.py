@@ -20,14 +20,22 @@ from stillpoint.scripts.estimate import estimate
 ALL_OF_THEM = """
 import numpy as np
 from stillpoint.datasets import Imu, Info, Recording
+from stillpoint.datasets.recording import Spin
+from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import ESTIMATORS, Stream, estimate
+from stillpoint.filters.roll_stream import RollStream
+from stillpoint.filters.table import ROLLS
 t_ns = np.arange(10) * 10_000_000
 imu = Imu(t_ns, np.zeros((10, 3)), np.tile([0, 0, 9.81], (10, 1)))
+spin = Spin(t_ns, np.tile([-100.0, 0.0], (10, 1)), np.empty((10, 0)), BENCH)
 misses = {}
 for name, entry in ESTIMATORS.items():
     if not entry.is_peer:
-        estimate(Recording("x", imu, info=Info(units_unchecked=True)), name)
-        Stream(name).update(0, (0, 0, 0), (0, 0, 9.81))
+        estimate(Recording("x", imu, spin=spin, info=Info(units_unchecked=True)), name)
+        if name in ROLLS:
+            RollStream(name, BENCH).update(0, (-100.0, 0.0))
+        else:
+            Stream(name).update(0, (0, 0, 0), (0, 0, 9.81))
         for part in (entry.start, entry.step, entry.run):
             misses[name] = misses.get(name, 0) + sum(part.stats.cache_misses.values())
 print(misses)
