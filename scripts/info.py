@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from stillpoint.datasets.recording import Recording, Times, rate_hz
+from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_hz
+from stillpoint.datasets.spin import G_MPS2, saturated
 from stillpoint.datasets.store import read
 from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
@@ -89,6 +90,7 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
         "streams": [_clock(name, t_ns) for name, t_ns in recording.streams()],
         "rests": [] if imu is None else _spans(find_rests(imu), imu.t_ns),
         "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
+        "spin": [] if recording.spin is None else _spin_lines(recording.spin),
     }
     said = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
     marks = {name: getattr(info, name) for name in ("mag_uncalibrated", "units_unchecked")}
@@ -103,6 +105,22 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
         **lists,
         "sha256": dict(info.sha256),
     }
+
+
+def _spin_lines(spin: Spin) -> list[str]:
+    """Where the single-axis sensors sit, and how many of their values tell nothing; x is the spin axis."""
+    geometry, full, missing = spin.geometry, saturated(spin).sum(axis=0), (~np.isfinite(spin.accel_mps2)).sum(axis=0)
+    lines = ["on a fixed axis (a motor's shaft)" if geometry.fixed_axis else "free to turn about all axes"]
+    for k, (arm, axis) in enumerate(zip(geometry.accel_r_b_m, geometry.accel_axis_b, strict=True)):
+        limit = "" if geometry.accel_range_mps2 is None else f", range {geometry.accel_range_mps2[k] / G_MPS2:.3g} g"
+        place = "arm not known" if np.isnan(arm).any() else f"arm {_vector(arm)} m"
+        spoilt = f", {full[k]} saturated" * bool(full[k]) + f", {missing[k]} missing" * bool(missing[k])
+        lines.append(f"accelerometer {k + 1}: {place}, axis {_vector(axis)}{limit}{spoilt}")
+    return lines + [f"gyro {k + 1}: axis {_vector(axis)}" for k, axis in enumerate(geometry.gyro_axis_b)]
+
+
+def _vector(values: Floats) -> str:
+    return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
 def _clock(name: str, t_ns: Times) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from stillpoint.datasets.doctor.lags import check_lags
 from stillpoint.datasets.doctor.noise import check_noise
 from stillpoint.datasets.doctor.remedy import apply
 from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity, check_gyro_size
+from stillpoint.datasets.doctor.spin import check_spin
 from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
 from stillpoint.datasets.doctor.values import check_steps, check_values
 from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
@@ -32,6 +33,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     case = _Case(recording, np.asarray(rests_ns, dtype=np.int64).reshape(-1, 2))
     case.run(check_clocks)
     case.run(check_values)
+    case.run(check_spin)
     if recording.imu is None:
         return case.diagnosis()
     if any(finding.code in UNUSABLE for finding in case.findings):

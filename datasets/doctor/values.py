@@ -78,10 +78,11 @@ def _sensors(recording: Recording) -> list[Sensor]:
             sensors.append(Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
     if recording.spin is not None:
         spin = recording.spin
-        all_of = np.ones(len(spin.t_ns), dtype=np.bool_)
-        sensors.append(Sensor("spin-accel", "spin", spin.t_ns, spin.accel_mps2, all_of))
-        if spin.gyro_radps.shape[1]:
-            sensors.append(Sensor("spin-gyro", "spin", spin.t_ns, spin.gyro_radps, all_of))
+        for name, values in (("spin-accel", spin.accel_mps2), ("spin-gyro", spin.gyro_radps)):
+            whole = np.isfinite(values).all(axis=1)
+            if values.shape[1] and whole.any():
+                moving = np.ones(int(whole.sum()), dtype=np.bool_)
+                sensors.append(Sensor(name, "spin", spin.t_ns[whole], values[whole], moving))
     return sensors
 
 

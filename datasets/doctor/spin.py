@@ -1,0 +1,90 @@
+"""A spinning body's accelerometers: lost and saturated values, places that tell nothing, signs and scales."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.doctor.finding import Finding, Severity
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.recording import Encoder, Recording, Spin
+from stillpoint.datasets.spin import SpinChannels, channels, measure, saturated
+
+LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
+SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm
+CERTAIN = 5.0  # standard errors
+SLOWEST_RADPS = 3.0  # below it a squared rate tells nothing about a scale
+
+
+def check_spin(recording: Recording) -> Iterator[Finding]:
+    """What is wrong with the spin stream; its encoder is the witness where there is one."""
+    spin = recording.spin
+    if spin is None:
+        return
+    yield from _values(spin, ~np.isfinite(spin.accel_mps2), "missing", "hold no value")
+    yield from _values(spin, saturated(spin), "saturated", "lie at the end of the stated range; they are never used")
+    try:
+        by = channels(spin.geometry)
+    except Unobservable as error:
+        yield Finding("spin-geometry", "error", f"spin: {error}")
+        return
+    if by.misplaced:
+        yield Finding("spin-misplaced", "warning", f"spin: {'; '.join(by.misplaced)}")
+    yield from _radial(spin, by, recording.encoder)
+    if recording.encoder is not None:
+        yield from _tangential(spin, by, recording.encoder)
+
+
+def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator[Finding]:
+    """How many values of each accelerometer are of a kind that tells nothing."""
+    counts = of.sum(axis=0)
+    if not counts.any():
+        return
+    share = float(counts.max()) / len(spin.t_ns)
+    listed = ", ".join(f"{n} of accelerometer {k + 1}" for k, n in enumerate(counts) if n)
+    severity: Severity = "warning" if share > LOST_SHARE else "fact"
+    yield Finding(f"spin-{what}", severity, f"spin: values that {text}: {listed}", values={"share": share})
+
+
+def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[Finding]:
+    """The squared rate must be positive, and the encoder's."""
+    samples = measure(spin, by)
+    squared = samples.omega_squared_radps2[samples.omega_squared_valid]
+    if len(squared) < 10:
+        return
+    middle = float(np.median(squared))
+    error = 1.4826 * float(np.median(np.abs(squared - middle))) / np.sqrt(len(squared))
+    if middle < -CERTAIN * error and middle < -(SLOWEST_RADPS**2):
+        message = f"spin: the squared rate is {middle:.4g} rad^2/s^2 in the median: turn the sign of the radial one"
+        yield Finding("spin-radial-sign", "error", message, values={"omega_squared_radps2": middle})
+        return
+    if encoder is None:
+        return
+    rate = np.interp(spin.t_ns, encoder.t_ns, encoder.rate_radps)
+    fast = samples.omega_squared_valid & (np.abs(rate) > SLOWEST_RADPS)
+    if fast.sum() < 10:
+        return
+    scale = float(np.sqrt(max(np.median(samples.omega_squared_radps2[fast] / rate[fast] ** 2), 0.0)))
+    if abs(scale - 1) > SCALE_LIMIT:
+        message = (
+            f"spin: the rate by the accelerometers is {scale:.3f} times the encoder's: check the radial one's lever arm "
+            f"({100 * (scale**2 - 1):+.1f} %), its unit, and the counts of a turn"
+        )
+        yield Finding("spin-scale", "warning", message, values={"scale": scale})
+
+
+def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Finding]:
+    """Angular acceleration by the accelerometers and by the encoder must have the same sign."""
+    if len(encoder.t_ns) < 20:
+        return
+    samples = measure(spin, by)
+    known = samples.omega_dot_valid
+    if known.sum() < 20:
+        return
+    middle_ns = 0.5 * (encoder.t_ns[1:] + encoder.t_ns[:-1])
+    turning = np.diff(encoder.rate_radps) / (np.diff(encoder.t_ns) / 1e9)
+    seen = np.interp(middle_ns, spin.t_ns[known], samples.omega_dot_radps2[known])
+    alike = float(np.corrcoef(seen, turning)[0, 1]) if np.ptp(seen) > 0 and np.ptp(turning) > 0 else 0.0
+    if alike < -CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
+        message = f"spin: the tangential one goes against the encoder (correlation {alike:.2f}): turn its sign"
+        yield Finding("spin-tangential-sign", "error", message, values={"correlation": alike})
