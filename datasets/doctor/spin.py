@@ -67,7 +67,7 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
     scale = float(np.sqrt(max(np.median(samples.omega_squared_radps2[fast] / rate[fast] ** 2), 0.0)))
     if abs(scale - 1) > SCALE_LIMIT:
         message = (
-            f"spin: the rate by the accelerometers is {scale:.3f} times the encoder's: check the radial one's lever arm "
+            f"spin: the rate by the accelerometers is {scale:.3f} times the encoder's: check the radial arm "
             f"({100 * (scale**2 - 1):+.1f} %), its unit, and the counts of a turn"
         )
         yield Finding("spin-scale", "warning", message, values={"scale": scale})
