@@ -10,6 +10,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT
 from stillpoint.datasets.spin import FIVE_ACCELEROMETERS
 
+pytestmark = pytest.mark.filterwarnings("error")
 NO_RESTS = np.empty((0, 2), np.int64)
 
 
@@ -83,3 +84,16 @@ def test_an_accelerometer_out_of_the_plane_is_named():
 def test_nothing_but_lost_values_is_survived(clean):
     nothing = np.full_like(clean.spin.accel_mps2, np.nan)
     assert codes(with_spin(clean, accel_mps2=nothing)) == {"spin-missing"}
+
+
+def test_equal_samples_are_a_fault_in_a_spin_and_none_at_rest(clean):
+    accel = clean.spin.accel_mps2.copy()
+    accel[1000:1200] = accel[1000]
+    assert codes(with_spin(clean, accel_mps2=accel)) == {"spin-accel-frozen"}
+    assert codes(with_spin(clean, accel_mps2=accel - accel[1000])) & {"spin-accel-frozen"} == set()
+
+
+def test_unknown_lever_arms_are_a_warning(clean):
+    geometry = replace(clean.spin.geometry, accel_r_b_m=np.full((2, 3), np.nan))
+    diagnosis = diagnose(with_spin(clean, geometry=geometry), NO_RESTS)
+    assert diagnosis.codes("warning") == ("spin-geometry",)

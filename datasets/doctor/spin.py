@@ -26,7 +26,8 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
     try:
         by = channels(spin.geometry)
     except Unobservable as error:
-        yield Finding("spin-geometry", "error", f"spin: {error}")
+        unknown = bool(np.isnan(spin.geometry.accel_r_b_m).any())  # which the smoother may find
+        yield Finding("spin-geometry", "warning" if unknown else "error", f"spin: {error}")
         return
     if by.misplaced:
         yield Finding("spin-misplaced", "warning", f"spin: {'; '.join(by.misplaced)}")

@@ -18,6 +18,7 @@ HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
 HELD_STEPS = 3.0  # ... while the others move on by more than so many steps of the converter
 FROZEN_S, FROZEN_SAMPLES = 0.3, 10  # a run of equal samples in motion, longer than both
 COARSE = {"gyro": np.deg2rad(0.5), "accel": 0.05, "mag": 1.0}  # steps above these hide slow motion
+SPIN_AT_REST_MPS2, SPIN_AT_REST_RADPS = 15.0, 0.3  # below both, a spinning body may as well lie still
 TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
 
 
@@ -78,11 +79,12 @@ def _sensors(recording: Recording) -> list[Sensor]:
             sensors.append(Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
     if recording.spin is not None:
         spin = recording.spin
+        pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > SPIN_AT_REST_MPS2
+        turning = (np.abs(np.nan_to_num(spin.gyro_radps)) > SPIN_AT_REST_RADPS).any(axis=1)
         for name, values in (("spin-accel", spin.accel_mps2), ("spin-gyro", spin.gyro_radps)):
             whole = np.isfinite(values).all(axis=1)
             if values.shape[1] and whole.any():
-                moving = np.ones(int(whole.sum()), dtype=np.bool_)
-                sensors.append(Sensor(name, "spin", spin.t_ns[whole], values[whole], moving))
+                sensors.append(Sensor(name, "spin", spin.t_ns[whole], values[whole], (pressed | turning)[whole]))
     return sensors
 
 
