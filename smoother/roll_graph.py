@@ -28,8 +28,9 @@ from stillpoint.smoother.roll_samples import RollSamples
 from stillpoint.smoother.roll_start import Harmonic
 from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
 
-HELD = 1e-7  # sd of a constant that is not estimated, and of its change from step to step
-ZERO_SD_RAD = 1e-6  # of the first angle where nothing else says where zero is
+HELD = 1e-4  # sd of a constant that is not estimated: as good as none, and no strain on the numbers
+ZERO_SD_RAD = 1e-4  # of the first angle where nothing else says where zero is
+CONSTANT = 1e-3  # of its sd may a constant change from step to step, for the same reason
 FREE_SD_RAD = 10.0  # of an angle that the data has to fix
 
 
@@ -59,7 +60,7 @@ def prior_of(
     cov = np.diag(sizes**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
     cov[:2, :2] = p.accel_bias_sd_mps2**2 * bias
-    walk = np.diag(np.full(len(CONSTANTS), HELD**2))
+    walk = np.diag(np.where(sizes > HELD, CONSTANT * sizes, HELD) ** 2)
     walk[:2, :2] = p.accel_bias_walk**2 * p.step_s * bias
     mean = np.zeros(len(CONSTANTS))
     mean[AMPLITUDE] = 0.0 if harmonic is None else harmonic.amplitude_mps2

@@ -16,6 +16,7 @@ from stillpoint.smoother.roll_samples import MEDIAN_TO_SD, samples_of
 from stillpoint.smoother.roll_start import Harmonic, find_harmonic, start_rates
 from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, OFFSET, RollState
 
+ROUGH = 3  # iterations before gravity is looked for
 ADAPTING = 6  # iterations, after which the noise is no longer fitted: it and the weights could chase each other
 HALVINGS = 8  # of a step that makes the fit worse
 GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
@@ -46,14 +47,15 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
     state = start_of(chain, readings)
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
-    solution = solved(chain, state, prior, recording.name, params)
-    harmonic = find_harmonic(chain, solution.state, params.harmonic)
-    if harmonic is not None and harmonic.significance < params.harmonic.significance:
-        harmonic = None
+    rough = improved(chain, state, prior, recording.name, params, ROUGH)
+    harmonic = None if params.harmonic.search == "off" else find_harmonic(chain, rough.state, params.harmonic)
+    state = rough.state
     if harmonic is not None:
-        state = with_harmonic(chain, solution.state, harmonic, readings)
+        state = with_harmonic(chain, state, harmonic, readings)
         prior = prior_of(samples, harmonic, readings is not None, float(angles_of(chain, state)[0]), params)
-        solution = solved(chain, state, prior, recording.name, params)
+    solution = improved(chain, state, prior, recording.name, params, int(params.iterations))
+    if not solution.steps_radps[-1] < params.rate_limit_radps:
+        raise _no_optimum(recording.name, solution)
     linear = eliminated(chain, solution.state, prior, solution.sds, recording.name)
     accuracy = accuracy_of(chain, linear, recording.name)
     return RollReference(
@@ -92,19 +94,21 @@ def with_harmonic(chain: Chain, state: RollState, harmonic: Harmonic, readings: 
     return moved
 
 
-def solved(chain: Chain, state: RollState, prior: Prior, name: str, params: RollGraphParams) -> RollSolution:
-    """Gauss-Newton with a line search, the robust weights renewed in every iteration.
+def improved(
+    chain: Chain, state: RollState, prior: Prior, name: str, params: RollGraphParams, iterations: int
+) -> RollSolution:
+    """Gauss-Newton with a line search, the robust weights renewed in every iteration, until the limit or for so many.
 
-    The noise of the squared rate is the larger of what the samples show and of what the fit leaves, unless it is given.
-    Raises :class:`Unobservable` when no optimum is found.
+    The noise of a channel is the larger of what the samples show and of what the fit leaves, unless it is given.
+    Raises :class:`Unobservable`.
     """
     steps: list[float] = []
-    while len(steps) < params.iterations:
+    sds = _sds(chain, state, params)
+    while len(steps) < iterations and not (steps and steps[-1] < params.rate_limit_radps):
         if len(steps) < ADAPTING:
             sds = _sds(chain, state, params)
         roots = roots_of_weights(chain, *residuals(chain, state), sds)
-        linear = eliminated(chain, state, prior, sds, name)
-        step = step_of(chain, linear, len(state.constants))
+        step = step_of(chain, eliminated(chain, state, prior, sds, name), len(state.constants))
         before, share = _cost(chain, state, roots, prior), 1.0
         for _ in range(HALVINGS):
             if _cost(chain, _plus(state, step, share), roots, prior) <= before * (1 + 1e-9):
@@ -112,13 +116,13 @@ def solved(chain: Chain, state: RollState, prior: Prior, name: str, params: Roll
             share /= 2
         state = _plus(state, step, share)
         steps.append(share * float(np.sqrt(np.mean(step.mean_rate_radps**2))))
-        if not np.isfinite(steps[-1]):
-            break
-        if steps[-1] < params.rate_limit_radps:
-            return RollSolution(state, sds, tuple(steps))
-    last_degps = np.rad2deg(steps[-1])
-    raise Unobservable(
-        f"{name}: no optimum in {len(steps)} iterations, the last changed the rate by {last_degps:.2g} deg/s; "
+    return RollSolution(state, sds, tuple(steps))
+
+
+def _no_optimum(name: str, solution: RollSolution) -> Unobservable:
+    count, last_degps = len(solution.steps_radps), np.rad2deg(solution.steps_radps[-1])
+    return Unobservable(
+        f"{name}: no optimum in {count} iterations, the last changed the rate by {last_degps:.2g} deg/s; "
         "the accelerometers contradict each other: check lever arms, signs and axes of the geometry"
     )
 

@@ -13,8 +13,9 @@ from stillpoint.smoother.roll_params import RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
+ROUNDING = 1e-9  # relative
 FEWEST = 50  # valid samples of a channel
-NORMAL_SPREAD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
+LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # of the channel: what stamps, arms and axes that are never exact add
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,25 +61,23 @@ def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
         squared_rad2ps2=squared,
         accel_valid=seen.omega_dot_valid,
         squared_valid=seen.omega_squared_valid,
-        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, seen.omega_dot_valid),
-        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, seen.omega_squared_valid),
+        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, seen.omega_dot_valid, LEAST_ACCEL),
+        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, seen.omega_squared_valid, LEAST_SQUARED),
         accel_gravity=_gravity(by, by.omega_dot),
         squared_gravity=_gravity(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
     )
 
 
-def white_sd(values: Floats, valid: NDArray[np.bool_]) -> float:
+def white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
     """The white noise in a smooth signal (N,), robustly: from its differences of fourth order.
 
-    Not below what the steps of its converter make of it.
+    Not below ``least`` of the signal.
     """
     whole = np.convolve(valid, np.ones(DIFFERENCE + 1), "valid") == DIFFERENCE + 1
     differences = np.diff(values, DIFFERENCE)[whole]
     size = float(np.median(np.abs(differences))) * MEDIAN_TO_SD / np.sqrt(binom(2 * DIFFERENCE, DIFFERENCE))
-    levels = np.diff(np.unique(values[valid]))
-    coarse = float(levels.min()) if len(levels) else 0.0
-    return max(size, NORMAL_SPREAD * coarse, 1e-9 * float(np.abs(values).max()), 1e-12)
+    return max(size, least * float(np.sqrt(np.mean(values[valid] ** 2))), 1e-9)
 
 
 def _steps_s(spin: Spin) -> Floats:
@@ -89,4 +88,5 @@ def _steps_s(spin: Spin) -> Floats:
 def _gravity(by: SpinChannels, channel: Channel) -> Floats:
     """At angle 0 the body's z axis points up as far as the spin axis allows: up = z cos(angle) + y sin(angle)."""
     seen = channel.accel @ by.geometry.accel_axis_b
+    seen = np.where(np.abs(seen) > ROUNDING * np.abs(channel.accel).max(), seen, 0.0)  # it cancels where F3 is there
     return np.array([seen[2], seen[1]])

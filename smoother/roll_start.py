@@ -37,7 +37,7 @@ class Harmonic:
 
 
 def find_harmonic(chain: Chain, state: RollState, params: HarmonicParams) -> Harmonic | None:
-    """The harmonic along a trajectory that knows nothing of it; None where the channels cannot show it.
+    """The harmonic along a trajectory that knows nothing of it; None where it does not show.
 
     In each window both channels are fitted together with a ripple of the rate at the spin frequency, which is real and
     looks alike in each channel, but not in both.
@@ -60,9 +60,12 @@ def find_harmonic(chain: Chain, state: RollState, params: HarmonicParams) -> Har
     amplitudes = np.array([one[1] for one in found])
     squares = np.array([one[2] for one in found])
     phase = np.unwrap(np.angle(amplitudes))
+    significance = float((squares.sum() - 2 * len(squares)) / np.sqrt(4 * len(squares)))
+    if significance < params.significance:
+        return None
     return Harmonic(
         amplitude_mps2=float(np.median(np.abs(amplitudes))),
-        significance=float((squares.sum() - 2 * len(squares)) / np.sqrt(4 * len(squares))),
+        significance=significance,
         phase_rad=np.asarray(np.interp(t_s, middle_s, phase)),
     )
 
