@@ -80,7 +80,7 @@ def _sensors(recording: Recording) -> list[Sensor]:
     if recording.spin is not None:
         spin = recording.spin
         pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > SPIN_AT_REST_MPS2
-        turning = (np.abs(np.nan_to_num(spin.gyro_radps)) > SPIN_AT_REST_RADPS).any(axis=1)
+        turning = np.linalg.norm(np.nan_to_num(spin.gyro_radps), axis=1) > SPIN_AT_REST_RADPS
         for name, values in (("spin-accel", spin.accel_mps2), ("spin-gyro", spin.gyro_radps)):
             whole = np.isfinite(values).all(axis=1)
             if values.shape[1] and whole.any():
