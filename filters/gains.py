@@ -1,0 +1,50 @@
+"""``gains(recording, name)``: the gains of an adaptive filter as they go with time (paper 003, figures 10 and 11)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stillpoint.datasets import BadParameter, Recording
+from stillpoint.datasets.recording import Floats, Times
+from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.filters import front, least_squares
+from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.sources import as_raw_log, sources_of
+from stillpoint.filters.table import ESTIMATORS, Estimator
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Those of eq (10) after each sample; columns are roll, pitch, heading."""
+
+    t_ns: Times  # (N,)
+    kp_per_s: Floats  # (N, 3)
+    ki_per_s2: Floats  # (N, 3)
+
+
+def gains(
+    recording: Recording,
+    name: str,
+    params: Settings | Mapping[str, Any] | None = None,
+    precision: Precision = "double",
+    heading: Heading = "mag",
+) -> Gains:
+    """The gains with which ``estimate(recording, name, params, precision, heading)`` runs; its arguments and errors.
+
+    Raises :class:`BadParameter` also for an estimator that does not adapt gains of its own.
+    """
+    entry = ESTIMATORS.get(name)
+    if not isinstance(entry, Estimator) or entry.step is not least_squares.step:
+        raise BadParameter(f"{name}: has no adaptive gains; cf-lse and cf-lse-literal have")
+    settings = chosen(entry.params(), params, name)
+    sources = sources_of(recording, heading, None, None)
+    raw, _ = as_raw_log(recording.require_imu(), sources)
+    front_c = in_precision(sources.front, precision)
+    _, log = front.run(in_precision(raw, precision), in_precision(front.start(front_c), precision), front_c)
+    c = in_precision(entry.coefficients(settings, sources.declination_rad), precision)
+    kp_per_s, ki_per_s2 = np.empty((2, len(raw.t_ns), 3))
+    least_squares.run_gains(log, in_precision(entry.start(c), precision), c, kp_per_s, ki_per_s2)
+    return Gains(raw.t_ns, kp_per_s, ki_per_s2)
