@@ -108,6 +108,10 @@ ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
     "offline-vqf": Peer(
         "offline VQF of the package vqf: sees the future", peers.VqfParams, peers.offline_vqf, offline=True
     ),
+    "madgwick": Peer("gradient descent (Madgwick 2010) of the package ahrs", peers.MadgwickParams, peers.madgwick),
+    "mahony": Peer("PI filter on SO(3) (Mahony 2008) of the package ahrs", peers.MahonyParams, peers.mahony),
+    "ahrs-ekf": Peer("quaternion EKF of the package ahrs", peers.AhrsEkfParams, peers.ahrs_ekf),
+    "fusion": Peer("revised Madgwick of the package imufusion", peers.FusionParams, peers.fusion),
     "roll-obs": _roll(roll_observation, "roll: root of the observed square of the rate (paper 000)", innovations=0),
     "roll-ekf": _roll(roll_ekf, "roll: extended Kalman filter of the rate (paper 000, eqs 11-14)"),
     "roll-aekf": _roll(roll_aekf, "roll: adaptive extended Kalman filter of the rate (paper 000, eqs 15-23)"),
