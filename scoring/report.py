@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording, Truth, rate_hz
@@ -59,14 +59,7 @@ def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = 
 
 def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
     """The page as text. The same material gives the same bytes."""
-    page = Environment(
-        loader=PackageLoader("stillpoint.scoring", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("report.html.j2")
-    return page.render(
+    return template("report.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.name,
@@ -76,7 +69,7 @@ def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         shared_gyro=any(isinstance(verdict.truth, Reference) for verdict in verdicts),
         pictures=_pictures(verdicts),
         provenance=_provenance(material),
-        versions=_versions(),
+        versions=versions(),
     )
 
 
@@ -160,24 +153,36 @@ def _provenance(material: Material) -> dict[str, Any]:
     return {
         "files": dict(material.sha256),
         "sources": dict(material.recording.info.sha256) if material.recording is not None else {},
-        "params": {name_of(thing): dict(_dotted("", thing.params)) for thing in made},
+        "params": {name_of(thing): dict(dotted("", thing.params)) for thing in made},
     }
 
 
-def _dotted(prefix: str, params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def dotted(prefix: str, params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Nested parameters in one level: ``rest.window_s``."""
     for key, value in params.items():
         if isinstance(value, Mapping):
-            yield from _dotted(f"{prefix}{key}.", value)
+            yield from dotted(f"{prefix}{key}.", value)
         else:
             yield f"{prefix}{key}", f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
+def template(name: str) -> Template:
+    """One of the pages beside this module, and nothing undefined in it."""
+    return Environment(
+        loader=PackageLoader("stillpoint.scoring", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    ).get_template(name)
+
+
+def versions() -> dict[str, str]:
+    """Of stillpoint, Python, and the packages that figures depend on."""
+    found = {"python": platform.python_version()}
     for package in VERSIONS_OF:
         try:
-            versions[package] = metadata.version(package)
+            found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
-    return versions
+    return found

@@ -1,0 +1,204 @@
+"""One self-contained HTML page of a roll experiment: its figures beside the paper's, per trial, and what they mean."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from stillpoint.scoring.figures import COLOURS, ON_DARK
+from stillpoint.scoring.pictures import Picture, picture
+from stillpoint.scoring.report import dotted, template, versions
+from stillpoint.scoring.roll_figures import draw_bars, draw_rates
+from stillpoint.scoring.roll_study import (
+    FILTERS,
+    METRICS,
+    OF_PAPER,
+    SMOOTHER,
+    NoiseKind,
+    Scenario,
+    Trial,
+    in_order,
+    wins,
+    worst,
+)
+
+METHODS = (*FILTERS, SMOOTHER)
+COLOUR = {"observation": 4, "EKF": 0, "AEKF": 1, "guarded": 2, "smoother": 3}  # places in COLOURS
+
+
+class Metric(NamedTuple):
+    """How a figure is called on the page."""
+
+    key: str
+    name: str
+    unit: str
+
+
+NAMED = (
+    Metric("angle_max_deg", "angle, largest error", "deg"),
+    Metric("angle_rmse_deg", "angle, RMSE", "deg"),
+    Metric("rate_max_degps", "rate, largest error", "deg/s"),
+    Metric("rate_rmse_degps", "rate, RMSE", "deg/s"),
+)
+assert tuple(metric.key for metric in NAMED) == METRICS
+
+
+def roll_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, command: str) -> str:
+    """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
+    methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
+    first = next(iter(trials.values()))
+    return template("roll_page.html.j2").render(
+        colours=COLOURS,
+        colours_on_dark=ON_DARK,
+        title=scenario.title,
+        online=online,
+        facts=_facts(scenario, first, online, methods, trials),
+        scenario=scenario.name,
+        counted=_counted(scenario, trials, online),
+        metrics=NAMED,
+        of_paper=OF_PAPER,
+        has_smoother=SMOOTHER in methods,
+        worst=_worst_rows(scenario, trials, online, methods),
+        wins=_win_rows(scenario, trials, online, methods),
+        sections=[_section(noise, some, scenario, online, methods) for noise, some in trials.items()],
+        command=command,
+        parameters=_parameters(trials),
+        versions=versions(),
+    )
+
+
+def _facts(
+    scenario: Scenario,
+    first: Sequence[Trial],
+    online: bool,
+    methods: Sequence[str],
+    trials: Mapping[NoiseKind, Sequence[Trial]],
+) -> dict[str, str]:
+    seeds = [one.seed for one in first]
+    facts = {
+        "trials": f"{len(seeds)} of {scenario.seconds:g} s per noise, T = 4 ms, seeds {seeds[0]} to {seeds[-1]}",
+        "computed": "sample by sample in single precision, as on a microcontroller"
+        if online
+        else "in double precision",
+        "methods": ", ".join(methods),
+        "scored": "against the simulated truth at every sample; the angle counts from the first one",
+    }
+    refused = {reason for some in trials.values() for one in some for reason in one.refused.values()}
+    return facts | ({"refused": "; ".join(sorted(refused))} if refused else {})
+
+
+def _counted(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool) -> dict[str, str]:
+    """In how many trials the paper's order of the rates comes out, by noise, and in how many the paper's AEKF won."""
+    counts = {noise: f"{in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}" for noise, some in trials.items()}
+    printed = scenario.printed[online].wins["rate_rmse_degps"].get("AEKF", 0)
+    return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
+
+
+def _worst_rows(
+    scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, methods: Sequence[str]
+) -> list[dict[str, Any]]:
+    printed = scenario.printed[online].worst
+    rows: list[dict[str, Any]] = [
+        {
+            "noise": "the paper" if method == OF_PAPER[0] else "",
+            "method": method,
+            "figures": [printed.get((method, metric)) for metric in METRICS],
+            "of_paper": True,
+            "first": False,
+            "colour": None,
+        }
+        for method in OF_PAPER
+    ]
+    for noise, some in trials.items():
+        rows += [
+            {
+                "noise": noise if method == methods[0] else "",
+                "method": method,
+                "figures": [worst(some, method, metric) for metric in METRICS],
+                "of_paper": False,
+                "first": method == methods[0],
+                "colour": COLOUR[method],
+            }
+            for method in methods
+        ]
+    return rows
+
+
+def _win_rows(
+    scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, methods: Sequence[str]
+) -> list[dict[str, Any]]:
+    printed = scenario.printed[online].wins
+    rows: list[dict[str, Any]] = [
+        {
+            "noise": "the paper",
+            "of_paper": True,
+            "cells": [" / ".join(str(printed[m].get(one, 0)) for one in OF_PAPER) for m in METRICS],
+        }
+    ]
+    for noise, some in trials.items():
+        cells = []
+        for metric in METRICS:
+            three, all_of_them = wins(some, metric, OF_PAPER), wins(some, metric, methods)
+            others = sum(count for method, count in all_of_them.items() if method not in OF_PAPER)
+            cells.append(f"{' / '.join(str(three[method]) for method in OF_PAPER)} ({others})")
+        rows.append({"noise": noise, "of_paper": False, "cells": cells})
+    return rows
+
+
+def _section(
+    noise: NoiseKind, trials: Sequence[Trial], scenario: Scenario, online: bool, methods: Sequence[str]
+) -> dict[str, Any]:
+    numbers = scenario.printed[online].figures
+    bars = [_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in NAMED]
+    return {
+        "noise": noise,
+        "pictures": [*_rates(noise, trials[0], scenario, methods), *bars],
+        "rows": [_row(one, method) for one in trials for method in methods if method in one.scores],
+    }
+
+
+def _row(one: Trial, method: str) -> dict[str, Any]:
+    s = one.scores[method]
+    fits = [s.angle_nees, s.rate_nees, s.angle_coverage95, s.rate_coverage95]
+    return {"seed": one.seed, "method": method, "figures": [*(getattr(s, metric) for metric in METRICS), *fits]}
+
+
+def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: Metric, methods: Sequence[str], number: str) -> Picture:
+    return picture(
+        f"{metric.name[0].upper()}{metric.name[1:]} ({noise})",
+        f"As the paper's figure {number}: one group of bars per trial.",
+        1,
+        230,
+        lambda axes: draw_bars(axes[0], trials, metric.key, {m: COLOUR[m] for m in methods}, metric.unit),
+        time_axis=False,
+    )
+
+
+def _rates(noise: NoiseKind, one: Trial, scenario: Scenario, methods: Sequence[str]) -> list[Picture]:
+    if one.series is None:
+        return []
+    series = one.series
+    number = {"spin-constant": "9", "spin-variable": "18"}[scenario.name]
+    shown = {method: COLOUR[method] for method in methods if method in series.rate_radps}
+    drawn = picture(
+        f"Rate over time ({noise})",
+        f"As the paper's figure {number}: trial {one.seed}. Errors are estimate minus truth.",
+        1 + len(shown),
+        105,
+        lambda axes: draw_rates(axes, series, shown),
+    )
+    return [drawn]
+
+
+def _parameters(trials: Mapping[NoiseKind, Sequence[Trial]]) -> dict[str, str]:
+    """Per noise and method, flat; one entry where all noises share it."""
+    found: dict[str, dict[str, str]] = {}
+    for noise, some in trials.items():
+        for method, params in some[0].params.items():
+            text = "; ".join(f"{key} = {value}" for key, value in dotted("", params))
+            found.setdefault(method, {})[noise] = text
+    shown = {}
+    for method, by_noise in found.items():
+        if len(set(by_noise.values())) == 1:
+            shown[method] = next(iter(by_noise.values()))
+        else:
+            shown |= {f"{method} ({noise})": text for noise, text in by_noise.items()}
+    return shown

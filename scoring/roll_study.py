@@ -1,0 +1,229 @@
+"""Paper 000's two experiments on simulated trials: what to run, what the paper printed, who wins how often.
+
+As :mod:`stillpoint.scoring.validation`, a study that runs filters and smoother. The paper's recordings are not public;
+trials come from :mod:`stillpoint.datasets.simulate`, under three hypotheses of what the sensors' noise was made of.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.filters import estimate
+from stillpoint.scoring.roll import RollScore, compare_roll, roll_score_of
+from stillpoint.smoother import reference
+
+NoiseKind = Literal["white", "glitch", "replica"]
+NOISES: tuple[NoiseKind, ...] = get_args(NoiseKind)
+Reading = Literal["default", "printed"]
+METRICS = ("angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps")
+OF_PAPER = ("observation", "EKF", "AEKF")
+SMOOTHER = "smoother"
+FILTERS = {"observation": "roll-obs", "EKF": "roll-ekf", "AEKF": "roll-aekf", "guarded": "roll-guarded"}
+
+
+@dataclass(frozen=True)
+class Printed:
+    """What the paper prints of a scenario: the worst of the trials, and in how many a method is the best of three."""
+
+    worst: Mapping[tuple[str, str], float]  # (method, metric)
+    wins: Mapping[str, Mapping[str, int]]  # metric -> method -> trials
+    figures: Mapping[str, str]  # metric -> number of the figure
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One of the two experiments."""
+
+    name: str  # of the simulation, too
+    title: str
+    seconds: float
+    settings: Mapping[str, Any]  # of all filters: R and Q of the paper as variances of its accelerometers
+    adaptive: Mapping[str, Any]  # of the AEKF besides
+    printed: Mapping[bool, Printed]  # offline (False) and online (True)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Rates over time of one trial."""
+
+    t_s: Floats
+    truth_radps: Floats
+    rate_radps: Mapping[str, Floats]  # method -> rate at t_s
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One recording: a score per method, or the reason why there is none."""
+
+    noise: NoiseKind
+    seed: int
+    scores: Mapping[str, RollScore]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    params: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    series: Series | None = None
+
+
+def trial(
+    scenario: Scenario, noise: NoiseKind, seed: int, online: bool = False, reading: Reading | None = None
+) -> Trial:
+    """Simulate and score one trial; online: in single precision and without the smoother, which sees the future.
+
+    ``reading`` of the paper's equations: None takes them as printed for the noise "replica" and ours elsewhere.
+    """
+    recording = simulate(scenario.name, seed=seed, sensor=noise)
+    printed = reading == "printed" or (reading is None and noise == "replica")
+    made: dict[str, Estimate | RollReference] = {}
+    refused: dict[str, str] = {}
+    for method in (*FILTERS, *(() if online else (SMOOTHER,))):
+        try:
+            made[method] = _made(recording, method, scenario, printed, online)
+        except StillpointError as error:
+            refused[method] = str(error)
+    assert recording.roll_truth is not None
+    compared = {method: compare_roll(thing, recording.roll_truth) for method, thing in made.items()}
+    return Trial(
+        noise,
+        seed,
+        {method: roll_score_of(c) for method, c in compared.items()},
+        refused,
+        {method: dict(thing.params) for method, thing in made.items()},
+        _series(recording, made),
+    )
+
+
+def settings_of(scenario: Scenario, method: str, printed: bool) -> dict[str, Any]:
+    """The parameters of one filter, in its own reading or as the paper prints its equations."""
+    settings = dict(scenario.settings)
+    if method in ("EKF", "AEKF") and printed:
+        settings |= {"process_noise": "literal", "first_rate": "first"}
+    if method == "AEKF":
+        settings |= dict(scenario.adaptive) | ({"mean": "literal"} if printed else {})
+    return settings
+
+
+def worst(trials: Sequence[Trial], method: str, metric: str) -> float | None:
+    """The largest figure of a method over its trials; None where it has none."""
+    found = [getattr(one.scores[method], metric) for one in trials if method in one.scores]
+    return max(found) if found else None
+
+
+def wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> dict[str, int]:
+    """In how many trials each of the methods has the smallest figure of them."""
+    counted = dict.fromkeys(methods, 0)
+    for one in trials:
+        ranked = {method: getattr(one.scores[method], metric) for method in methods if method in one.scores}
+        if ranked:
+            counted[min(ranked, key=lambda method: ranked[method])] += 1
+    return counted
+
+
+def in_order(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> int:
+    """In how many trials the figure falls from each of the methods to the next."""
+    figures = [[getattr(one.scores[m], metric) for m in methods] for one in trials if set(methods) <= set(one.scores)]
+    return sum(all(a > b for a, b in pairwise(row)) for row in figures)
+
+
+def _made(
+    recording: Recording, method: str, scenario: Scenario, printed: bool, online: bool
+) -> Estimate | RollReference:
+    if method == SMOOTHER:
+        found = reference(recording)
+        assert isinstance(found, RollReference)
+        return found
+    settings = settings_of(scenario, method, printed)
+    return estimate(recording, FILTERS[method], settings, "single" if online else "double")
+
+
+def _series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> Series:
+    assert recording.spin is not None
+    assert recording.roll_truth is not None
+    t_ns, truth = recording.spin.t_ns, recording.roll_truth
+    rates = {method: np.asarray(thing.rate_radps) for method, thing in made.items()}
+    t_s = (t_ns - t_ns[0]) / 1e9
+    return Series(t_s, np.interp(t_ns, truth.t_ns, truth.rate_radps), rates)
+
+
+CONSTANT = Scenario(
+    name="spin-constant",
+    title="Roll at constant speed",
+    seconds=30.0,
+    settings={"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125},  # R = 80, Q = 0.5
+    adaptive={"window": 5, "mode": "observation"},
+    printed={
+        False: Printed(
+            worst={
+                ("AEKF", "angle_max_deg"): 3.0,
+                ("observation", "angle_rmse_deg"): 1.42,
+                ("AEKF", "rate_max_degps"): 20.92,
+                ("AEKF", "rate_rmse_degps"): 1.25,
+            },
+            wins={
+                "angle_max_deg": {"EKF": 2, "AEKF": 7},
+                "angle_rmse_deg": {"EKF": 1, "AEKF": 8},
+                "rate_max_degps": {"AEKF": 10},
+                "rate_rmse_degps": {"AEKF": 10},
+            },
+            figures=dict(zip(METRICS, ("10", "11", "12", "13"), strict=True)),
+        ),
+        True: Printed(
+            worst={("AEKF", "angle_max_deg"): 3.25, ("observation", "angle_rmse_deg"): 1.65},
+            wins={
+                "angle_max_deg": {"observation": 2, "AEKF": 3},
+                "angle_rmse_deg": {"observation": 2, "AEKF": 3},
+                "rate_max_degps": {"EKF": 4, "AEKF": 1},
+                "rate_rmse_degps": {"AEKF": 5},
+            },
+            figures=dict(zip(METRICS, ("14", "15", "16", "17"), strict=True)),
+        ),
+    },
+)
+VARIABLE = Scenario(
+    name="spin-variable",
+    title="Roll at variable speed",
+    seconds=60.0,
+    settings={"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0},  # R = 40, Q = 12
+    adaptive={"window": 10, "mode": "system"},
+    printed={
+        False: Printed(
+            worst={
+                ("AEKF", "angle_max_deg"): 3.74,
+                ("EKF", "angle_max_deg"): 4.39,
+                ("observation", "angle_max_deg"): 3.88,
+                ("AEKF", "angle_rmse_deg"): 1.93,
+                ("EKF", "angle_rmse_deg"): 2.31,
+                ("observation", "angle_rmse_deg"): 2.85,
+            },
+            wins={
+                "angle_max_deg": {"EKF": 1, "AEKF": 7},
+                "angle_rmse_deg": {"EKF": 1, "AEKF": 6},
+                "rate_max_degps": {"EKF": 7, "AEKF": 3},
+                "rate_rmse_degps": {"AEKF": 10},
+            },
+            figures=dict(zip(METRICS, ("19", "20", "21", "22"), strict=True)),
+        ),
+        True: Printed(
+            worst={
+                ("AEKF", "angle_max_deg"): 2.65,
+                ("EKF", "angle_max_deg"): 4.76,
+                ("observation", "angle_max_deg"): 3.15,
+                ("AEKF", "angle_rmse_deg"): 1.86,
+                ("EKF", "angle_rmse_deg"): 2.40,
+                ("observation", "angle_rmse_deg"): 2.22,
+            },
+            wins={
+                "angle_max_deg": {"EKF": 3, "AEKF": 2},
+                "angle_rmse_deg": {"EKF": 2, "AEKF": 3},
+                "rate_max_degps": {"EKF": 2, "AEKF": 3},
+                "rate_rmse_degps": {"EKF": 1, "AEKF": 4},
+            },
+            figures=dict(zip(METRICS, ("23", "24", "25", "26"), strict=True)),
+        ),
+    },
+)
