@@ -1,7 +1,7 @@
 """Peers: estimators of other projects through their own packages, so that a table shows where one stands.
 
 They want a constant rate and one clock: each gets the mean interval of the recording, and at each IMU sample the newest
-field so far. What that hides is in the diagnostics. Attitudes come as wxyz, body to ENU, whatever Earth is to a package;
+field so far. What that hides is in the diagnostics. Attitudes come as wxyz, body to ENU, whatever Earth a package has;
 tests hold every conversion against known motions.
 """
 

@@ -1,15 +1,19 @@
 """Peers give what their own package gives, and on real data what they are known to give."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import ahrs
+import imufusion
 import numpy as np
 import pytest
 import vqf
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording, Truth
+from stillpoint.datasets import BadParameter, BadRecording, Imu, Info, Mag, Recording, Truth
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.scoring import score
@@ -58,6 +62,104 @@ def test_offline_vqf_is_its_package_bit_for_bit() -> None:
     assert not ESTIMATORS["vqf"].offline
 
 
+def arrays(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    imu, mag = recording.require_imu(), recording.mag
+    assert mag is not None
+    return np.array(imu.gyro_b_radps), np.array(imu.accel_b_mps2), np.array(mag.mag_b_ut)
+
+
+NWU_TO_ENU = Rotation.from_euler("Z", 90, degrees=True)
+NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+
+
+def test_madgwick_is_its_package_seen_from_enu() -> None:
+    gyro, accel, mag = arrays(moving())
+    for settings, magnetic in (({}, True), ({"gain_marg_radps": 0.2}, True), ({"magnetometer": False}, False)):
+        beta = {"gain_marg": settings.get("gain_marg_radps", 0.041)} if magnetic else {}
+        own = ahrs.filters.Madgwick(gyro, accel, mag if magnetic else None, **beta).Q
+        turned = (NWU_TO_ENU * rotation(own)).as_quat(scalar_first=True)
+        assert np.abs((estimate(moving(), "madgwick", settings).q_nb * turned).sum(axis=1)) == pytest.approx(
+            1, abs=1e-14
+        )
+
+
+def test_mahony_is_its_package_bit_for_bit() -> None:
+    gyro, accel, mag = arrays(moving())
+    assert (estimate(moving(), "mahony").q_nb == ahrs.filters.Mahony(gyro, accel, mag).Q).all()
+    six = ahrs.filters.Mahony(gyro, accel, k_P=0.5, k_I=0.1).Q
+    assert (
+        estimate(moving(), "mahony", {"k_p_radps": 0.5, "k_i_radps2": 0.1, "magnetometer": False}).q_nb == six
+    ).all()
+
+
+def test_ahrs_ekf_is_its_package_seen_from_enu() -> None:
+    gyro, accel, mag = arrays(moving())
+    own = ahrs.filters.EKF(gyro, -accel, mag, frame="NED").Q
+    munich = estimate(moving(), "ahrs-ekf", {"magnetic_ref": "munich"}).q_nb
+    turned = (NED_TO_ENU * rotation(own)).as_quat(scalar_first=True)
+    assert np.abs((munich * turned).sum(axis=1)) == pytest.approx(1, abs=1e-14)
+    up, field = accel[:100], mag[:100]
+    sines = -(up * field).sum(axis=1) / np.linalg.norm(up, axis=1) / np.linalg.norm(field, axis=1)
+    own = ahrs.filters.EKF(
+        gyro, -accel, mag, frame="NED", magnetic_ref=float(np.rad2deg(np.median(np.arcsin(sines))))
+    ).Q
+    turned = (NED_TO_ENU * rotation(own)).as_quat(scalar_first=True)
+    assert np.abs((estimate(moving(), "ahrs-ekf").q_nb * turned).sum(axis=1)) == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("bias", [True, False])
+def test_fusion_is_its_package_but_for_the_length(bias: bool) -> None:
+    gyro, accel, mag = arrays(moving())
+    settings = imufusion.AhrsSettings(magnetic_rejection=20.0, rejection_timeout=2.0)
+    settings.convention = imufusion.CONVENTION_ENU
+    own, offset, out, ready = imufusion.Ahrs().set_settings(settings), imufusion.Bias(), [], []
+    for g, a, m in zip(np.rad2deg(gyro), accel / 9.80665, mag, strict=True):
+        own.update(offset.update(g) if bias else g, a, m)
+        out.append(own.get_quaternion())
+        ready.append(not own.get_flags().startup)
+    found = estimate(
+        moving(),
+        "fusion",
+        {"magnetic_rejection_rad": np.deg2rad(20.0), "rejection_timeout_s": 2.0, "bias": bias},
+    )
+    q_nb = np.array(out, dtype=np.float64)
+    assert (found.q_nb == q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)).all()
+    assert np.abs(np.linalg.norm(q_nb, axis=1) - 1).max() < 2e-6
+    assert (found.ready == ready).all()
+    assert (found.gyro_bias_b_radps is not None) == bias
+
+
+@pytest.mark.parametrize("name", PEERS)
+@pytest.mark.parametrize("magnetic", [True, False])
+def test_every_peer_follows_a_known_motion_in_our_frames(name: str, magnetic: bool) -> None:
+    """Perfect sensors, 20 s after any start; a frame that is wrong anywhere is 90 or 180 deg off."""
+    t_s = np.arange(4000) / 100
+    turns = np.column_stack([np.sin(t_s), 0.5 * np.sin(2 * t_s), np.sin(0.5 * t_s)])
+    rots = Rotation.from_rotvec(turns) * Rotation.from_euler("ZYX", [50, 10, -20], degrees=True)
+    gyro = np.vstack([np.zeros(3), (rots[:-1].inv() * rots[1:]).as_rotvec() * 100])
+    field = rots.inv().apply([0, 20, -44]) if magnetic else None
+    known = Recording.from_arrays(
+        "known", t_s, gyro, rots.inv().apply([0, 0, 9.81]), field, truth_q_nb=rots.as_quat(scalar_first=True)
+    )
+    found = estimate(known, name)
+    off = (rotation(found.q_nb) * rots.inv())[2000:]
+    if magnetic:
+        assert np.rad2deg(off.magnitude()).max() < 1.5
+    else:
+        up_n = off.apply([0, 0, 1])
+        assert np.rad2deg(np.arccos(np.clip(up_n[:, 2], -1, 1))).max() < 1.5
+
+
+def test_what_a_package_refuses_is_one_line() -> None:
+    plain = moving(200)
+    assert plain.mag is not None
+    field = np.array(plain.mag.mag_b_ut)
+    field[50] = 0.0
+    dead = replace(plain, mag=Mag(plain.mag.t_ns, field))
+    with pytest.raises(BadRecording, match=r"ahrs EKF: refuses this recording: .*magnetic field"):
+        estimate(dead, "ahrs-ekf")
+
+
 def test_other_clocks_are_brought_to_one_rate_and_that_is_said() -> None:
     regular = moving()
     imu, mag = regular.require_imu(), regular.mag
@@ -82,7 +184,8 @@ def test_a_peer_takes_whole_recordings_in_its_own_precision(name: str) -> None:
 
 @pytest.mark.parametrize("name", PEERS)
 def test_a_missing_package_is_one_line_with_the_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "vqf", None)
+    for package in ("vqf", "ahrs", "imufusion"):
+        monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(BadParameter, match=r"pip install 'stillpoint\[peers\]'"):
         estimate(moving(10), name)
 
