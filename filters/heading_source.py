@@ -204,8 +204,9 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients)
                 begun(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior
             )
         has_mag = has_mag or (is_new and not calibration.is_begun)
-        mag = field_at(calibration, attitude.q_nb, c.prior)
-        n_by_course += 1 if has_mag else 0
+        if has_mag:
+            mag = field_at(calibration, attitude.q_nb, c.prior)
+            n_by_course += 1
     elif has_mag and calibration.is_begun:
         mag = corrected(calibration, attitude.q_nb, mag, c.prior)
         n_corrected += 1
