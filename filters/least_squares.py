@@ -4,17 +4,17 @@ The filter is that of ``fixed_gain``, whose docstring has its equations. After t
 the gains K = (kp, kI) anew at each sample, from all samples so far, as the least-squares solution of ::
 
     S = H K        S = x' - x_g'        H = [e,  integral(e)]        e = x_a - x                        (21)
-    K = (H^T H)^-1 H^T S                                                                                 (22)
+    K = (H^T H)^-1 H^T S                                                                                (22)
 
-**Eq (22) as printed returns the gains that were in use** (``cf-lse-literal``). Proof: (10), differentiated, *is* x' -
-x_g' = kp e + kI integral(e), so S = H K0 holds exactly, with the K0 that the filter ran with. Hence K = (H^T H)^-1 H^T
-H K0 = K0 for every record on which H^T H can be inverted. The data cancel. A test holds the gains to 1e-6 of the fixed
-ones over a whole mission; what is left is rounding. The paper's figures 10 and 11 show gains that move, so its program
-computes something else than its eq (22); the text does not say what.
+**Eq (22) as printed returns the gains that were in use** (``cf-lse-literal``). Proof: (10), differentiated, *is*
+x' - x_g' = kp e + kI integral(e), so S = H K0 holds exactly, with the K0 that the filter ran with. Hence
+K = (H^T H)^-1 H^T H K0 = K0 for every record for which H^T H can be inverted: the data cancel. A test holds the gains
+to 1e-6 of the fixed ones over a whole mission; what is left is rounding. The paper's figures 10 and 11 show gains that
+move, so its program computes something else than its eq (22); the text does not say what.
 
 **The cost function (14) does not help.** The sum of (x_a - x)^2 is smallest for kp -> infinity, where x = x_a: it
-rewards following the accelerometer with all its noise. With S = x_a' - x_g', the other reading at hand, the regression
-on a differentiated noise is unstable, or sits at the bounds.
+rewards following the accelerometer with all its noise. With S = x_a' - x_g', another reading, the regression is on a
+differentiated noise, unstable without bounds and at the lower one with them.
 
 **The well-posed reading** (``cf-lse``): K is chosen so that the filter's *next* prediction meets the *next*
 measurement. Over one step the filter adds T H_k K to what the gyro says, and what it should have added is ::
@@ -22,25 +22,30 @@ measurement. Over one step the filter adds T H_k K to what the gyro says, and wh
     S_k T  =  x_a(k+1) - x(k) - T x_g'  =  (what was added)  +  e_(k+1)                 (one-step prediction)
 
 Eq (22) is then an ordinary least-squares fit, here with exponential forgetting (``memory_s``) and bounds: kp within its
-own, kI between its lower one and kp^2/4, beyond which the error would oscillate. Roll, pitch and heading have their own
-regression and gains each. Memory, bounds, and whether the gains are common, the paper does not give; "50 iterations" of
-the text are "50 seconds" in figures 10 and 11, here ``fixed_samples`` = 50.
+own, kI between its lower one and kp^2/4, beyond which the error would oscillate. Roll, pitch and heading have a
+regression and gains of their own. Forgetting, bounds, and whether the gains are common, the paper does not give; "50
+iterations" of its text are "50 seconds" in figures 10 and 11, here ``fixed_samples`` = 50.
 
-**Fails: the gains follow the waves.** A regression takes for signal whatever predicts the next sample of x_a. Waves
-accelerate the vehicle over seconds, so the error that they make in x_a at one sample is there at the next: the fit
-finds that following it predicts well, and kp rises (unbounded to 3-11 1/s; here up to ``kp_high_per_s``). That is the
+**What it converges to.** K stays where it is when e_(k+1) is uncorrelated with e_k and its integral. The innovations of
+an optimal filter are so: for a gyro and an accelerometer with white noise alone, kp T converges to the steady gain of
+the Kalman filter, which a test compares with the closed form. It is known to 1/sqrt(samples in memory) only: with the
+default memory at 50 Hz, kp is uncertain by 0.5 1/s, more than most good gains are.
+
+**Fails: the gains follow the waves.** For any other error the regression takes for signal whatever predicts the next
+sample of x_a. Waves accelerate the vehicle over seconds, so the error that they make in x_a at one sample is there at
+the next: following it predicts well, and kp rises (unbounded to 3-11 1/s; here to ``kp_high_per_s``). That is the
 opposite of what was wanted, in the very phase, on the surface, for which the gains were to adapt: on the simulated
-mission the roll is then 1.2 deg off (rms) against 0.2-0.3 deg with kp = 0.1-0.3 fixed. With white noise in x_a alone
-the gains do become small, and in a calm sea the roll differs from the *measured* one by the variance of the paper's
-table 1 (0.0045 deg^2). That table compares with the measured angle, not with a true one, and so rewards the same
-following.
+mission the roll is then 1.2 deg off (rms), as the accelerometer's own is, against 0.1-0.3 deg with kp = 0.1-0.3 fixed.
+In a calm sea the roll differs from the *measured* one as in the paper's table 1 (0.0045 deg^2; here 0.0035, the noise
+of the accelerometer). That table takes the measured angle for the truth and so rewards the same following. A magnetic
+disturbance that one drives past raises the gain of the heading alike. What can be done is to bound kp: with
+``kp_high_per_s`` = 0.3 the result is that of the fixed gain.
 
 **Angles.** As in ``fixed_gain``, e is a rotation. Its parts are taken about the direction of travel (the horizontal
-part of the body's x axis: roll), across it (pitch) and about the vertical (heading), each with its own gains, so that
-nothing wraps. Where the body's x axis is vertical, roll and heading are one, and the parts are taken about east and
-north instead: a gain may then weigh another part, the error remains the whole rotation. Each part has its own clock,
-that of its sensor. As the integral stands in H itself, the bias removed is kI times it, so that a jump of kI is a jump
-of the bias: (10) taken at its word. ``cf`` and ``cf-fixed``, whose gain is constant, do not know this.
+part of the body's x axis: roll), across it (pitch) and about the vertical (heading), so that nothing wraps. Where the
+body's x axis is vertical, roll and heading are one, and the parts are taken about east and north instead: a gain may
+then weigh another part, the error remains the whole rotation. Each part has its own clock, that of its sensor. As the
+integral stands in H itself, the bias removed is kI times it, and a jump of kI is a jump of the bias: (10) at its word.
 """
 
 from dataclasses import dataclass
