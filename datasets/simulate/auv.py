@@ -98,7 +98,7 @@ class AuvSensor(Sensor):
     gps: GpsModel = field(default_factory=GpsModel)
 
 
-# Low-cost sensors. The iron makes 2 deg of heading error on the heading of the mission: 0.945 uT across it, of 27.4 uT.
+# Low-cost sensors. The iron makes 2 deg of heading error on the heading of the mission: 0.93 uT across it, of 27.3 uT.
 AUV = AuvSensor(
     "auv",
     gyro=GyroModel(noise_density_degps_rthz=0.007, bias_instability_degph=4.0, scale_error=0.002, misalignment_deg=0.1),
