@@ -1,0 +1,88 @@
+"""Pictures of a spin rig: accuracy over its lever arms, and its accelerometers' variances per trial."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from stillpoint.scoring.figures import COLOURS
+from stillpoint.scoring.spin_design import Placement, Rig, limits_m, place
+from stillpoint.scoring.spin_identify import Identified
+
+CHOSEN, LIMIT = "o", ":"
+LINES = 7  # of equal error in a map
+POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
+
+
+def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
+    """Error of the rate over d1: of one sample, of the filter, and for a bias of 1 mg."""
+    limit_m = limits_m(rig)[0]
+    arms_m = np.linspace(0.01, max(1.4 * limit_m, 1.2 * chosen.d1_m), POINTS)
+    found = [place(rig, float(arm), chosen.d2_m) for arm in arms_m]
+    for values, colour, label in (
+        ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample"),
+        ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m"),
+        ([9.80665e-3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias"),
+    ):
+        ax.plot(arms_m, np.rad2deg(values), color=colour, label=label)
+    _range(ax, limit_m, rig.headroom)
+    ax.plot(chosen.d1_m, np.rad2deg(chosen.raw_rate_sd_radps), CHOSEN, color=COLOURS[0])
+    ax.set(xlabel="d1 (m)", ylabel="error of the rate (deg/s)", yscale="log", title="radial accelerometer F4")
+    ax.legend(frameon=False, loc="lower left")
+
+
+def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
+    """Standard deviation of the angular acceleration over d2."""
+    limit_m = limits_m(rig)[1]
+    arms_m = np.linspace(0.02, max(1.2 * limit_m, 1.2 * chosen.d2_m), POINTS)
+    sds = [np.sqrt(place(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
+    ax.plot(arms_m, np.rad2deg(sds), color=COLOURS[0])
+    _range(ax, limit_m, rig.headroom)
+    ax.plot(chosen.d2_m, np.rad2deg(np.sqrt(chosen.q_rad2ps4)), CHOSEN, color=COLOURS[0])
+    ax.set(xlabel="d2 (m)", ylabel="sd of the acceleration (deg/s²)", yscale="log", title="tangential accelerometer F5")
+
+
+def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
+    """Lines of equal error of the filtered rate over both arms; grey where the range, its headroom or the room ends."""
+    d1_m = np.linspace(0.02, 1.3 * limits_m(rig)[0], MAP_POINTS)
+    d2_m = np.linspace(0.05, 1.2 * limits_m(rig)[1], MAP_POINTS)
+    found = [[place(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
+    sd_degps = np.rad2deg([[one.filtered_rate_sd_radps for one in row] for row in found])
+    ax.contourf(d1_m, d2_m, [[not one.fits for one in row] for row in found], levels=[0.5, 1.5], colors=["0.85"])
+    levels = np.geomspace(sd_degps.min(), sd_degps.max(), LINES + 2)[1:-1]
+    lines = ax.contour(d1_m, d2_m, sd_degps, levels=levels, colors=COLOURS[0], linewidths=0.9)
+    ax.clabel(lines, fmt="%.2g", fontsize=7)
+    ax.plot(chosen.d1_m, chosen.d2_m, CHOSEN, color=COLOURS[1])
+    ax.set(xlabel="d1 (m)", ylabel="d2 (m)", title="filtered rate, sd (deg/s); grey does not fit")
+
+
+def _range(ax: Axes, limit_m: float, headroom: float) -> None:
+    ax.axvline(limit_m, color="0.3", lw=1, ls=LIMIT)
+    ax.axvspan(limit_m, ax.get_xlim()[1], color="0.85", lw=0)
+    ax.axvline(limit_m * (1 - headroom), color="0.6", lw=1, ls=LIMIT)
+    ax.annotate(
+        "range", (limit_m, 0.98), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", fontsize=7
+    )
+
+
+def draw_variances(ax: Axes, found: Identified, which: str) -> None:
+    """The variance of one accelerometer in each trial, and the maximum: the paper's figures 7 (radial) and 8."""
+    residuals = [getattr(one, which) for one in found.trials]
+    numbers = np.arange(1, len(residuals) + 1)
+    series: list[tuple[Sequence[float], dict[str, Any]]] = [
+        ([one.variance_m2ps4 for one in residuals], {"marker": "o", "color": COLOURS[0], "label": "variance"}),
+        ([one.robust_m2ps4 for one in residuals], {"marker": "s", "color": COLOURS[2], "label": "without glitches"}),
+    ]
+    if which == "tangential":
+        alone = [one.tangential_alone_m2ps4 for one in found.trials]
+        series.append((alone, {"marker": "^", "color": COLOURS[1], "label": "without the encoder's noise"}))
+    for values, style in series:
+        ax.plot(numbers, values, ls="none", **style)
+    most = found.d4_m2ps4 if which == "radial" else found.d5_m2ps4
+    ax.axhline(most, color=COLOURS[0], lw=1, ls=LIMIT)
+    ax.set(xlabel="trial", ylabel="variance ((m/s²)²)", ylim=(0, 1.15 * most))
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_title({"radial": "F4, eq (28)", "tangential": "F5, eq (30)"}[which])
+    ax.legend(frameon=False)

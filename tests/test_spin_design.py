@@ -1,0 +1,93 @@
+"""Where the accelerometers should sit: the paper's numbers, eq (27), and the filter's steady state."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillpoint.datasets import BadParameter
+from stillpoint.scoring.spin_design import Rig, limits_m, longest, place, steady_variance
+
+PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
+
+
+def test_the_papers_limits_and_its_choice():
+    """Section 3.2: F4 reads 16 g at 13 cm and sits at 10; F5 could sit at 0.9 m and has room for 0.5."""
+    assert limits_m(PAPER) == (pytest.approx(0.13, abs=0.002), pytest.approx(0.90, abs=0.002))
+    chosen = longest(PAPER)
+    assert (chosen.d1_m, chosen.d2_m, chosen.fits) == (0.10, 0.50, True)
+    assert (chosen.r_rad2ps4, chosen.q_rad2ps4) == (pytest.approx(80), pytest.approx(0.48))
+
+
+def test_variances_fall_with_the_square_of_the_arm():
+    """Eq (27) through (25), for both geometries; in the five the centre's noise counts too."""
+    for geometry in ("bench", "five"):
+        rig = replace(PAPER, geometry=geometry)
+        short, long = place(rig, 0.05, 0.2), place(rig, 0.10, 0.5)
+        assert short.r_rad2ps4 / long.r_rad2ps4 == pytest.approx(4)
+        assert short.q_rad2ps4 / long.q_rad2ps4 == pytest.approx(6.25)
+    assert place(replace(PAPER, geometry="five"), 0.1, 0.5).r_rad2ps4 == pytest.approx((0.8 + 0.12) / 0.01)
+
+
+def test_no_longer_arm_fits_and_no_shorter_one_is_better():
+    chosen = longest(PAPER)
+    for d1, d2 in ((0.11, 0.5), (0.1, 0.51)):
+        assert not place(PAPER, d1, d2).fits
+    for d1, d2 in ((0.09, 0.5), (0.1, 0.49), (0.05, 0.2)):
+        assert place(PAPER, d1, d2).filtered_rate_sd_radps > chosen.filtered_rate_sd_radps
+
+
+def test_the_rate_errors_are_the_differences_they_stand_for():
+    """sqrt(-F4/d1) with F4 changed by a little bias, and with d1 changed by a little."""
+    rate, d1, small = PAPER.fastest_radps, 0.1, 1e-6
+    found = place(PAPER, d1, 0.5)
+    force = -d1 * rate**2
+    assert (np.sqrt(-(force - small) / d1) - rate) / small == pytest.approx(found.rate_per_bias, rel=1e-3)
+    assert (np.sqrt(-force / (d1 - small)) - rate) / small == pytest.approx(found.rate_per_arm, rel=1e-3)
+
+
+@pytest.mark.parametrize(("step", "observation"), [(1.0, 1.0), (1e-4, 3.0), (5.0, 1e-3)])
+def test_the_steady_state_is_where_the_filter_settles(step, observation):
+    p = 10.0
+    for _ in range(200_000):
+        p, before = 1 / (1 / (p + step) + 1 / observation), p
+        if p == before:
+            break
+    assert steady_variance(step, observation) == pytest.approx(p, rel=1e-9)
+
+
+def test_the_filtered_error_is_that_of_the_ekf_on_white_noise():
+    """A-1 of the acceptance figures: 1.06 +- 0.05 deg/s at 2020 deg/s."""
+    found = place(replace(PAPER, fastest_radps=float(np.deg2rad(2020))), 0.1, 0.5)
+    assert np.rad2deg(found.filtered_rate_sd_radps) == pytest.approx(1.06, abs=0.05)
+    assert np.rad2deg(found.raw_rate_sd_radps) == pytest.approx(7.25, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"geometry": "six"}, "give one of bench, five"),
+        ({"headroom": 1.0}, "headroom 1"),
+        ({"range_mps2": 0.0}, "range_mps2 0: give a positive"),
+        ({"fastest_radps": float("nan")}, "fastest_radps nan"),
+        ({"fastest_radps": 1000.0, "spin_up_s": 10.0}, "an arm of 1 cm already uses"),
+        ({"room_m": 0.005}, "no room for it"),
+    ],
+)
+def test_what_cannot_be_is_refused(change, said):
+    with pytest.raises(BadParameter, match=said):
+        longest(replace(PAPER, **change))
+
+
+def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
+    assert call("spin", "design", "-o", tmp_path / "out", "--json", tmp_path / "rows.json") == 0
+    text = capsys.readouterr().out
+    assert "F4 reads the whole range at d1 = 0.129 m, F5 at d2 = 0.899 m" in text
+    assert (tmp_path / "out" / "spin-design.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads((tmp_path / "out" / "spin-design.json").read_text())["rows"]
+    assert rows == json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert (rows[0]["d1_m"], rows[0]["d2_m"], rows[0]["fits"]) == (0.1, 0.5, True)
+    assert {row["fits"] for row in rows} == {True, False}
+    assert call("spin", "design", "-o", tmp_path / "out", "--fastest-degps", "20000") == 2
+    assert "larger range" in capsys.readouterr().err

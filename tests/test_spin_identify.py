@@ -1,0 +1,123 @@
+"""Variances from trials with an encoder: what was planted comes back, whatever the encoder adds."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillpoint.datasets import BadRecording, write
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.spin_sensor import CONSTANT, EncoderModel, SpinAccel
+from stillpoint.scoring.spin_identify import identify
+
+PERFECT = CONSTANT["perfect"]
+
+
+def noisy(d4, d5, **changes):
+    radial, tangential = (SpinAccel(noise_mps2=variance**0.5) for variance in (d4, d5))
+    return replace(PERFECT, name="planted", radial=radial, tangential=tangential, **changes)
+
+
+def trials(sensor, count=4, kind="spin-constant"):
+    return [simulate(kind, seed, sensor=sensor) for seed in range(count)]
+
+
+@pytest.mark.parametrize("kind", ["spin-constant", "spin-variable"])
+@pytest.mark.parametrize(("d4", "d5"), [(0.8, 0.12), (0.05, 3.0)])
+def test_planted_variances_come_back(kind, d4, d5):
+    """A variance of n samples has a relative sd of sqrt(2/n) = 1.6 %; the mean of four trials 0.8 %."""
+    for by_truth in (True, False):
+        found = identify(trials(noisy(d4, d5), kind=kind), by_truth)
+        assert np.mean([one.radial.variance_m2ps4 for one in found.trials]) == pytest.approx(d4, rel=0.04)
+        assert np.mean([one.tangential.variance_m2ps4 for one in found.trials]) == pytest.approx(d5, rel=0.04)
+        assert found.d4_m2ps4 == max(one.radial.variance_m2ps4 for one in found.trials)
+        assert found.r_rad2ps4 == pytest.approx(found.d4_m2ps4 / 0.1**2)
+        assert found.q_rad2ps4 == pytest.approx(found.d5_m2ps4 / 0.5**2)
+
+
+def test_ten_white_trials_give_the_papers_r_and_q():
+    """R = 80 and Q = 0.5 (1/s^2)^2, eqs (29) and (31)."""
+    found = identify(trials("white", 10))
+    assert found.r_rad2ps4 == pytest.approx(80, rel=0.05)
+    assert found.q_rad2ps4 == pytest.approx(0.5, rel=0.06)
+
+
+def test_the_encoders_noise_is_told_from_the_accelerometers():
+    """A timer of 0.5 us adds more to (30) than F5 has: the part is found, and D5 without it comes back."""
+    sensor = noisy(0.8, 0.12, encoder=EncoderModel(timer_s=0.5e-6, latency_s=0.0))
+    found = identify(trials(sensor))
+    assert found.d5_m2ps4 > 2 * 0.12
+    alone = [one.tangential_alone_m2ps4 for one in found.trials]
+    assert np.mean(alone) == pytest.approx(0.12, rel=0.08)
+    assert found.q_alone_rad2ps4 < 0.6 * found.q_rad2ps4
+
+
+def test_glitches_are_counted_and_the_robust_variance_has_none():
+    for one in identify(trials(CONSTANT["glitch"], 6)).trials:
+        assert one.radial.robust_m2ps4 == pytest.approx(0.13**2, rel=0.1)
+        assert one.radial.glitches <= 6
+    many = identify(trials(CONSTANT["glitch"], 6))
+    assert sum(one.radial.glitches for one in many.trials) >= 4
+    assert many.d4_m2ps4 > 10 * 0.13**2
+
+
+def test_a_bias_is_in_the_mean_and_not_in_the_variance():
+    sensor = replace(noisy(0.01, 0.01), radial=SpinAccel(noise_mps2=0.1, offset_mps2=0.5))
+    (one,) = identify(trials(sensor, 1)).trials
+    assert one.radial.mean_mps2 == pytest.approx(0.5, abs=0.01)
+    assert one.radial.variance_m2ps4 == pytest.approx(0.01, rel=0.1)
+
+
+def test_lost_and_saturated_samples_are_left_out_and_counted():
+    recording = simulate("spin-constant", 0, sensor=noisy(0.8, 0.12))
+    accel = recording.spin.accel_mps2.copy()
+    accel[100:110, 0], accel[200:205, 1] = -16 * 9.80665, np.nan
+    (one,) = identify([replace(recording, spin=replace(recording.spin, accel_mps2=accel))]).trials
+    assert (one.samples, one.left_out) == (7500 - 16, 16)
+    assert one.radial.variance_m2ps4 == pytest.approx(0.8, rel=0.07)
+
+
+def test_an_encoder_on_a_clock_of_its_own_does():
+    recording = simulate("spin-constant", 3, sensor=noisy(0.8, 0.12))
+    faster = simulate("spin-constant", 3, sensor=noisy(0.8, 0.12), rate_hz=1000.0).encoder
+    (one,) = identify([replace(recording, encoder=faster)]).trials
+    assert one.radial.variance_m2ps4 == pytest.approx(0.8, rel=0.07)
+    assert one.tangential.variance_m2ps4 == pytest.approx(0.12, rel=0.07)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: replace(r, encoder=None), "has no encoder to compare with"),
+        (
+            lambda r: replace(r, spin=replace(r.spin, geometry=replace(r.spin.geometry, fixed_axis=False))),
+            "turns freely",
+        ),
+        (lambda r: replace(r, spin=replace(r.spin, accel_mps2=r.spin.accel_mps2 * np.nan)), "0 samples can be used"),
+    ],
+)
+def test_what_does_not_do_is_refused(change, said):
+    with pytest.raises(BadRecording, match=said):
+        identify([change(simulate("spin-constant", 0, minutes=0.05))])
+
+
+def test_trials_of_two_rigs_are_refused():
+    one = simulate("spin-constant", 0, minutes=0.05)
+    other = replace(one.spin, geometry=replace(one.spin.geometry, accel_r_b_m=2 * one.spin.geometry.accel_r_b_m))
+    with pytest.raises(BadRecording, match="has other lever arms"):
+        identify([one, replace(one, name="other", spin=other)])
+
+
+def test_the_command_says_it_draws_it_and_writes_it(call, tmp_path, capsys):
+    for seed in (0, 1):
+        write(tmp_path / f"{seed}.mcap", simulate("spin-constant", seed, minutes=0.1))
+    assert call("spin", "identify", tmp_path, "-o", tmp_path / "out") == 0
+    text = capsys.readouterr().out
+    assert "--set radial_var_m2ps4=" in text
+    assert (tmp_path / "out" / "spin-identify.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads((tmp_path / "out" / "spin-identify.json").read_text())["rows"]
+    assert [row["recording"] for row in rows][2] == "maximum"
+    assert rows[2]["d4_m2ps4"] == max(row["radial"]["variance_m2ps4"] for row in rows[:2])
+    assert call("spin", "identify", tmp_path, "-o", tmp_path / "out", "--by-truth", "--json", "-") == 0
+    assert json.loads(capsys.readouterr().out)["rows"][2]["recording"] == "maximum"
