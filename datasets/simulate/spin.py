@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Encoder, Floats, Info, Recording, Spin, SpinGeometry, Times
 from stillpoint.datasets.simulate.draws import draws
@@ -139,9 +138,15 @@ def _shaking(part: SpinAccel, path: SpinPath, t_s: Floats, seed: int, name: str)
 
 
 def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, Floats]:
-    """How many samples are spoilt, and by how much each (N,) in m/s^2."""
-    rng = draws(seed, f"{name}/glitches")
-    spoilt: NDArray[np.bool_] = rng.random(len(t_s)) < part.glitches_per_s * (t_s[1] - t_s[0])
+    """How many samples are spoilt, and by how much each (N,) in m/s^2.
+
+    One at a random instant of each stretch of 1 / rate: no recording of the paper's length is without any.
+    """
+    spoilt = np.zeros(len(t_s), dtype=np.bool_)
+    if part.glitches_per_s > 0:
+        stretches = np.arange(np.ceil(part.glitches_per_s * (t_s[-1] - t_s[0])))
+        at_s = t_s[0] + (stretches + draws(seed, f"{name}/glitches").random(len(stretches))) / part.glitches_per_s
+        spoilt[np.searchsorted(t_s, at_s[at_s < t_s[-1]])] = True
     kinds = draws(seed, f"{name}/glitch-sizes").random((len(t_s), 2))
     size = part.glitch_low_g + (part.glitch_high_g - part.glitch_low_g) * kinds[:, 0]
     return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * G_MPS2)
