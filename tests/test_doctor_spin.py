@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets.doctor import diagnose
-from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.spin_sensor import CONSTANT
+from stillpoint.datasets.simulate import SIMULATIONS, simulate
 from stillpoint.datasets.spin import FIVE_ACCELEROMETERS
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -27,8 +26,10 @@ def codes(recording):
     return set(diagnose(recording, NO_RESTS).codes("error", "warning"))
 
 
-@pytest.mark.parametrize("kind", ["spin-constant", "spin-variable", "spin-flight"])
-@pytest.mark.parametrize("sensor", sorted(CONSTANT))
+@pytest.mark.parametrize(
+    ("kind", "sensor"),
+    [(kind, name) for kind in SIMULATIONS if kind.startswith("spin") for name in SIMULATIONS[kind].sensors],
+)
 def test_clean_trials_are_clean(kind, sensor):
     for seed in range(3):
         assert codes(simulate(kind, seed, minutes=0.2, sensor=sensor)) - {"spin-lost"} == set()

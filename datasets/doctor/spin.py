@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.doctor.finding import Finding, Severity
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.datasets.recording import Encoder, Recording, Spin
+from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
 from stillpoint.datasets.spin import SpinChannels, channels, measure, saturated
 
 LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
@@ -85,7 +85,15 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
     middle_ns = 0.5 * (encoder.t_ns[1:] + encoder.t_ns[:-1])
     turning = np.diff(encoder.rate_radps) / (np.diff(encoder.t_ns) / 1e9)
     seen = np.interp(middle_ns, spin.t_ns[known], samples.omega_dot_radps2[known])
-    alike = float(np.corrcoef(seen, turning)[0, 1]) if np.ptp(seen) > 0 and np.ptp(turning) > 0 else 0.0
+    alike = _correlation(seen, turning, np.interp(middle_ns, encoder.t_ns, encoder.angle_rad))
     if alike < -CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
         message = f"spin: the tangential one goes against the encoder (correlation {alike:.2f}): turn its sign"
         yield Finding("spin-tangential-sign", "error", message, values={"correlation": alike})
+
+
+def _correlation(seen: Floats, turning: Floats, angle_rad: Floats) -> float:
+    """Correlation of what is no harmonic of the angle: on a tilted shaft the accelerometer sees gravity turn."""
+    harmonics = np.column_stack([np.ones(len(angle_rad)), np.cos(angle_rad), np.sin(angle_rad)])
+    rest = [one - harmonics @ np.linalg.lstsq(harmonics, one, rcond=None)[0] for one in (seen, turning)]
+    sizes = [float(np.linalg.norm(one)) for one in rest]
+    return float(rest[0] @ rest[1]) / (sizes[0] * sizes[1]) if min(sizes) > 0 else 0.0

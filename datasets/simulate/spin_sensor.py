@@ -100,12 +100,21 @@ def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     return {one.name: one for one in (white, glitch, replica, loose, perfect)}
 
 
+def tilted(white: SpinSensor) -> Mapping[str, SpinSensor]:
+    """Presets of a shaft that is not vertical, with unknown biases and errors of the arms: gravity shows the angle."""
+    radial, tangential = (replace(one, offset_mps2=0.1, arm_error=0.001) for one in (white.radial, white.tangential))
+    unknown = replace(white, radial=radial, tangential=tangential)
+    return {name: replace(unknown, name=name, tilt_deg=tilt) for name, tilt in (("tilted", 30.0), ("horizontal", 90.0))}
+
+
 GLITCHES_PER_S = 2 / 30  # about two in a recording of 30 s
 # Fitted to the worst of ten trials with the AEKF of paper 000 as printed: 3 deg, 20.92 deg/s, RMSE 1.25 deg/s.
 RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s
 REPLICA_NOISE = 1.05  # of the quiet sensor's
 REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out
 # D4 = 0.8 and D5 = 0.12 (m/s^2)^2 in the constant scenario (eqs (29), (31)), 0.4 and 3 in the variable one.
-CONSTANT = presets(noisy("white", 0.3, 0.8**0.5, 0.12**0.5), noisy("quiet", 0.06, 0.13, 0.08))
-VARIABLE = presets(noisy("white", 0.3, 0.4**0.5, 3.0**0.5), noisy("quiet", 0.06, 0.3, 3.0**0.5))
+WHITE_CONSTANT = noisy("white", 0.3, 0.8**0.5, 0.12**0.5)
+WHITE_VARIABLE = noisy("white", 0.3, 0.4**0.5, 3.0**0.5)
+CONSTANT = {**presets(WHITE_CONSTANT, noisy("quiet", 0.06, 0.13, 0.08)), **tilted(WHITE_CONSTANT)}
+VARIABLE = {**presets(WHITE_VARIABLE, noisy("quiet", 0.06, 0.3, 3.0**0.5)), **tilted(WHITE_VARIABLE)}
 FLIGHT = presets(noisy("white", 0.3, 0.3, 0.3), noisy("quiet", 0.1, 0.1, 0.1))
