@@ -10,7 +10,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.simulate import auv, phone, spin, spin_sensor
+from stillpoint.datasets.simulate import auv, phone, servo, spin, spin_sensor
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
 
 __all__ = ["PERFECT", "PHONE", "SENSORS", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
@@ -61,6 +61,12 @@ SIMULATIONS: dict[str, Simulation] = {
         auv.AUV_SENSORS,
         partial(auv.mission, "auv-dolphin-calm", auv.CALM),
         50.0,
+    ),
+    "servo-bench": Simulation(
+        "MPU6050 and HMC5883L on a servo that swings by +-90 deg, slowly and fast (paper 004)",
+        30.0,
+        servo.SERVO_SENSORS,
+        partial(servo.experiment, "servo-bench", servo.BENCH),
     ),
     "spin-constant": Simulation(
         "motor at 2020 deg/s with two accelerometers and an encoder (paper 000, section 4.1)",

@@ -55,6 +55,8 @@ class Axes:
     bits: int | None
     instability: float = 0.0
     instability_time_s: float = 1.0
+    warming: float = 0.0  # sd
+    warming_s: float = 1.0
 
 
 def sample(path: Motion, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
@@ -90,6 +92,8 @@ def measure_imu(
         bits=gyro.bits,
         instability=np.deg2rad(gyro.bias_instability_degph) / 3600,
         instability_time_s=gyro.bias_time_s,
+        warming=np.deg2rad(gyro.warming_degps),
+        warming_s=gyro.warming_s,
     )
     accel_axes = Axes(
         noise_density=accel.noise_density_ug_rthz * 1e-6 * STANDARD_GRAVITY_MPS2,
@@ -100,6 +104,8 @@ def measure_imu(
         bits=accel.bits,
         instability=accel.bias_instability_ug * 1e-6 * STANDARD_GRAVITY_MPS2,
         instability_time_s=accel.bias_time_s,
+        warming=accel.warming_mg * 1e-3 * STANDARD_GRAVITY_MPS2,
+        warming_s=accel.warming_s,
     )
     gyro_b, gyro_drawn = with_errors(rate, gyro_axes, at.step_s, seed, "gyro")
     accel_b, accel_drawn = with_errors(force, accel_axes, at.step_s, seed, "accel")
@@ -145,9 +151,10 @@ def passings_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats
 
 
 def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
-    """Scale, misalignment, bias, noise, range and steps of the converter on ideal samples (N, 3), in this order.
+    """Scale, misalignment, bias, noise, its wandering and warming, range and steps of the converter, in this order.
 
-    Returns the samples and the drawn constants in SI units, with the number of samples at the limit of the range.
+    ``ideal`` are the samples (N, 3) of a perfect sensor. Returns what is recorded and the drawn constants in SI units,
+    with the number of samples at the limit of the range.
     """
     scale = draws(seed, f"{name}/scale").standard_normal(3) * axes.scale_error
     misalignment = draws(seed, f"{name}/misalignment").standard_normal((3, 3)) * axes.misalignment_rad
@@ -157,6 +164,11 @@ def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) 
     out += draws(seed, f"{name}/noise").standard_normal(out.shape) * (axes.noise_density / np.sqrt(step_s))
     if axes.instability > 0:
         out += wandering(axes.instability / ALLAN_TOP, axes.instability_time_s, step_s, len(out), seed, name)
+    drawn = {"bias": bias.tolist(), "response": response.tolist()}
+    if axes.warming > 0:
+        warming = draws(seed, f"{name}/warming").standard_normal(3) * axes.warming
+        out -= np.expm1(-step_s / axes.warming_s * np.arange(len(out)))[:, None] * warming
+        drawn["warming"] = warming.tolist()
     clipped = 0
     if axes.limit is not None:
         clipped = int((np.abs(out) > axes.limit).any(axis=1).sum())
@@ -164,7 +176,7 @@ def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) 
         if axes.bits is not None:
             unit = 2 * axes.limit / 2**axes.bits
             out = np.round(out / unit) * unit
-    return out, {"bias": bias.tolist(), "response": response.tolist(), "samples_at_range": clipped}
+    return out, drawn | {"samples_at_range": clipped}
 
 
 def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, name: str) -> Floats:

@@ -22,6 +22,8 @@ class GyroModel:
     bias_instability_degph: float = 0.0  # top of the Allan deviation of the wandering bias, deg/h
     bias_time_s: float = 200.0  # correlation time of the wandering bias (first-order Gauss-Markov)
     turn_on_bias_degps: float = 0.0  # sd, constant over a recording
+    warming_degps: float = 0.0  # sd of what the bias changes by while the device warms up
+    warming_s: float = 300.0  # time constant of that
     scale_error: float = 0.0  # sd, fraction
     misalignment_deg: float = 0.0  # sd of each axis against each other axis
     g_sensitivity_degps_g: float = 0.0  # sd of each element of the response to specific force
@@ -38,6 +40,8 @@ class AccelModel:
     bias_instability_ug: float = 0.0  # as for the gyro
     bias_time_s: float = 200.0
     turn_on_bias_mg: float = 0.0  # sd
+    warming_mg: float = 0.0  # as for the gyro
+    warming_s: float = 300.0
     scale_error: float = 0.0  # sd, fraction
     misalignment_deg: float = 0.0  # sd
     range_g: float | None = None
