@@ -9,6 +9,7 @@ from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.filters import (
     complementary,
+    ekf,
     fixed_gain,
     gyro,
     kf_axis,
@@ -103,6 +104,13 @@ ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
         least_squares.step,
         least_squares.run,
         gives_bias=True,
+    ),
+    "ekf": _ours(
+        ekf,
+        "error-state (multiplicative) extended Kalman filter of attitude and gyro bias",
+        gives_bias=True,
+        gives_cov=True,
+        innovations=3,
     ),
     "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),
     "offline-vqf": Peer(

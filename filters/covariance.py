@@ -1,0 +1,155 @@
+"""The covariance of an error state: small dense matrices that stay symmetric and positive definite, also in float32.
+
+A covariance P is an (n, n) array that is changed in place; ``like`` keeps every operation in its precision. Positive
+definite by form, not by luck: prediction is a congruence A P A' + Q, an update is Joseph's form, and both compute one
+triangle and mirror it. What rounding may take off the smallest eigenvalue, :func:`round_up` gives back.
+"""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.rotation import Quaternion, Vector, dot
+
+Matrix: TypeAlias = NDArray[Any]  # float64 or float32
+Axes: TypeAlias = tuple[Vector, Vector, Vector]
+Six: TypeAlias = tuple[float, float, float, float, float, float]
+Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+
+# So many units of rounding are added to each variance at a prediction: more than products of this size lose.
+ROUNDINGS = 16
+
+
+@compiled
+def identity(p: Matrix) -> Matrix:
+    """Of the size and precision of P."""
+    a = np.zeros_like(p)
+    for i in range(len(p)):
+        a[i, i] = like(p[0, 0], 1.0)
+    return a
+
+
+@compiled
+def congruence(a: Matrix, p: Matrix) -> None:
+    """P becomes A P A'."""
+    n = len(p)
+    product = np.empty_like(p)
+    for i in range(n):
+        for j in range(n):
+            total = like(p[0, 0], 0.0)
+            for k in range(n):
+                total += a[i, k] * p[k, j]
+            product[i, j] = total
+    for i in range(n):
+        for j in range(i, n):
+            total = like(p[0, 0], 0.0)
+            for k in range(n):
+                total += product[i, k] * a[j, k]
+            p[i, j] = total
+            p[j, i] = total
+
+
+@compiled
+def round_up(p: Matrix) -> None:
+    """Make each variance larger by a few units of its rounding: 4e-15 of it in double precision, 2e-6 in single."""
+    one = like(p[0, 0], 1.0)
+    is_single = one + like(one, 1e-9) == one
+    larger = one + like(one, ROUNDINGS) * (like(one, 1.2e-7) if is_single else like(one, 2.3e-16))
+    for i in range(len(p)):
+        p[i, i] *= larger
+
+
+@compiled
+def times(p: Matrix, h: Matrix) -> Matrix:
+    """P h' of a row h."""
+    product = np.empty_like(h)
+    for i in range(len(h)):
+        total = like(h[0], 0.0)
+        for k in range(len(h)):
+            total += p[i, k] * h[k]
+        product[i] = total
+    return product
+
+
+@compiled
+def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
+    """P becomes (I - K h) P (I - K h)' + K r K', which holds for any gain K of a scalar measurement with row h."""
+    n = len(p)
+    ph = times(p, h)
+    for i in range(n):
+        for j in range(n):
+            p[i, j] -= gain[i] * ph[j]
+    left = times(p, h)
+    for i in range(n):
+        for j in range(i, n):
+            value = p[i, j] - left[i] * gain[j] + gain[i] * r * gain[j]
+            p[i, j] = value
+            p[j, i] = value
+
+
+@compiled
+def forget(p: Matrix, first: int, last: int, variance: float) -> None:
+    """The errors ``first`` .. ``last`` - 1 become unknown: of this variance, and independent of all others."""
+    for i in range(first, last):
+        for j in range(len(p)):
+            p[i, j] = like(p[0, 0], 0.0)
+            p[j, i] = like(p[0, 0], 0.0)
+        p[i, i] = variance
+
+
+@compiled
+def widen(p: Matrix, first: int, last: int, factor: float) -> None:
+    """Standard deviations of the errors ``first`` .. ``last`` - 1 times ``factor``, correlations as they were."""
+    for i in range(first, last):
+        for j in range(len(p)):
+            p[i, j] *= factor
+            p[j, i] *= factor
+
+
+@compiled
+def row(p: Matrix, i: int, u: Six) -> float:
+    """Row i of the first six errors' P, times u."""
+    return p[i, 0] * u[0] + p[i, 1] * u[1] + p[i, 2] * u[2] + p[i, 3] * u[3] + p[i, 4] * u[4] + p[i, 5] * u[5]
+
+
+@compiled
+def product(u: Six, v: Six) -> float:
+    """Scalar product."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2] + u[3] * v[3] + u[4] * v[4] + u[5] * v[5]
+
+
+@compiled
+def seen_along(axis: Vector, spread_s: Axes) -> Six:
+    """What the error about this axis of n is made of: the attitude's at P, less ``spread_s`` times the bias's."""
+    x, y, z = axis
+    return x, y, z, -dot(spread_s[0], axis), -dot(spread_s[1], axis), -dot(spread_s[2], axis)
+
+
+@compiled
+def in_body_axes(p: Matrix, spread_s: Axes, variance: float, q_nb: Quaternion) -> Nine:
+    """R' (P_ee - S P_be - P_eb S' + S P_bb S' + variance I) R: the attitude's 3 x 3 a little after P, in body axes.
+
+    ``spread_s`` (columns) is S, by which errors 3 .. 5, a gyro's bias, have entered errors 0 .. 2, the attitude's in n.
+    """
+    first, second, third = axes_in_n(q_nb)
+    u, v, w = seen_along(first, spread_s), seen_along(second, spread_s), seen_along(third, spread_s)
+    pu = row(p, 0, u), row(p, 1, u), row(p, 2, u), row(p, 3, u), row(p, 4, u), row(p, 5, u)
+    pv = row(p, 0, v), row(p, 1, v), row(p, 2, v), row(p, 3, v), row(p, 4, v), row(p, 5, v)
+    pw = row(p, 0, w), row(p, 1, w), row(p, 2, w), row(p, 3, w), row(p, 4, w), row(p, 5, w)
+    uv, uw, vw = product(u, pv), product(u, pw), product(v, pw)
+    uu, vv, ww = product(u, pu) + variance, product(v, pv) + variance, product(w, pw) + variance
+    return uu, uv, uw, uv, vv, vw, uw, vw, ww
+
+
+@compiled
+def axes_in_n(q_nb: Quaternion) -> Axes:
+    """The body's three axes in n: columns of the rotation matrix."""
+    w, x, y, z = q_nb
+    one, two = like(w, 1.0), like(w, 2.0)
+    return (
+        (one - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)),
+        (two * (x * y - w * z), one - two * (x * x + z * z), two * (y * z + w * x)),
+        (two * (x * z + w * y), two * (y * z - w * x), one - two * (x * x + y * y)),
+    )

@@ -1,0 +1,103 @@
+"""The magnetic field as it was so far, size and dip, to know a disturbance by (as VQF does, Laidig and Seel 2023).
+
+Heading is what the magnetometer is for, so it cannot be checked; size and dip of the field can. A disturbance has three
+components, of which these two show. If all are alike, the third, which turns the heading, has the mean square of the
+two: :func:`disturbance_ut2`.
+
+A field like the known one is taken into it, with a memory of ``memory_s``. Another one is a disturbance, unless it
+stays the same for ``admission_s`` while the body turns: an object that moves along or stands near does not look the
+same from all sides, another place does.
+"""
+
+from math import atan2, pi, sqrt
+from typing import NamedTuple
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.rotation import Vector, norm
+
+# Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
+TURNING_RADPS = pi / 9
+# By which another field follows what is seen of it.
+SHARE_OF_NEWEST = 0.1
+
+
+class Looks(NamedTuple):
+    """Size and dip of a field, and for how long it looked so."""
+
+    size_ut: float
+    dip_rad: float  # below the horizon
+    seen_s: float
+
+
+class KnownField(NamedTuple):
+    """What is remembered."""
+
+    known: Looks  # seen_s is 0 before the first field
+    other: Looks  # the one that was seen instead, lately
+    n_disturbed: int  # means over a window that did not look like the known field
+    n_new_fields: int  # how often another field was taken for the known one
+
+
+class Tolerance(NamedTuple):
+    """Derived once from the parameters."""
+
+    size: float  # relative
+    dip_rad: float
+    memory_s: float
+    admission_s: float
+
+
+@compiled
+def no_field(zero: float) -> KnownField:
+    """Before the first field."""
+    nothing = Looks(zero, zero, zero)
+    return KnownField(nothing, nothing, 0, 0)
+
+
+@compiled
+def looks(field_n: Vector, seen_s: float) -> Looks:
+    """Of a field that stood for so long."""
+    flat = sqrt(field_n[0] * field_n[0] + field_n[1] * field_n[1])
+    return Looks(norm(field_n), atan2(-field_n[2], flat), seen_s)
+
+
+@compiled
+def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
+    """Whether b looks like a."""
+    return abs(b.size_ut - a.size_ut) < c.size * a.size_ut and abs(b.dip_rad - a.dip_rad) < c.dip_rad
+
+
+@compiled
+def towards(a: Looks, b: Looks, share: float, seen_s: float) -> Looks:
+    """a moved by a share of the way to b."""
+    return Looks(a.size_ut + share * (b.size_ut - a.size_ut), a.dip_rad + share * (b.dip_rad - a.dip_rad), seen_s)
+
+
+@compiled
+def disturbance_ut2(field: KnownField, seen: Looks) -> float:
+    """Mean square of one component of a disturbance, by the two that show; 0 before anything is known."""
+    known = field.known if field.known.seen_s > 0 else seen
+    longer, higher = seen.size_ut - known.size_ut, (seen.dip_rad - known.dip_rad) * known.size_ut
+    return (longer * longer + higher * higher) * like(longer, 0.5)
+
+
+@compiled
+def learn(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance) -> KnownField:
+    """What is known after the mean field of a window, in which the body turned at this rate."""
+    known, other, n_disturbed, n_new_fields = field
+    zero = like(seen.seen_s, 0.0)
+    if known.seen_s == 0:
+        return KnownField(seen, other, n_disturbed, n_new_fields)
+    if alike(known, seen, c):  # the mean of all at first, of the last memory_s later on
+        seen_s = min(known.seen_s + seen.seen_s, max(c.memory_s, seen.seen_s))
+        known = towards(known, seen, seen.seen_s / seen_s, seen_s)
+        return KnownField(known, Looks(zero, zero, zero), n_disturbed, n_new_fields)
+    stood_s = seen.seen_s if rate_radps > like(zero, TURNING_RADPS) else zero
+    n_disturbed += 1
+    if not alike(other, seen, c):
+        other = Looks(seen.size_ut, seen.dip_rad, stood_s)
+    elif other.seen_s + stood_s < c.admission_s:
+        other = towards(other, seen, like(zero, SHARE_OF_NEWEST), other.seen_s + stood_s)
+    else:
+        return KnownField(other, Looks(zero, zero, zero), n_disturbed, n_new_fields + 1)
+    return KnownField(known, other, n_disturbed, n_new_fields)

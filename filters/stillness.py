@@ -1,0 +1,85 @@
+"""Whether the body rests: then the gyro reads its bias about all three axes, also about the vertical.
+
+A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. That much a slow
+even turn does, too. So neither up nor the field may have turned in the body since the rest began: a turn of less than
+``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.rotation import Vector, cross, dot
+
+# Up and field are seen to turn from there on: noise of a mean over a window is far less.
+TURN_RAD = pi / 180
+
+
+class Means(NamedTuple):
+    """A window of samples in body axes; the field is 0 where there was none."""
+
+    length_s: float
+    gyro_b_radps: Vector
+    gyro_variance: float  # about its mean, of all three axes together
+    accel_b_mps2: Vector
+    accel_variance: float
+    mag_b_ut: Vector
+
+
+class Stillness(NamedTuple):
+    """What is remembered of the rest that lasts."""
+
+    up_b: Vector  # specific force when it began, m/s^2
+    field_b: Vector  # field when it began, uT
+    lasted_s: float  # 0: the body moves
+
+
+class Limits(NamedTuple):
+    """Derived once from the parameters."""
+
+    gyro_variance: float  # (rad/s)^2
+    accel_variance: float  # (m/s^2)^2
+    rate_radps: float  # no bias is larger
+    least_s: float  # a rest counts after so long
+
+
+@compiled
+def moving(zero: float) -> Stillness:
+    """No rest so far."""
+    return Stillness((zero, zero, zero), (zero, zero, zero), zero)
+
+
+@compiled
+def has_turned(before: Vector, now: Vector) -> bool:
+    """Whether a direction differs by more than ``TURN_RAD``; one that is not known does not."""
+    across = cross(before, now)
+    most = like(now[0], TURN_RAD * TURN_RAD) * dot(before, before) * dot(now, now)
+    return dot(across, across) > most
+
+
+@compiled
+def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
+    """The rest after one more window."""
+    zero = like(means.length_s, 0.0)
+    quiet = means.gyro_variance < c.gyro_variance and means.accel_variance < c.accel_variance
+    if not quiet or dot(means.gyro_b_radps, means.gyro_b_radps) > c.rate_radps * c.rate_radps:
+        return moving(zero)
+    up_b, field_b, lasted_s = still
+    turned = has_turned(up_b, means.accel_b_mps2) or has_turned(field_b, means.mag_b_ut)
+    if lasted_s == 0 or turned:
+        return Stillness(means.accel_b_mps2, means.mag_b_ut, means.length_s)
+    if dot(field_b, field_b) == 0:
+        field_b = means.mag_b_ut
+    return Stillness(up_b, field_b, lasted_s + means.length_s)
+
+
+@compiled
+def is_resting(still: Stillness, c: Limits) -> bool:
+    """Whether the rest has lasted long enough to count."""
+    return still.lasted_s > 0 and still.lasted_s >= c.least_s
+
+
+@compiled
+def rate_sd(still: Stillness) -> float:
+    """How fast the body may turn for all that up and field show, rad/s."""
+    return like(still.lasted_s, TURN_RAD) / still.lasted_s

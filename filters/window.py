@@ -1,0 +1,118 @@
+"""What a window of samples adds up to, in the axes of n that the estimate has meanwhile (its drift is an error state).
+
+Covariances change slowly and cost the most, so they are brought up to date once per window, not once per sample. Little
+is lost by that: the integrals are exact but for products of two small errors. Specific force and field are summed in n,
+so a body that turns within a window does not blur them (as in VQF, Laidig and Seel 2023).
+"""
+
+from typing import NamedTuple
+
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.covariance import Axes, axes_in_n
+from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
+from stillpoint.filters.stillness import Means
+
+
+class Turning(NamedTuple):
+    """Integrals over the time of a window."""
+
+    length_s: float
+    spread_s: Axes  # of the body's axes in n, columns of R: by these a bias of the gyro turns the attitude
+    turned_rad: float  # of the size of the rate, less its bias
+    measured_b_rad: Vector  # of the measured rate
+    measured_square: float  # of its square, rad^2/s
+
+
+class Forces(NamedTuple):
+    """Integrals over the samples with a usable accelerometer."""
+
+    push_n_mps: Vector  # of the specific force
+    push_b_mps: Vector
+    square: float  # of its square, m^2/s^3
+    time_s: float
+
+
+class FieldSum(NamedTuple):
+    """Sums over the samples with a usable field."""
+
+    sum_n_ut: Vector
+    sum_b_ut: Vector
+    how_many: float
+
+
+class Window(NamedTuple):
+    """All of it."""
+
+    turning: Turning
+    forces: Forces
+    fields: FieldSum
+
+
+@compiled
+def no_samples(zero: float) -> Window:
+    """An empty window."""
+    none = (zero, zero, zero)
+    turning = Turning(zero, (none, none, none), zero, none, zero)
+    return Window(turning, Forces(none, none, zero, zero), FieldSum(none, none, zero))
+
+
+@compiled
+def turned(
+    sums: Turning, measured_b: Vector, rate_b: Vector, q_from: Quaternion, q_to: Quaternion, dt_s: float
+) -> Turning:
+    """After one interval with this measured rate, and without its bias.
+
+    The mean of R over the interval is that of its middle but for 1/24 of the square of the turn.
+    """
+    middle = (q_from[0] + q_to[0], q_from[1] + q_to[1], q_from[2] + q_to[2], q_from[3] + q_to[3])
+    first, second, third = axes_in_n(normalise(middle))
+    spread = sums.spread_s
+    return Turning(
+        sums.length_s + dt_s,
+        (
+            add(spread[0], scale(first, dt_s)),
+            add(spread[1], scale(second, dt_s)),
+            add(spread[2], scale(third, dt_s)),
+        ),
+        sums.turned_rad + norm(rate_b) * dt_s,
+        add(sums.measured_b_rad, scale(measured_b, dt_s)),
+        sums.measured_square + dot(measured_b, measured_b) * dt_s,
+    )
+
+
+@compiled
+def pushed(sums: Forces, force_n: Vector, force_b: Vector, dt_s: float) -> Forces:
+    """After one interval with this specific force."""
+    return Forces(
+        add(sums.push_n_mps, scale(force_n, dt_s)),
+        add(sums.push_b_mps, scale(force_b, dt_s)),
+        sums.square + dot(force_b, force_b) * dt_s,
+        sums.time_s + dt_s,
+    )
+
+
+@compiled
+def with_field(sums: FieldSum, field_n: Vector, field_b: Vector) -> FieldSum:
+    """After one more field."""
+    return FieldSum(add(sums.sum_n_ut, field_n), add(sums.sum_b_ut, field_b), sums.how_many + like(sums.how_many, 1.0))
+
+
+@compiled
+def means(window: Window) -> Means:
+    """In body axes, for a window that has a length; the accelerometer's are 0 where it gave nothing."""
+    turning, forces, fields = window
+    one, zero = like(turning.length_s, 1.0), like(turning.length_s, 0.0)
+    per_s = one / turning.length_s
+    gyro = scale(turning.measured_b_rad, per_s)
+    accel, variance = (zero, zero, zero), zero
+    if forces.time_s > 0:
+        accel = scale(forces.push_b_mps, one / forces.time_s)
+        variance = forces.square / forces.time_s - dot(accel, accel)
+    return Means(
+        turning.length_s,
+        gyro,
+        turning.measured_square * per_s - dot(gyro, gyro),
+        accel,
+        variance,
+        scale(fields.sum_b_ut, one / max(fields.how_many, one)),
+    )
