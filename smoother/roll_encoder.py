@@ -5,80 +5,92 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.recording import Encoder, Floats
+from stillpoint.datasets.recording import Encoder, Floats, Times
 from stillpoint.smoother.roll_params import EncoderParams
 from stillpoint.smoother.roll_state import LATENCY, OFFSET, Layout, RollState
 
 UNIFORM_SD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
-LEVELS = 100_000  # a turn that shows more different angles than this is not taken for quantised
-ROBUST = 5.0  # residuals above this many sd lose their weight
+FINEST = 2 * np.pi / 1e5  # rad: finer steps are not looked for
+RATE_S = 0.1  # over which the encoder's rate is taken
+ROUNDING = 0.05  # of a step, by which angles of whole steps may be off
 
 
 @dataclass(frozen=True, eq=False)
 class EncoderReadings:
-    """Angles on the clock of the samples."""
+    """Readings among the samples, in the middle of their steps; those before the first and after the last are left out.
 
-    t_s: Floats  # (E,) from the first sample of the accelerometers
+    ``rate_radps`` is the encoder's own over RATE_S: a latency times the rate of the trajectory itself would let the
+    noise of the one explain that of the other.
+    """
+
     angle_rad: Floats  # (E,)
+    rate_radps: Floats  # (E,)
+    k: NDArray[np.int64]  # (E,) the sample that ends the interval a reading lies in
+    back_s: Floats  # (E,) from the reading to that sample
     resolution_rad: float  # 0 where none shows
     sd_rad: float
+    outside: int  # readings left out
 
 
-def readings_of(encoder: Encoder, t0_ns: int, params: EncoderParams) -> EncoderReadings:
-    """The readings, with the noise that their resolution makes."""
+def readings_of(encoder: Encoder, t_ns: Times, params: EncoderParams) -> EncoderReadings:
+    """The readings among samples at ``t_ns`` (N,). A counter has passed half a step more than it says."""
     step_rad = resolution_rad(encoder.angle_rad)
-    t_s = (encoder.t_ns - t0_ns) / 1e9
-    return EncoderReadings(t_s, encoder.angle_rad, step_rad, float(np.hypot(params.sd_rad, UNIFORM_SD * step_rad)))
+    forward = np.sign(encoder.angle_rad[-1] - encoder.angle_rad[0])
+    t_s = (encoder.t_ns - t_ns[0]) / 1e9
+    half = RATE_S / 2
+    early, late = np.clip(t_s - half, t_s[0], t_s[-1]), np.clip(t_s + half, t_s[0], t_s[-1])
+    rate = np.interp(late, t_s, encoder.angle_rad) - np.interp(early, t_s, encoder.angle_rad)
+    k = np.searchsorted(t_ns, encoder.t_ns)
+    inside = (k > 0) & (k < len(t_ns))
+    return EncoderReadings(
+        angle_rad=(encoder.angle_rad + forward * step_rad / 2)[inside],
+        rate_radps=(rate / np.maximum(late - early, 1e-9))[inside],
+        k=k[inside],
+        back_s=(t_ns[k[inside]] - encoder.t_ns[inside]) / 1e9,
+        resolution_rad=step_rad,
+        sd_rad=float(np.hypot(params.sd_rad, UNIFORM_SD * step_rad)),
+        outside=int((~inside).sum()),
+    )
 
 
 def resolution_rad(angle_rad: Floats) -> float:
-    """The step of the angles (E,), that all of them are multiples of from the first one on; 0 where there is none."""
-    steps = np.abs(angle_rad - angle_rad[0])
-    levels = np.unique(np.round(steps[steps > 0], 12))
-    if len(levels) < 2:
-        return 0.0
+    """The step of the angles (E,), a whole part of a turn, from those that a turning shaft shows; 0 if none shows."""
+    levels = np.unique(np.round(np.mod(angle_rad - angle_rad[0], 2 * np.pi), 9))
     gaps = np.diff(levels)
-    step = float(gaps[gaps > 1e-9].min(initial=np.inf))
-    if not step > 2 * np.pi / LEVELS:
+    gaps = gaps[gaps > FINEST]
+    if not len(gaps):
         return 0.0
-    step = float(levels[-1] / np.round(levels[-1] / step))
+    step = 2 * np.pi / np.round(2 * np.pi / float(gaps.min()))
     off = np.abs(levels / step - np.round(levels / step))
-    return step if off.max() < 0.05 else 0.0
+    return float(step) if off.max() < ROUNDING else 0.0
 
 
-def encoder_rows(
-    readings: EncoderReadings, layout: Layout, t_s: Floats, step_s: Floats, angle_rad: Floats, state: RollState
-) -> tuple[Floats, Floats]:
-    """Whitened rows (B, slots, columns + right side), and the residuals (E,) with NaN outside the samples.
+def residuals_of(
+    readings: EncoderReadings, angle_rad: Floats, state: RollState, constants_of: NDArray[np.int64]
+) -> Floats:
+    """Readings less predictions (E,); between two samples the angle runs straight, as the mean rate says.
 
-    ``t_s``, ``step_s`` and ``angle_rad`` are those of the N samples. The angle runs straight between samples.
+    ``angle_rad`` and the step of the constants are those of the N samples.
     """
-    m, rate = layout.m, state.mean_rate_radps
-    blocks = -(-len(t_s) // m)
-    at_s = readings.t_s - state.constants[0, LATENCY]
-    k = np.searchsorted(t_s, at_s)
-    inside = (k > 0) & (k < len(t_s))
-    k = np.minimum(k, len(t_s) - 1)
-    back_s = t_s[k] - at_s
-    residual = readings.angle_rad - (angle_rad[k] - back_s * rate[k] + state.constants[0, OFFSET])
-    sd = max(readings.sd_rad, 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0)
-    root = np.where(inside, 1 / (1 + (residual / (ROBUST * sd)) ** 2) / sd, 0.0)
+    constants = state.constants[constants_of[readings.k]]
+    angle = angle_rad[readings.k] - readings.back_s * state.mean_rate_radps[readings.k]
+    late = constants[:, LATENCY] * readings.rate_radps
+    return np.asarray(readings.angle_rad - (angle - late + constants[:, OFFSET]))
 
-    which = np.flatnonzero(inside)
-    block, j = k[which] // m, k[which] % m
-    slot = np.arange(len(which)) - np.searchsorted(block, block)
-    rows = np.zeros((blocks, int(slot.max(initial=-1)) + 1, layout.inside + layout.shared + 1))
-    local = np.arange(m)
-    steps = np.zeros(blocks * m)
-    steps[: len(step_s)] = step_s
-    by_rate = (
-        np.where(local <= j[:, None], steps.reshape(-1, m)[block], 0.0) - (local == j[:, None]) * back_s[which, None]
-    )
-    target: NDArray[np.float64] = np.zeros((len(which), rows.shape[2]))
-    target[:, layout.rates[:m]] = by_rate
-    target[:, layout.angle] = 1.0
-    target[:, layout.constants[OFFSET]] = 1.0
-    target[:, layout.constants[LATENCY]] = -rate[k[which]]
-    target[:, -1] = residual[which]
-    rows[block, slot] = target * root[which, None]
-    return rows, np.where(inside, residual, np.nan)
+
+def encoder_rows(readings: EncoderReadings, residual: Floats, root: Floats, layout: Layout, step_s: Floats) -> Floats:
+    """Whitened rows (B, slots, columns + right side), with the roots of the weights (E,) and the steps (B, m)."""
+    m, local = layout.m, np.arange(layout.m)
+    block, j = readings.k // m, readings.k % m
+    slot = np.arange(len(block)) - np.searchsorted(block, block)
+    width = layout.inside + layout.shared + 1
+    each = np.zeros((len(block), width))
+    each[:, layout.rates[:m]] = np.where(local <= j[:, None], step_s[block], 0.0)
+    each[np.arange(len(block)), layout.rates[j]] -= readings.back_s
+    each[:, layout.angle] = 1.0
+    each[:, layout.constants[OFFSET]] = 1.0
+    each[:, layout.constants[LATENCY]] = -readings.rate_radps
+    each[:, -1] = residual
+    rows = np.zeros((len(step_s), int(slot.max(initial=-1)) + 1, width))
+    rows[block, slot] = each * root[:, None]
+    return rows

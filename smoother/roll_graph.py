@@ -3,7 +3,7 @@
     K angle and rate at a key, every few samples        C biases, errors of the lever arms, gravity, the encoder's
                                                           offset and latency: a step every 10 s
           C0 ---------------- C1
-        / |  \              /
+        / |  |              |
       K0 ---- K1 ---- K2 ---- K3 ...      each line K-K is one block: its samples of acceleration and squared rate,
       |                                   and the rates inside it, which are taken out exactly (roll_blocks.py)
       where the angle begins
@@ -22,8 +22,9 @@ from gtsam.symbol_shorthand import C, K
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.roll_blocks import Condensed, condense, inside_of, variances_of
+from stillpoint.smoother.roll_chain import Chain, angles_of
 from stillpoint.smoother.roll_params import RollGraphParams
-from stillpoint.smoother.roll_rows import Chain, angles_of, jacobian
+from stillpoint.smoother.roll_rows import RollFit, Roots, jacobian
 from stillpoint.smoother.roll_samples import RollSamples
 from stillpoint.smoother.roll_start import Harmonic
 from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
@@ -97,13 +98,13 @@ class Linear:
     tree: gtsam.GaussianBayesTree
 
 
-def eliminated(chain: Chain, state: RollState, prior: Prior, sds: tuple[float, float], name: str) -> Linear:
+def eliminated(chain: Chain, at: RollFit, roots: Roots, prior: Prior, name: str) -> Linear:
     """Raises :class:`Unobservable` when the system is singular."""
-    blocks = condense(jacobian(chain, state, sds), chain.layout.inside)
+    blocks = condense(jacobian(chain, at, roots), chain.layout.inside)
     graph = gtsam.GaussianFactorGraph()
     for factor in block_factors(chain, blocks):
         graph.push_back(factor)
-    for factor in prior_factors(chain, state, prior):
+    for factor in prior_factors(chain, at.state, prior):
         graph.push_back(factor)
     # Nested dissection: the way from any key to the root is short, which is what covariances cost. QR, not Cholesky:
     # angles at neighbouring keys are tied together 1e6 times as closely as anything ties them to zero.

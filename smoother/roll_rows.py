@@ -1,116 +1,101 @@
-"""The measurements of a spinning body, linearised: one dense whitened Jacobian for each block of samples.
+"""What the samples of a spinning body measure, linearised: one dense whitened Jacobian for each block.
 
-x_k is the mean rate over the interval (t_{k-1}, t_k] that ends at sample k, as a gyro would give it. It makes the
-angle exact, angle_k = angle_{k-1} + dt_k x_k, and each sample of the acceleration one link of a chain whose noise is
-white: x_{k+1} - x_k = h_k (acceleration_k + noise), h_k = (dt_k + dt_{k+1}) / 2. The rate at t_k lies between:
-rate_k = p_k x_k + (1 - p_k) x_{k+1}. A sample measures
+A sample measures, with errors e of the lever arms, biases b, gravity's amplitude g and its parts c and s,
 
     acceleration:  (1 + e_a) (x_{k+1} - x_k) / h_k + b_a + g (c_a cos angle_k + s_a sin angle_k)
-    squared rate:  (1 + e_s) rate_k^2            + b_s + g (c_s cos angle_k + s_s sin angle_k)
+    squared rate:  (1 + e_s) rate_k^2              + b_s + g (c_s cos angle_k + s_s sin angle_k)
 
-and an encoder angle(t - latency) + offset. The columns of a block are those of ``Layout``.
+and an encoder angle(t - latency) + offset. x, h and rate are those of roll_chain.py; the columns those of ``Layout``.
 """
 
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_encoder import EncoderReadings, encoder_rows
+from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
+from stillpoint.smoother.roll_encoder import encoder_rows, residuals_of
 from stillpoint.smoother.roll_params import RollNoise
-from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, BIAS_A, BIAS_S, Layout, RollState, in_blocks
+from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, BIAS_A, BIAS_S, RollState, in_blocks
 
 LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: so small that it is exact, large enough to factorise
-LONG_STEP = 1.5  # of the median step: after a longer one the samples say nothing of the acceleration between
+MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
-    """The samples filled up to whole blocks, (B, m), and which constants hold in each."""
+class RollFit:
+    """The samples beside a trajectory, (B, m) each: what it predicts, and measured less predicted."""
 
-    samples: RollSamples
-    params: RollNoise
-    layout: Layout
-    step_s: Floats  # (N + 1,) with the one after the last sample
-    span_s: Floats  # (B, m) h
-    before: Floats  # (B, m) share p of x_k in the rate at the sample
-    constants_of: NDArray[np.int64]  # (B,) row of RollState.constants
-    accel_radps2: Floats  # (B, m) interpolated where not valid
-    accel_seen: NDArray[np.bool_]  # (B, m) where a sample shows it
-    squared_valid: NDArray[np.bool_]  # (B, m)
-    readings: EncoderReadings | None
-
-    @property
-    def blocks(self) -> int:
-        """How many."""
-        return len(self.span_s)
+    state: RollState
+    rate_radps: Floats
+    change_radps2: Floats  # of the mean rates
+    gravity_accel: Floats  # 1/m: of amplitude 1
+    gravity_squared: Floats
+    turned_accel: Floats  # their derivatives by the angle
+    turned_squared: Floats
+    accel_residual: Floats  # rad/s^2, 0 beyond the last sample
+    squared_residual: Floats  # rad^2/s^2, 0 where not valid
+    encoder_residual: Floats | None  # (E,) rad
 
 
-def chain_of(
-    samples: RollSamples, readings: EncoderReadings | None, block: int, bias_step_s: float, params: RollNoise
-) -> Chain:
-    """The samples by blocks."""
-    n = len(samples)
-    count = -(-n // block)
-    median_s = float(np.median(samples.step_s))
-    step_s = np.append(samples.step_s, median_s)
-    usual = step_s <= LONG_STEP * median_s
-    seen = samples.accel_valid & usual[:-1] & usual[1:]
-    rows = np.arange(n)
-    accel = np.interp(rows, rows[samples.accel_valid], samples.accel_radps2[samples.accel_valid])
-    first_s = (samples.t_ns[::block][:count] - samples.t_ns[0]) / 1e9
-    return Chain(
-        samples=samples,
-        params=params,
-        layout=Layout(block),
-        step_s=step_s,
-        span_s=in_blocks((step_s[:-1] + step_s[1:]) / 2, block, median_s),
-        before=in_blocks(step_s[1:] / (step_s[:-1] + step_s[1:]), block, 0.5),
-        constants_of=(first_s / bias_step_s).astype(np.int64),
-        accel_radps2=in_blocks(accel, block, 0.0),
-        accel_seen=in_blocks(seen, block, False),
-        squared_valid=in_blocks(samples.squared_valid, block, False),
-        readings=readings,
-    )
-
-
-def angles_of(chain: Chain, state: RollState) -> Floats:
-    """Angle at every sample, (N,)."""
-    return np.asarray(state.start_angle_rad + np.cumsum(chain.step_s[:-1] * state.mean_rate_radps[:-1]))
-
-
-def rates_of(chain: Chain, state: RollState) -> Floats:
-    """Rate at every sample, (N,)."""
-    n = len(chain.samples)
-    p, x = chain.before.ravel()[:n], state.mean_rate_radps
-    return np.asarray(p * x[:-1] + (1 - p) * x[1:])
-
-
-def residuals(chain: Chain, state: RollState) -> tuple[Floats, Floats]:
-    """Measured less predicted acceleration and squared rate, (B, m); 0 for squared rates that are not valid."""
-    n, m = len(chain.samples), chain.layout.m
+def fit(chain: Chain, state: RollState) -> RollFit:
+    """The trajectory's predictions and what they leave."""
+    n, m, samples = len(chain.samples), chain.layout.m, chain.samples
     c = state.constants[chain.constants_of][:, :, None]
-    gravity_a, gravity_s = _gravity(chain, angles_of(chain, state))
-    change = in_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
+    angle = angles_of(chain, state)
+    cos, sin = in_blocks(np.cos(angle), m, 0.0), in_blocks(np.sin(angle), m, 0.0)
+    (ca, sa), (cs, ss) = samples.accel_gravity, samples.squared_gravity
+    gravity_a, gravity_s = ca * cos + sa * sin, cs * cos + ss * sin
     rate = in_blocks(rates_of(chain, state), m, 0.0)
-    squared = in_blocks(chain.samples.squared_rad2ps2, m, 0.0)
+    change = in_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
     accel = chain.accel_radps2 - ((1 + c[:, ARM_A]) * change + c[:, BIAS_A] + c[:, AMPLITUDE] * gravity_a)
-    squared = squared - ((1 + c[:, ARM_S]) * rate**2 + c[:, BIAS_S] + c[:, AMPLITUDE] * gravity_s)
     accel.ravel()[n:] = 0.0
-    return accel, np.where(chain.squared_valid, squared, 0.0)
-
-
-def _gravity(chain: Chain, angle_rad: Floats) -> tuple[Floats, Floats]:
-    """The harmonic of amplitude 1 in both channels, (B, m)."""
-    both = np.stack([np.cos(angle_rad), np.sin(angle_rad)])
-    m = chain.layout.m
-    return (
-        in_blocks(chain.samples.accel_gravity @ both, m, 0.0),
-        in_blocks(chain.samples.squared_gravity @ both, m, 0.0),
+    squared = in_blocks(samples.squared_rad2ps2, m, 0.0)
+    squared -= (1 + c[:, ARM_S]) * rate**2 + c[:, BIAS_S] + c[:, AMPLITUDE] * gravity_s
+    return RollFit(
+        state=state,
+        rate_radps=rate,
+        change_radps2=change,
+        gravity_accel=gravity_a,
+        gravity_squared=gravity_s,
+        turned_accel=sa * cos - ca * sin,
+        turned_squared=ss * cos - cs * sin,
+        accel_residual=accel,
+        squared_residual=np.where(chain.squared_valid, squared, 0.0),
+        encoder_residual=None
+        if chain.readings is None
+        else residuals_of(chain.readings, angle, state, np.repeat(chain.constants_of, m)[:n]),
     )
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Noise of a sample of each kind."""
+
+    accel_radps2: float
+    squared_rad2ps2: float
+    encoder_rad: float
+
+
+def sizes_of(chain: Chain, at: RollFit, params: RollNoise) -> Sizes:
+    """The larger of what the samples show and of what the fit leaves, robustly; the former alone if noise is given."""
+    samples, readings = chain.samples, chain.readings
+    accel, squared = samples.accel_sd, samples.squared_sd
+    encoder = 1.0 if readings is None else readings.sd_rad
+    if params.source == "given":
+        return Sizes(accel, squared, encoder)
+    if at.encoder_residual is not None:
+        encoder = max(encoder, _size(at.encoder_residual))
+    return Sizes(
+        max(accel, _size(at.accel_residual[chain.accel_seen])),
+        max(squared, _size(at.squared_residual[chain.squared_valid])),
+        encoder,
+    )
+
+
+def _size(residual: Floats) -> float:
+    return MEDIAN_TO_SD * float(np.median(np.abs(residual))) if len(residual) else 0.0
 
 
 @cache
@@ -120,55 +105,71 @@ def mean_weight(robust: float) -> float:
     return float(np.sum(weights / (1 + (nodes / robust) ** 2) ** 2) / np.sum(weights))
 
 
-def roots_of_weights(chain: Chain, accel: Floats, squared: Floats, sds: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Square roots of the information that each residual has, robust weight and noise together, (B, m).
+@dataclass(frozen=True, eq=False)
+class Roots:
+    """Square roots of the information that each residual has: robust weight and noise together."""
 
-    ``sds`` are those of a sample's acceleration and squared rate. Weights are 1 on average over normal noise, so that
-    the covariance is that of least squares.
+    accel: Floats  # (B, m)
+    squared: Floats  # (B, m)
+    encoder: Floats | None  # (E,)
+
+
+def roots_of(chain: Chain, at: RollFit, sizes: Sizes) -> Roots:
+    """Geman-McClure weights, 1 on average over normal noise, so that the covariance is that of least squares.
+
+    An acceleration that is no acceleration, or a glitch, counts as one of ``unseen_radps2``.
     """
-    mean = mean_weight(chain.params.robust)
-    accel_sd, squared_sd = (sd * np.sqrt(mean) for sd in sds)
-    unseen, limit = chain.params.unseen_radps2, chain.params.robust / np.sqrt(mean)
-    root_a = chain.accel_seen / (1 + (accel / (limit * accel_sd)) ** 2) / accel_sd
-    root_s = chain.squared_valid / (1 + (squared / (limit * squared_sd)) ** 2) / squared_sd
-    return np.maximum(root_a, 1 / max(unseen, accel_sd)), root_s
+    robust, unseen = chain.params.robust, chain.params.unseen_radps2
+
+    def root(residual: Floats, sd: float) -> Floats:
+        return np.asarray(1 / (1 + (residual / (robust * sd)) ** 2) / (sd * np.sqrt(mean_weight(robust))))
+
+    accel = chain.accel_seen * root(at.accel_residual, sizes.accel_radps2)
+    squared = chain.squared_valid * root(at.squared_residual, sizes.squared_rad2ps2)
+    encoder = None if at.encoder_residual is None else root(at.encoder_residual, sizes.encoder_rad)
+    return Roots(np.maximum(accel, 1 / max(unseen, sizes.accel_radps2)), squared, encoder)
 
 
-def jacobian(chain: Chain, state: RollState, sds: tuple[float, float]) -> Floats:
-    """Whitened rows and their right sides, (B, rows, width + 1), of the changes of the unknowns."""
+def cost(at: RollFit, roots: Roots) -> float:
+    """Sum of weighted squares. With weights of a state before, where it falls the robust cost has fallen too."""
+    total = np.sum((roots.accel * at.accel_residual) ** 2) + np.sum((roots.squared * at.squared_residual) ** 2)
+    if at.encoder_residual is not None and roots.encoder is not None:
+        total += np.sum((roots.encoder * at.encoder_residual) ** 2)
+    return float(total)
+
+
+def jacobian(chain: Chain, at: RollFit, roots: Roots) -> Floats:
+    """Whitened rows of the changes of the unknowns and their right sides, (B, rows, columns + 1)."""
     m, layout = chain.layout.m, chain.layout
     a = np.zeros((chain.blocks, 1 + 2 * m, layout.inside + layout.shared + 1))
-    r_accel, r_squared = residuals(chain, state)
-    root_a, root_s = roots_of_weights(chain, r_accel, r_squared, sds)
-    rates, constants, j = layout.rates, layout.constants, np.arange(m)
-    c = state.constants[chain.constants_of][:, :, None]
-    angle = angles_of(chain, state)
-    gravity_a, gravity_s = _gravity(chain, angle)
-    turned_a, turned_s = _gravity(chain, angle + np.pi / 2)  # d/d angle
-    rate = in_blocks(rates_of(chain, state), m, 0.0)
-    change = in_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
+    rates, constants = layout.rates, layout.constants
+    accel, squared = 1 + np.arange(m), 1 + m + np.arange(m)
+    c = at.state.constants[chain.constants_of][:, :, None]
     steps = in_blocks(chain.step_s[:-1], m, 0.0)
 
     a[:, 0, rates[:m]], a[:, 0, layout.angle], a[:, 0, layout.angle + 2] = -steps, -1.0, 1.0
     a[:, 0] /= LINK_SD_RAD
 
-    by_accel = root_a * (1 + c[:, ARM_A]) / chain.span_s
-    a[:, 1 + j, rates[:-1]], a[:, 1 + j, rates[1:]] = -by_accel, by_accel
-    by_rate = root_s * 2 * (1 + c[:, ARM_S]) * rate
-    a[:, 1 + m + j, rates[:-1]], a[:, 1 + m + j, rates[1:]] = by_rate * chain.before, by_rate * (1 - chain.before)
-    if state.constants[:, AMPLITUDE].any():
-        for first, root, turned in ((1, root_a, turned_a), (1 + m, root_s, turned_s)):
+    by_change = roots.accel * (1 + c[:, ARM_A]) / chain.span_s
+    a[:, accel, rates[:-1]], a[:, accel, rates[1:]] = -by_change, by_change
+    by_rate = roots.squared * 2 * (1 + c[:, ARM_S]) * at.rate_radps
+    a[:, squared, rates[:-1]], a[:, squared, rates[1:]] = by_rate * chain.before, by_rate * (1 - chain.before)
+    if at.state.constants[:, AMPLITUDE].any():
+        until = np.tril(np.ones((m, m)))  # the angle at a sample holds the rates before it
+        for row, root, turned in (
+            (accel, roots.accel, at.turned_accel),
+            (squared, roots.squared, at.turned_squared),
+        ):
             by_angle = root * c[:, AMPLITUDE] * turned
-            a[:, first + j, layout.angle] = by_angle
-            until = np.tril(np.ones((m, m)))  # the angle at a sample holds the rates before it
-            a[:, first : first + m, rates[:m]] += by_angle[:, :, None] * steps[:, None, :] * until
-    a[:, 1 + j, constants[BIAS_A]], a[:, 1 + m + j, constants[BIAS_S]] = root_a, root_s
-    a[:, 1 + j, constants[ARM_A]], a[:, 1 + m + j, constants[ARM_S]] = root_a * change, root_s * rate**2
-    a[:, 1 + j, constants[AMPLITUDE]] = root_a * gravity_a
-    a[:, 1 + m + j, constants[AMPLITUDE]] = root_s * gravity_s
-    a[:, 1 + j, -1], a[:, 1 + m + j, -1] = root_a * r_accel, root_s * r_squared
-    if chain.readings is None:
+            a[:, row, layout.angle] = by_angle
+            a[:, row[0] : row[-1] + 1, rates[:m]] += by_angle[:, :, None] * steps[:, None, :] * until
+    a[:, accel, constants[BIAS_A]], a[:, squared, constants[BIAS_S]] = roots.accel, roots.squared
+    a[:, accel, constants[ARM_A]] = roots.accel * at.change_radps2
+    a[:, squared, constants[ARM_S]] = roots.squared * at.rate_radps**2
+    a[:, accel, constants[AMPLITUDE]] = roots.accel * at.gravity_accel
+    a[:, squared, constants[AMPLITUDE]] = roots.squared * at.gravity_squared
+    a[:, accel, -1], a[:, squared, -1] = roots.accel * at.accel_residual, roots.squared * at.squared_residual
+    if chain.readings is None or at.encoder_residual is None or roots.encoder is None:
         return a
-    t_s = (chain.samples.t_ns - chain.samples.t_ns[0]) / 1e9
-    rows, _ = encoder_rows(chain.readings, layout, t_s, chain.step_s[:-1], angle, state)
+    rows = encoder_rows(chain.readings, at.encoder_residual, roots.encoder, layout, steps)
     return np.concatenate([a, rows], axis=1)

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
 from stillpoint.smoother.roll_params import HarmonicParams
-from stillpoint.smoother.roll_rows import Chain, angles_of, rates_of
 from stillpoint.smoother.roll_samples import RollSamples
 from stillpoint.smoother.roll_state import RollState
 

@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
 
-CONSTANTS = ("bias_squared", "bias_accel", "arm_squared", "arm_accel", "amplitude", "offset", "latency")
+CONSTANTS = (
+    "bias_squared_rad2ps2",
+    "bias_accel_radps2",
+    "arm_squared",
+    "arm_accel",
+    "gravity_mps2",
+    "encoder_offset_rad",
+    "encoder_latency_s",
+)  # biases of the channels, relative errors of their lever arms, gravity at the spin frequency, the encoder
 BIAS_S, BIAS_A, ARM_S, ARM_A, AMPLITUDE, OFFSET, LATENCY = range(len(CONSTANTS))
 
 
@@ -17,7 +25,7 @@ class RollState:
 
     start_angle_rad: float
     mean_rate_radps: Floats  # (N + 1,) x_0 .. x_N
-    constants: Floats  # (S, 7) CONSTANTS: 1/s^2, 1/s^2, 1, 1, m/s^2, rad, s
+    constants: Floats  # (S, 7) CONSTANTS
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,120 @@
+"""The graph of a spinning body against the same least squares written out in full, and against known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillpoint.datasets import Encoder, Recording, Spin, Unobservable
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.spin import BENCH
+from stillpoint.smoother.roll_blocks import condense, inside_of
+from stillpoint.smoother.roll_chain import angles_of, chain_of, rates_of
+from stillpoint.smoother.roll_encoder import readings_of, resolution_rad
+from stillpoint.smoother.roll_graph import HELD, accuracy_of, eliminated, prior_of, step_of
+from stillpoint.smoother.roll_params import EncoderParams, RollGraphParams, RollNoise
+from stillpoint.smoother.roll_rows import cost, fit, jacobian, roots_of, sizes_of
+from stillpoint.smoother.roll_samples import samples_of
+from stillpoint.smoother.roll_start import Harmonic
+from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, LATENCY, OFFSET, RollState
+
+HORIZONTAL = {"tilt_deg": 90.0}
+
+
+def small(seconds=1.0, seed=1, **sensor):
+    """A second of a horizontal bench with everything: gravity, an encoder on its own clock, a gap, bad samples."""
+    recording = simulate("spin-constant", seed=seed, minutes=seconds / 60, sensor="white", **sensor)
+    spin = recording.spin
+    kept = np.delete(np.arange(len(spin.t_ns)), [90, 91, 92])
+    accel = spin.accel_mps2[kept].copy()
+    accel[30, 0] = np.nan
+    accel[60, 1] = np.nan
+    accel += 5.0 * np.cos(recording.roll_truth.angle_rad[kept])[:, None]
+    encoder = Encoder(
+        recording.encoder.t_ns + 1_700_000, recording.encoder.angle_rad, recording.encoder.rate_radps
+    )
+    return replace(recording, spin=Spin(spin.t_ns[kept], accel, spin.gyro_radps[kept], spin.geometry), encoder=encoder)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Chain, a state near the truth, and the prior, with all unknowns in play."""
+    recording, params = small(), RollGraphParams()
+    samples = samples_of(recording, params.noise)
+    readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
+    chain = chain_of(samples, readings, 16, 0.5, params.noise)
+    rng = np.random.default_rng(3)
+    n = len(samples)
+    truth = np.interp(samples.t_ns, recording.roll_truth.t_ns, recording.roll_truth.angle_rad)
+    rates = np.diff(truth, prepend=truth[0] - 0.141) / samples.step_s
+    constants = np.tile([0.3, -0.1, 1e-3, -2e-3, 5.0, 0.02, 6e-4], (int(chain.constants_of[-1]) + 1, 1))
+    constants += 1e-4 * rng.standard_normal(constants.shape)
+    state = RollState(-0.14, np.append(rates, rates[-1]) + 0.05 * rng.standard_normal(n + 1), constants)
+    harmonic = Harmonic(5.0, 100.0, np.zeros(n))
+    prior = prior_of(samples, harmonic, True, 0.01, params)
+    return chain, state, prior, params
+
+
+def as_vector(state):
+    return np.concatenate([[state.start_angle_rad], state.mean_rate_radps, state.constants.ravel()])
+
+
+def as_state(z, chain):
+    n = len(chain.samples)
+    return RollState(float(z[0]), z[1 : n + 2], z[n + 2 :].reshape(-1, len(CONSTANTS)))
+
+
+def whitened(z, chain, prior, roots):
+    """All residuals of the problem, predicted less measured, with weights held: nothing of gtsam, nothing of blocks."""
+    state = as_state(z, chain)
+    at = fit(chain, state)
+    n = len(chain.samples)
+    walk = np.linalg.inv(np.linalg.cholesky(prior.walk_cov))
+    return -np.concatenate(
+        [
+            (roots.accel * at.accel_residual).ravel()[:n],
+            (roots.squared * at.squared_residual).ravel()[:n],
+            roots.encoder * at.encoder_residual,
+            [(prior.angle_rad - angles_of(chain, state)[0]) / prior.angle_sd_rad],
+            np.linalg.inv(np.linalg.cholesky(prior.cov)) @ (prior.mean - state.constants[0]),
+            *(-walk @ change for change in np.diff(state.constants, axis=0)),
+        ]
+    )
+
+
+def differences(z, function, size=1e-6):
+    columns = []
+    for k in range(len(z)):
+        step = np.zeros_like(z)
+        step[k] = size
+        columns.append((function(z + step) - function(z - step)) / (2 * size))
+    return np.column_stack(columns)
+
+
+def test_step_and_covariance_are_those_of_the_full_problem(problem):
+    """Gauss-Newton's step and all standard deviations, against a dense system whose Jacobian is made by differences."""
+    chain, state, prior, params = problem
+    at = fit(chain, state)
+    roots = roots_of(chain, at, sizes_of(chain, at, params.noise))
+    z = as_vector(state)
+    jacobian_full = differences(z, lambda one: whitened(one, chain, prior, roots))
+    step, *_ = np.linalg.lstsq(jacobian_full, -whitened(z, chain, prior, roots), rcond=None)
+    cov = np.linalg.inv(jacobian_full.T @ jacobian_full)
+
+    linear = eliminated(chain, at, roots, prior, "test")
+    found = as_vector(step_of(chain, linear, len(state.constants)))
+    sd = np.sqrt(np.diag(cov))
+    assert np.abs((found - step) / sd).max() < 1e-3
+
+    n = len(chain.samples)
+    by_rates = np.tril(np.ones((n, n))) * chain.step_s[:-1]
+    of_angle = np.hstack([np.ones((n, 1)), by_rates, np.zeros((n, len(z) - n - 1))])
+    accuracy = accuracy_of(chain, linear, "test")
+    expected = np.sqrt(np.einsum("ij,jk,ik->i", of_angle, cov, of_angle))
+    np.testing.assert_allclose(accuracy.angle_sd_rad, expected, rtol=1e-3)
+    p = chain.before.ravel()[:n]
+    of_rate = np.zeros((n, len(z)))
+    of_rate[np.arange(n), 1 + np.arange(n)], of_rate[np.arange(n), 2 + np.arange(n)] = p, 1 - p
+    expected = np.sqrt(np.einsum("ij,jk,ik->i", of_rate, cov, of_rate))
+    np.testing.assert_allclose(accuracy.rate_sd_radps, expected, rtol=1e-3)
+    np.testing.assert_allclose(accuracy.constants_sd, sd[n + 2 : n + 2 + len(CONSTANTS)], rtol=1e-3)
