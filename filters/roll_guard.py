@@ -1,4 +1,4 @@
-"""What ``roll-guarded`` remembers to tell bad samples from good ones: innovations, refusals, repetitions."""
+"""What ``roll-guarded`` remembers to tell bad samples from good ones: innovations, refusals, jumps, repetitions."""
 
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from stillpoint.filters.roll_rate import MEDIAN_OF
 from stillpoint.filters.roll_sample import RollSample
 from stillpoint.filters.roll_start import insert, median
 
+ACCELS = 5  # samples whose median is the usual angular acceleration
 CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations
 
 
@@ -24,10 +25,22 @@ class Refusals(NamedTuple):
     """Observations that were left out, the last ones in a row."""
 
     rates_radps: NDArray[np.float64]  # (9,) sizes of the last rates, a ring that is handed on and written in place
+    scratch_radps: NDArray[np.float64]  # (9,) to sort in
     in_row: int
     lasting_s: float
     n_refused: int
     n_restarts: int
+
+
+class Accels(NamedTuple):
+    """The last angular accelerations, to tell a glitch among them from a jump."""
+
+    values_radps2: NDArray[np.float64]  # (5,) a ring that is handed on and written in place
+    seen: int
+    left_out_radps2: float  # the last one that was
+    in_row: int
+    owed_radps: float  # what those in a row would have added to the rate
+    n_accel_refused: int
 
 
 class Repeats(NamedTuple):
@@ -47,10 +60,11 @@ def no_window(room: int, zero: float) -> Window:
 
 
 @compiled
-def widened(window: Window, residual: float, expected: float, most: float) -> tuple[Window, float]:
-    """The window with one innovation more, and alpha by (16), (17): at most ``most``, of as many as there are.
+def widened(window: Window, residual: float, expected: float, least: float, most: float) -> tuple[Window, float]:
+    """The window with one innovation more, and alpha by (16), (17): 1 below ``least``, and at most ``most``.
 
-    Squares are clipped, so that a single glitch does not open the gate for what follows it.
+    Squares are clipped, so that a single glitch does not open the gate for what follows it. Until the window is full
+    alpha is of as many innovations as there are.
     """
     squares, seen = window
     room = len(squares)
@@ -60,41 +74,74 @@ def widened(window: Window, residual: float, expected: float, most: float) -> tu
     for k in range(held):
         total += squares[k]
     alpha = total / (like(expected, held) * expected)
-    return Window(squares, seen + 1), min(max(alpha, like(expected, 1.0)), most)
+    return Window(squares, seen + 1), min(alpha, most) if alpha > least else like(expected, 1.0)
 
 
 @compiled
 def no_refusals(zero: float) -> Refusals:
     """None yet."""
-    return Refusals(np.full(MEDIAN_OF, zero), 0, zero, 0, 0)
+    return Refusals(np.full(MEDIAN_OF, zero), np.full(MEDIAN_OF, zero), 0, zero, 0, 0)
 
 
 @compiled
 def passed(before: Refusals) -> Refusals:
     """After an observation that was used."""
-    return Refusals(before.rates_radps, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts)
+    arrays = before.rates_radps, before.scratch_radps
+    return Refusals(*arrays, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts)
 
 
 @compiled
 def refused(before: Refusals, rate_radps: float, dt_s: float) -> Refusals:
     """After one that was left out; its rate is kept, in case it is right."""
-    rates, in_row, lasting_s, n_refused, n_restarts = before
+    rates, scratch, in_row, lasting_s, n_refused, n_restarts = before
     rates[in_row % MEDIAN_OF] = rate_radps
-    return Refusals(rates, in_row + 1, lasting_s + dt_s, n_refused + 1, n_restarts)
+    return Refusals(rates, scratch, in_row + 1, lasting_s + dt_s, n_refused + 1, n_restarts)
 
 
 @compiled
 def ended(before: Refusals) -> Refusals:
     """After a start from what was left out."""
-    return Refusals(before.rates_radps, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts + 1)
+    arrays = before.rates_radps, before.scratch_radps
+    return Refusals(*arrays, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts + 1)
 
 
 @compiled
-def median_refused(refusals: Refusals, scratch: NDArray[np.float64]) -> float:
-    """The median of the rates that were left out last; ``scratch`` (9,) is written over."""
+def median_refused(refusals: Refusals) -> float:
+    """The median of the rates that were left out last."""
     for k in range(MEDIAN_OF):
-        insert(scratch, k, refusals.rates_radps[k])
-    return median(scratch, MEDIAN_OF)
+        insert(refusals.scratch_radps, k, refusals.rates_radps[k])
+    return median(refusals.scratch_radps, MEDIAN_OF)
+
+
+@compiled
+def no_accels(zero: float) -> Accels:
+    """Before the first sample."""
+    return Accels(np.full(ACCELS, zero), 0, zero, 0, zero, 0)
+
+
+@compiled
+def without_jump(
+    before: Accels, sample: RollSample, gate_var: float, scratch: NDArray[np.float64]
+) -> tuple[Accels, float, bool, float]:
+    """The angular acceleration to go on with, whether it is the sample's own, and what the rate has to be given back.
+
+    One whose square distance from the median of the last five exceeds ``gate_var`` is left out, and the median taken
+    for it. A jump is a glitch where the next value is back, and true where it stays: then what was left out is owed.
+    ``scratch`` (5 or more,) is written over.
+    """
+    values, seen, left_out, in_row, owed, n_refused = before
+    accel, zero = sample.accel_radps2, like(sample.accel_radps2, 0.0)
+    values[seen % ACCELS] = accel
+    if seen + 1 < ACCELS:
+        return Accels(values, seen + 1, left_out, 0, zero, n_refused), accel, True, zero
+    for k in range(ACCELS):
+        insert(scratch, k, values[k])
+    usual = median(scratch, ACCELS)
+    if (accel - usual) * (accel - usual) > gate_var:
+        owed += sample.dt_s * (accel - usual)
+        return Accels(values, seen + 1, accel, in_row + 1, owed, n_refused + 1), usual, False, zero
+    stays = in_row > 0 and (accel - left_out) * (accel - left_out) <= gate_var
+    return Accels(values, seen + 1, left_out, 0, zero, n_refused), accel, True, owed if stays else zero
 
 
 @compiled

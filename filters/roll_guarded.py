@@ -7,9 +7,10 @@ zeros, a stuck sensor, lost samples. States x = (angle, rate, bias b), input u =
 
 The angle takes part in the update by its covariance with the rate, so the noise of u that the update removes from the
 rate is removed from the angle too; integrating the filtered rate would leave it there. An observation beyond
-``gate_sd`` standard deviations is left out. The variance R is widened by alpha as in (16), (17), up to a cap that keeps
-the filter from running away. After ``lockout`` observations in a row were left out, the rate starts anew at the median
-of the last nine. Values that repeat to the last bit are a stuck sensor's and count as missing.
+``gate_sd`` standard deviations is left out, and so is an angular acceleration that far from the median of the last
+five. The variance R is widened by alpha as in (16), (17), up to a cap that keeps the filter from running away. After
+``lockout`` observations in a row were left out, the rate starts anew at the median of the last nine. Values that repeat
+to the last bit are a stuck sensor's and count as missing.
 """
 
 from dataclasses import dataclass
@@ -22,21 +23,25 @@ from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import number
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.roll_guard import (
+    ACCELS,
+    Accels,
     Refusals,
     Repeats,
     Window,
     ended,
     median_refused,
+    no_accels,
     no_refusals,
     no_repeats,
     no_window,
     passed,
     refused,
     widened,
+    without_jump,
     without_stuck,
 )
 from stillpoint.filters.roll_noise import Noise, RollParams, noise
-from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, no_tally, tallied, usable_accel
+from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, no_tally, tallied
 from stillpoint.filters.roll_sample import (
     Roll,
     RollLog,
@@ -48,7 +53,7 @@ from stillpoint.filters.roll_sample import (
     roll_sample_at,
     turned,
 )
-from stillpoint.filters.roll_start import Start, gather, no_start, rate_variance, root
+from stillpoint.filters.roll_start import MEDIAN_VAR, Start, gather, no_start, rate_variance, root
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,11 @@ class Params(RollParams):
     """Parameters of ``roll-guarded``."""
 
     window: float = number(5, 2, 100, "how many innovations are averaged for alpha")
+    least_alpha: float = number(
+        3, 1, 100, "alpha counts from here on; five squares of matched noise reach 3 once in 100"
+    )
     largest_alpha: float = number(10, 1, 1e6, "most that the variance of the observation is widened by")
-    gate_sd: float = number(5, 2, 100, "an observation further off than so many standard deviations is left out")
+    gate_sd: float = number(5, 2, 100, "a sample further off than so many standard deviations is left out")
     lockout: float = number(25, 9, 1e6, "so many left out in a row: start anew from them")
     stuck: float = number(16, 3, 1e6, "a value that is the same so many times in a row counts as missing")
     bias_sd_radps2: float = number(1.0, 0.0, 1e3, "bias of the angular acceleration at the start, rad/s^2")
@@ -70,8 +78,10 @@ class Coefficients(NamedTuple):
 
     noise: Noise
     window: int
+    least_alpha: float
     largest_alpha: float
     gate: float  # square of the number of standard deviations
+    accel_gate_var: float  # of an angular acceleration less the median of the last
     lockout: int
     stuck: int
     bias_var: float
@@ -88,27 +98,39 @@ class Bias(NamedTuple):
     var: float
 
 
+class Push(NamedTuple):
+    """The angular acceleration that drives the next interval."""
+
+    accel_radps2: float
+    var: float
+    is_measured: bool  # False: nothing is known, also nothing of its bias
+
+
 class State(NamedTuple):
     """What is remembered."""
 
     start: Start
     roll: Roll
     bias: Bias
-    accel_radps2: float  # at the sample before
-    knows_accel: bool  # whether there was one
+    push: Push
     window: Window
     refusals: Refusals
+    accels: Accels
     repeats: Repeats
     tally: Tally
 
 
 def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
     """Of these parameters for a geometry."""
+    of = noise(params, geometry)
+    gate = params.gate_sd**2
     return Coefficients(
-        noise=noise(params, geometry),
+        noise=of,
         window=round(params.window),
+        least_alpha=params.least_alpha,
         largest_alpha=params.largest_alpha,
-        gate=params.gate_sd**2,
+        gate=gate,
+        accel_gate_var=gate * of.accel_var * (1.0 + MEDIAN_VAR / ACCELS),
         lockout=round(params.lockout),
         stuck=round(params.stuck),
         bias_var=params.bias_sd_radps2**2,
@@ -121,21 +143,18 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 def start(c: Coefficients) -> State:
     """Before the first sample."""
     zero = like(c.gate, 0.0)
-    bias = Bias(zero, zero, zero, c.bias_var)
-    begin_with, nothing = no_start(MEDIAN_OF, zero), no_roll(zero)
-    window, refusals = no_window(c.window, zero), no_refusals(zero)
-    return State(begin_with, nothing, bias, zero, False, window, refusals, no_repeats(zero), no_tally())
+    bias, push = Bias(zero, zero, zero, c.bias_var), Push(zero, zero, False)
+    guards = no_window(c.window, zero), no_refusals(zero), no_accels(zero), no_repeats(zero)
+    return State(no_start(MEDIAN_OF, zero), no_roll(zero), bias, push, *guards, no_tally())
 
 
 @compiled
-def moved(
-    roll: Roll, bias: Bias, accel_radps2: float, knows_accel: bool, dt_s: float, c: Coefficients
-) -> tuple[Roll, Bias]:
-    """Angle and rate moved on by an angular acceleration, or without one."""
-    t, half_s = dt_s, like(dt_s, 0.5) * dt_s
-    accel, bias_s, q = accel_radps2 - bias.accel_radps2, dt_s, c.noise.accel_var
-    if not knows_accel:
-        accel, bias_s, q = like(dt_s, 0.0), like(dt_s, 0.0), c.unknown_var
+def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> tuple[Roll, Bias]:
+    """Angle, rate and bias after an interval."""
+    t, half_s, bias_s = dt_s, like(dt_s, 0.5) * dt_s, dt_s
+    accel = push.accel_radps2 - bias.accel_radps2
+    if not push.is_measured:
+        accel, bias_s = like(dt_s, 0.0), like(dt_s, 0.0)
     turns, rest = turned(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
     # covariances: the angle takes half_s * bias_s of the bias, the rate bias_s of it
     of_angle = bias.angle_cov + t * bias.rate_cov - half_s * bias_s * bias.var
@@ -144,7 +163,7 @@ def moved(
     cross_var = roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov - bias_s * of_angle
     angle_var = roll.angle_var + t * roll.cross_var - half_s * bias_s * bias.angle_cov
     angle_var += t * (roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
-    step_var = t * t * q
+    step_var = t * t * push.var
     moved_roll = Roll(
         turns,
         rest,
@@ -153,7 +172,7 @@ def moved(
         cross_var + half_s * step_var,
         rate_var + step_var,
     )
-    return moved_roll, Bias(bias.accel_radps2, of_angle, of_rate, bias.var + t * c.drift_var)
+    return moved_roll, Bias(bias.accel_radps2, of_angle, of_rate, bias.var + t * drift_var)
 
 
 @compiled
@@ -180,33 +199,6 @@ def corrected(roll: Roll, bias: Bias, residual: float, total: float) -> tuple[Ro
 
 
 @compiled
-def restarted(state: State, c: Coefficients) -> State:
-    """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
-    roll, zero = state.roll, like(state.accel_radps2, 0.0)
-    rate = median_refused(state.refusals, state.start.rates_radps)
-    if roll.rate_radps < zero:
-        rate = -rate
-    lost = (rate - roll.rate_radps) * state.refusals.lasting_s
-    rate_var = rate_variance(rate, c.noise.square_var)
-    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, zero, rate_var)
-    bias = Bias(state.bias.accel_radps2, zero, zero, c.bias_var)
-    window, refusals = Window(state.window.squares, 0), ended(state.refusals)
-    accel, knows_accel = state.accel_radps2, state.knows_accel
-    return State(state.start, roll, bias, accel, knows_accel, window, refusals, state.repeats, state.tally)
-
-
-@compiled
-def begin(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
-    """One of the first samples."""
-    sense = c.noise.sense if sample.direction == 0 else sample.direction
-    begun, roll = gather(state.start, sample, state.accel_radps2, sense, c.noise.square_var)
-    accel, tally = usable_accel(sample), tallied(state.tally, sample, False)
-    refusals, repeats = state.refusals, state.repeats
-    state = State(begun, roll, state.bias, accel, sample.has_accel, state.window, refusals, repeats, tally)
-    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == MEDIAN_OF)
-
-
-@compiled
 def observed(
     roll: Roll, bias: Bias, window: Window, refusals: Refusals, sample: RollSample, c: Coefficients
 ) -> tuple[Roll, Bias, Window, Refusals, float]:
@@ -214,7 +206,7 @@ def observed(
     rate = roll.rate_radps
     residual = sample.square_rad2ps2 - rate * rate
     expected = like(rate, 4.0) * rate * rate * roll.rate_var + c.noise.square_var
-    window, alpha = widened(window, residual, expected, c.largest_alpha)
+    window, alpha = widened(window, residual, expected, c.least_alpha, c.largest_alpha)
     if residual * residual <= c.gate * alpha * expected:
         roll, bias = corrected(roll, bias, residual, alpha * expected)
         refusals = passed(refusals)
@@ -224,22 +216,58 @@ def observed(
 
 
 @compiled
+def pushed(state: State, sample: RollSample, c: Coefficients) -> tuple[Push, Accels, float]:
+    """What the sample's angular acceleration says of the next interval, and what the rate is owed of those before."""
+    zero = like(sample.dt_s, 0.0)
+    if not sample.has_accel:
+        return Push(zero, c.unknown_var, False), state.accels, zero
+    accels, accel, is_own, owed = without_jump(state.accels, sample, c.accel_gate_var, state.refusals.scratch_radps)
+    return Push(accel, c.noise.accel_var if is_own else c.unknown_var, True), accels, owed
+
+
+@compiled
+def restarted(state: State, c: Coefficients) -> State:
+    """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
+    roll, zero = state.roll, like(state.roll.rate_radps, 0.0)
+    rate = median_refused(state.refusals)
+    if roll.rate_radps < zero:
+        rate = -rate
+    lost = (rate - roll.rate_radps) * state.refusals.lasting_s
+    rate_var = rate_variance(rate, c.noise.square_var)
+    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, zero, rate_var)
+    bias = Bias(state.bias.accel_radps2, zero, zero, c.bias_var)
+    guards = Window(state.window.squares, 0), ended(state.refusals), state.accels, state.repeats
+    return State(state.start, roll, bias, state.push, *guards, state.tally)
+
+
+@compiled
+def begin(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
+    """One of the first samples."""
+    sense = c.noise.sense if sample.direction == 0 else sample.direction
+    begun, roll = gather(state.start, sample, state.push.accel_radps2, sense, c.noise.square_var)
+    push, accels, _ = pushed(state, sample, c)
+    guards = state.window, state.refusals, accels, repeats
+    state = State(begun, roll, state.bias, push, *guards, tallied(state.tally, sample, False))
+    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == MEDIAN_OF)
+
+
+@compiled
 def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
     """Predict, judge the observation, and correct, leave it out, or start anew."""
     sample, repeats = without_stuck(sample, state.repeats, c.stuck)
-    window, refusals = state.window, state.refusals
     if state.start.held < MEDIAN_OF:
-        before = state.roll, state.bias, state.accel_radps2, state.knows_accel
-        return begin(State(state.start, *before, window, refusals, repeats, state.tally), sample, c)
-    roll, bias = moved(state.roll, state.bias, state.accel_radps2, state.knows_accel, sample.dt_s, c)
-    innovation = like(sample.dt_s, np.nan)
+        return begin(state, sample, repeats, c)
+    window, refusals, innovation = state.window, state.refusals, like(sample.dt_s, np.nan)
+    roll, bias = moved(state.roll, state.bias, state.push, sample.dt_s, c.drift_var)
+    push, accels, owed = pushed(state, sample, c)
+    roll = Roll(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
     if sample.has_square:
         roll, bias, window, refusals, innovation = observed(roll, bias, window, refusals, sample, c)
     roll, is_turned_over = faced(roll, sample.direction)
     if is_turned_over:
         bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)
-    accel, tally = usable_accel(sample), tallied(state.tally, sample, is_turned_over)
-    state = State(state.start, roll, bias, accel, sample.has_accel, window, refusals, repeats, tally)
+    tally = tallied(state.tally, sample, is_turned_over)
+    state = State(state.start, roll, bias, push, window, refusals, accels, repeats, tally)
     if refusals.in_row >= c.lockout:
         state = restarted(state, c)
     return state, RollOutput(state.roll, innovation, True)

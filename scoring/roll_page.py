@@ -87,7 +87,9 @@ def _facts(
 
 def _counted(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool) -> dict[str, str]:
     """In how many trials the paper's order of the rates comes out, by noise, and in how many the paper's AEKF won."""
-    counts = {f"{noise}": f"{in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}" for noise, some in trials.items()}
+    counts = {
+        f"{noise}": f"{in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}" for noise, some in trials.items()
+    }
     printed = scenario.printed[online].wins["rate_rmse_degps"].get("AEKF", 0)
     return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
 
