@@ -12,6 +12,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "experiment_spin:variable",
         "Paper 000, variable speed: roll angle and rate at 1500-2100 deg/s over 60 s, ten trials.",
     ),
+    "auv-dolphin": (
+        "experiment_auv:dolphin",
+        "Paper 003: attitude and filter gains of an underwater vehicle, 600 s submerged, five missions.",
+    ),
 }
 
 app = App(name="experiment", help="Repeat a paper's experiment and set the results beside the printed ones.")

@@ -1,0 +1,89 @@
+"""Pictures of paper 003's mission: angles with zooms, errors of the heading, and gains over time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.filters.gains import Gains
+from stillpoint.scoring.auv_study import Series, difference_deg
+from stillpoint.scoring.envelope import break_line, envelope
+from stillpoint.scoring.figures import REST_GREY, colour_of
+
+PARTS = ("roll", "pitch", "heading")
+Span = tuple[float, float]
+
+
+def draw_angle(
+    axes: Sequence[Axes], series: Series, part: int, methods: Mapping[str, int], spans: Sequence[Span]
+) -> None:
+    """One angle over each of the spans: measured (roll and pitch), estimates in their colours, the truth on top."""
+    for ax, span in zip(axes, spans, strict=True):
+        if part < 2:
+            _line(ax, series, series.measured_deg[:, part], span, color=REST_GREY, lw=0.7, label="measured")
+        for method, colour in methods.items():
+            _line(
+                ax, series, series.estimated_deg[method][:, part], span, color=colour_of(colour), lw=1.0, label=method
+            )
+        _line(ax, series, series.true_deg[:, part], span, color=rcParams["text.color"], lw=1.2, label="truth")
+        if part == 2:
+            _fixes(ax, series, span, series.course_deg)
+        _finish(ax, series, span, f"{PARTS[part]} (deg)")
+
+
+def draw_heading_errors(axes: Sequence[Axes], series: Series, methods: Mapping[str, int]) -> None:
+    """Estimates and GPS courses less the true heading; below without the gyro, whose error hides the others."""
+    span = (float(series.t_s[0]), float(series.t_s[-1]))
+    true = np.interp(series.fix_s, series.t_s, np.unwrap(series.true_deg[:, 2], period=360.0))
+    for ax, shown in zip(axes, (methods, {m: k for m, k in methods.items() if m != "gyro"}), strict=True):
+        _fixes(ax, series, span, difference_deg(series.course_deg, true))
+        for method, colour in shown.items():
+            error = difference_deg(series.estimated_deg[method][:, 2], series.true_deg[:, 2])
+            _line(ax, series, error, span, color=colour_of(colour), lw=1.0, label=method)
+        _finish(ax, series, span, "error (deg)")
+    axes[1].set_ylim(-6, 6)
+
+
+def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mapping[str, int], unit: str) -> None:
+    """``kp_per_s`` or ``ki_per_s2`` of roll, pitch and heading, logarithmic, one axes each."""
+    span = (float(series.t_s[0]), float(series.t_s[-1]))
+    for part, ax in enumerate(axes):
+        for method, colour in methods.items():
+            gain = column(series.gains[method], which)[:, part]
+            _line(ax, series, np.maximum(gain, 1e-6), span, color=colour_of(colour), lw=1.0, label=method)
+        _finish(ax, series, span, f"{PARTS[part]} ({unit})")
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.minorticks_off()
+
+
+def column(gains: Gains, which: str) -> Floats:
+    """One of the two gains (N, 3)."""
+    return np.asarray(getattr(gains, which))
+
+
+def _fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None:
+    inside = (series.fix_s >= span[0]) & (series.fix_s <= span[1])
+    style: dict[str, Any] = {"color": REST_GREY, "marker": ".", "ms": 3, "lw": 0, "zorder": 1}
+    ax.plot(series.fix_s[inside], value_deg[inside], label="GPS course", **style)
+
+
+def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
+    inside = slice(*np.searchsorted(series.t_s, span))
+    columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+    ax.plot(*envelope(*break_line(series.t_s[inside], value[inside], np.inf, 180.0), columns), **style)
+
+
+def _finish(ax: Axes, series: Series, span: Span, label: str) -> None:
+    """Limits, label, and the time under water in grey."""
+    when = series.phases_s
+    first, last = max(when["dive_s"], span[0]), min(when["surfaced_s"], span[1])
+    if first < last:
+        ax.axvspan(first, last, color=REST_GREY, alpha=0.12, lw=0, zorder=0)
+    ax.set_xlim(*span)
+    ax.set_ylabel(label)
+    ax.xaxis.set_major_locator(MaxNLocator(8))

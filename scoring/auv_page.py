@@ -1,0 +1,173 @@
+"""One self-contained HTML page of paper 003's experiment: its figures 6 to 11 redrawn, its tables beside ours."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stillpoint.scoring.auv_figures import column, draw_angle, draw_gains, draw_heading_errors
+from stillpoint.scoring.auv_study import (
+    ADAPTIVE,
+    FIXED,
+    GYRO,
+    KALMAN,
+    METHODS,
+    PRINTED,
+    PRINTED_FIGURES,
+    RAW,
+    SETTLED_S,
+    SeaKind,
+    Trial,
+    over_trials,
+)
+from stillpoint.scoring.figures import COLOURS, ON_DARK
+from stillpoint.scoring.pictures import Picture, picture
+from stillpoint.scoring.report import dotted, template, versions
+
+COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5}  # places in COLOURS
+TITLES: dict[SeaKind, str] = {"waves": "In waves", "calm": "In a calm sea"}
+
+
+class Column(NamedTuple):
+    """How a figure is called on the page."""
+
+    key: str
+    name: str
+    unit: str
+    digits: int
+
+
+COLUMNS = (
+    Column("roll_off_mean_deg", "roll off, mean", "deg", 5),
+    Column("roll_off_var_deg2", "roll off, var", "deg²", 4),
+    Column("pitch_off_mean_deg", "pitch off, mean", "deg", 5),
+    Column("pitch_off_var_deg2", "pitch off, var", "deg²", 5),
+    Column("surface_roll_rmse_deg", "roll error, surface", "deg, rms", 2),
+    Column("below_roll_rmse_deg", "roll error, below", "deg, rms", 3),
+    Column("pitch_rmse_deg", "pitch error", "deg, rms", 3),
+    Column("heading_after_deg", "heading after 600 s", "deg", 2),
+)
+
+
+def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: str) -> str:
+    """The page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
+    first = next(iter(trials.values()))
+    kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]
+    return template("auv_page.html.j2").render(
+        colours=COLOURS,
+        colours_on_dark=ON_DARK,
+        online=online,
+        facts=_facts(first, online),
+        kept={which: f"{_moved(kept, name):.1g}" for which, name in (("kp", "kp_per_s"), ("ki", "ki_per_s2"))},
+        trials=len(first),
+        columns=COLUMNS,
+        rows=_rows(trials),
+        sections=[
+            {"sea": sea, "title": f"{TITLES[sea]}, seed {some[0].seed}", "pictures": _pictures(some[0])}
+            for sea, some in trials.items()
+        ],
+        command=command,
+        parameters={
+            name: "; ".join(f"{key} = {value}" for key, value in dotted("", params))
+            for name, params in first[0].params.items()
+        },
+        versions=versions(),
+    )
+
+
+def _facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
+    when = first[0].series.phases_s
+    below_s = when["ascent_s"] - when["cruise_s"]
+    return {
+        "missions": f"{len(first)} of {when['end_s'] / 60:g} min per sea, {below_s:g} s of cruise, 50 Hz, "
+        f"seeds {first[0].seed} to {first[-1].seed}",
+        "computed": "in single precision, as on a microcontroller" if online else "in double precision",
+        "heading": "by the GPS course on the surface, by the magnetometer that it calibrated below; "
+        f"{RAW} and {GYRO} have the magnetometer as it is",
+        "scored": f"against the simulated truth, and against the measured angles, from {SETTLED_S:g} s on",
+    }
+
+
+def _moved(kept: Sequence[Any], name: str) -> float:
+    """By how much a gain of eq (22) as printed ever differs from its first value."""
+    return max(float(np.abs(column(each, name) - column(each, name)[0]).max()) for each in kept)
+
+
+def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for place, (name, printed) in enumerate(PRINTED_FIGURES.items()):
+        cells = [f"{printed[c.key]:.5g}" if c.key in printed else "–" for c in COLUMNS]
+        sea = "the paper" if place == 0 else ""
+        rows.append({"sea": sea, "method": name, "cells": cells, "of_paper": True, "first": False, "colour": None})
+    for sea_kind, some in trials.items():
+        for place, method in enumerate(METHODS):
+            cells = [f"{over_trials(some, method.name, c.key):.{c.digits}f}" for c in COLUMNS]
+            rows.append(
+                {
+                    "sea": sea_kind if place == 0 else "",
+                    "method": method.name,
+                    "cells": cells,
+                    "of_paper": False,
+                    "first": place == 0,
+                    "colour": COLOUR[method.name],
+                }
+            )
+    return rows
+
+
+def _pictures(one: Trial) -> list[Picture]:
+    series, sea = one.series, one.sea
+    when = series.phases_s
+    whole = (float(series.t_s[0]), float(series.t_s[-1]))
+    surface = (when["dive_s"] - 40, when["dive_s"] - 10)
+    dive = (when["dive_s"] - 10, when["dive_s"] + 20)
+    ascent = (when["surfaced_s"] - 25, when["surfaced_s"] + 5)
+    shown = {name: COLOUR[name] for name in (ADAPTIVE, FIXED, KALMAN)}
+    headings = {name: COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
+    adapted = {name: COLOUR[name] for name in (PRINTED, ADAPTIVE)}
+    return [
+        picture(
+            f"Roll ({sea})",
+            "As the paper's figure 6: the mission, and 30 s on the surface. Grey: under water.",
+            2,
+            190,
+            lambda axes: draw_angle(axes, series, 0, shown, (whole, surface)),
+            time_axis=False,
+        ),
+        picture(
+            f"Pitch ({sea})",
+            "As the paper's figure 7: the mission, the beginning of the dive, the end of the ascent.",
+            3,
+            170,
+            lambda axes: draw_angle(axes, series, 1, shown, (whole, dive, ascent)),
+            time_axis=False,
+        ),
+        picture(
+            f"Heading ({sea})",
+            "As the paper's figure 8. There is no course under water.",
+            1,
+            260,
+            lambda axes: draw_angle(axes, series, 2, headings, (whole,)),
+        ),
+        picture(
+            f"Heading less the true one ({sea})",
+            "As the paper's figure 9; below, the same within 6 deg. The sway of waves turns the course about the heading.",
+            2,
+            180,
+            lambda axes: draw_heading_errors(axes, series, headings),
+        ),
+        picture(
+            f"Gain kp ({sea})",
+            "As the paper's figure 10: by eq (22) as printed, and by the prediction of the next measurement.",
+            3,
+            130,
+            lambda axes: draw_gains(axes, series, "kp_per_s", adapted, "1/s"),
+        ),
+        picture(
+            f"Gain kI ({sea})",
+            "As the paper's figure 11. Bounds: 1e-5, and kp²/4.",
+            3,
+            130,
+            lambda axes: draw_gains(axes, series, "ki_per_s2", adapted, "1/s²"),
+        ),
+    ]
