@@ -23,6 +23,7 @@ class Residual:
     robust_m2ps4: float  # by the median absolute deviation: the variance without its glitches
     glitches: int  # residuals beyond 6 robust standard deviations
     mean_mps2: float  # bias, and error of the lever arm or the scale
+    once_per_turn_mps2: float  # amplitude of what turns with the shaft: g sin(tilt), or vibration; in the variance
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class Trial:
     encoder_m2ps4: float  # the part of (30) that is the encoder's own noise
     d1_m: float
     d2_m: float
+
+    @property
+    def turning_share(self) -> float:
+        """The part of D4 that turns with the shaft: gravity on a shaft that is tilted, or vibration."""
+        return self.radial.once_per_turn_mps2**2 / 2 / self.radial.variance_m2ps4
 
     @property
     def tangential_alone_m2ps4(self) -> float:
@@ -109,16 +115,17 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
     seen = coefficients(spin.geometry)
     arm1, arm2 = -seen[radial, TERMS.index("omega_x^2")], seen[tangential, TERMS.index("omega_x dot")]
     inward = arm1 * rate[use] ** 2 + spin.accel_mps2[use, radial]
+    angle = np.interp(spin.t_ns[use], reference.t_ns, reference.angle_rad)
     ahead, felt = arm2 * turning[use], spin.accel_mps2[use, tangential]
-    # Noise of encoder and accelerometer are independent: what they share is motion.
-    shared = float(np.cov(ahead, felt)[0, 1])
+    # Noise of encoder and accelerometer are independent: what they share, gravity on a tilted shaft left out, is motion.
+    shared = np.cov(_without_turns(ahead, angle), _without_turns(felt, angle))
     return Trial(
         recording=recording.name,
         samples=int(use.sum()),
         left_out=int((~use).sum()),
-        radial=_residual(inward),
-        tangential=_residual(ahead - felt),
-        encoder_m2ps4=max(float(np.var(ahead)) - shared, 0.0),
+        radial=_residual(inward, angle),
+        tangential=_residual(ahead - felt, angle),
+        encoder_m2ps4=max(float(shared[0, 0] - shared[0, 1]), 0.0),
         d1_m=float(arm1),
         d2_m=float(arm2),
     )
@@ -144,11 +151,18 @@ def _of_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray[n
     return rate, np.asarray(turning), inside
 
 
-def _residual(values: Floats) -> Residual:
+def _residual(values: Floats, angle_rad: Floats) -> Residual:
     robust_sd = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
     return Residual(
         variance_m2ps4=float(np.var(values)),
         robust_m2ps4=robust_sd**2,
         glitches=int((np.abs(values - np.median(values)) > GLITCH_SDS * robust_sd).sum()),
         mean_mps2=float(values.mean()),
+        once_per_turn_mps2=float(np.sqrt(2) * np.std(values - _without_turns(values, angle_rad))),
     )
+
+
+def _without_turns(values: Floats, angle_rad: Floats) -> Floats:
+    """Values (N,) without their mean and what turns with the shaft once per turn."""
+    turns = np.column_stack([np.ones(len(values)), np.cos(angle_rad), np.sin(angle_rad)])
+    return np.asarray(values - turns @ np.linalg.lstsq(turns, values, rcond=None)[0])

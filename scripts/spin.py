@@ -10,7 +10,6 @@ import numpy as np
 from cyclopts import App, Parameter
 from matplotlib.figure import Figure
 
-from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.spin import G_MPS2
 from stillpoint.datasets.store import read_recording
 from stillpoint.scoring.spin_design import Placement, Rig, limits_m, longest, place
@@ -25,6 +24,7 @@ from stillpoint.scripts.tables import print_table
 app = App(name="spin", help="Accelerometers on a spinning body: where to put them, and how noisy they are.")
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110
+TURNING_SHARE = 0.1  # of D4, from which on it is said that it turns with the shaft
 DESIGN_COLUMNS = (
     "d1, m",
     "d2, m",
@@ -45,6 +45,7 @@ TRIAL_COLUMNS = (
     "robust",
     "glitches",
     "F4 mean",
+    "F4 1x",
     "D5",
     "encoder's",
     "D5 alone",
@@ -150,7 +151,7 @@ def identify(
     json
         Also write the rows to this file; - is the standard output.
     """
-    found = identified([_read(path) for path in recordings(paths)], by_truth)
+    found = identified([read_recording(path) for path in recordings(paths)], by_truth)
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
         _variance_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
@@ -158,21 +159,23 @@ def identify(
     facts.append({"recording": "maximum"} | {name: value for name, value in asdict(found).items() if name != "trials"})
     write_json(str(folder / "spin-identify.json"), facts)
     write_json(json, facts)
-    if json == STDOUT:
-        return
-    most = [
-        "maximum",
-        "",
-        f"{found.d4_m2ps4:.3f}",
-        "",
-        "",
-        "",
-        f"{found.d5_m2ps4:.3f}",
-        "",
-        f"{found.d5_alone_m2ps4:.3f}",
-        "",
-    ]
-    print_table("variances, (m/s²)²", TRIAL_COLUMNS, [[_trial_row(one) for one in found.trials], [most]], texts=1)
+    if json != STDOUT:
+        _show_variances(found)
+        print(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
+
+
+def _show_variances(found: Identified) -> None:
+    most = dict.fromkeys(TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
+    most |= {"D5": f"{found.d5_m2ps4:.3f}", "D5 alone": f"{found.d5_alone_m2ps4:.3f}"}
+    sections: list[list[Sequence[str]]] = [[_trial_row(one) for one in found.trials], [list(most.values())]]
+    print_table("variances in (m/s²)², means and what turns once per turn in m/s²", TRIAL_COLUMNS, sections, texts=1)
+    for one in found.trials:
+        if one.turning_share > TURNING_SHARE:
+            tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / G_MPS2, 1.0)))
+            print(
+                f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were tilted "
+                f"by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"
+            )
     print(
         f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)², {found.q_alone_rad2ps4:.3g} by F5 alone"
     )
@@ -180,11 +183,6 @@ def identify(
         f"for `stillpoint estimate`: --set radial_var_m2ps4={found.d4_m2ps4:.3g} "
         f"--set tangential_var_m2ps4={found.d5_alone_m2ps4:.3g}"
     )
-    print(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
-
-
-def _read(path: Path) -> Recording:
-    return read_recording(path)
 
 
 def _others(rig: Rig, chosen: Placement) -> list[Placement]:
@@ -218,6 +216,7 @@ def _trial_row(one: Trial) -> Sequence[str]:
         f"{one.radial.robust_m2ps4:.3f}",
         str(one.radial.glitches),
         f"{one.radial.mean_mps2:.3f}",
+        f"{one.radial.once_per_turn_mps2:.3f}",
         f"{one.tangential.variance_m2ps4:.3f}",
         f"{one.encoder_m2ps4:.3f}",
         f"{one.tangential_alone_m2ps4:.3f}",

@@ -69,6 +69,14 @@ def test_a_bias_is_in_the_mean_and_not_in_the_variance():
     assert one.radial.variance_m2ps4 == pytest.approx(0.01, rel=0.1)
 
 
+def test_a_tilted_shaft_shows_in_what_turns_with_it():
+    (one,) = identify(trials(replace(noisy(0.01, 0.01), tilt_deg=30.0), 1)).trials
+    assert one.radial.once_per_turn_mps2 == pytest.approx(9.80665 / 2, rel=0.01)
+    assert one.tangential.once_per_turn_mps2 == pytest.approx(9.80665 / 2, rel=0.01)
+    assert one.turning_share > 0.99
+    assert one.encoder_m2ps4 < 0.01
+
+
 def test_lost_and_saturated_samples_are_left_out_and_counted():
     recording = simulate("spin-constant", 0, sensor=noisy(0.8, 0.12))
     accel = recording.spin.accel_mps2.copy()
