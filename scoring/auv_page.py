@@ -151,7 +151,7 @@ def _pictures(one: Trial) -> list[Picture]:
         ),
         picture(
             f"Heading less the true one ({sea})",
-            "As the paper's figure 9; below, the same within 6 deg. The sway of waves turns the course about the heading.",
+            "As the paper's figure 9; below, the same within 6 deg. The sway of waves turns the course.",
             2,
             180,
             lambda axes: draw_heading_errors(axes, series, headings),
