@@ -11,6 +11,8 @@ from stillpoint.scoring.figures import COLOURS
 from stillpoint.scoring.spin_design import Placement, Rig, limits_m, place
 from stillpoint.scoring.spin_identify import Identified
 
+STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
+DPI = 110
 CHOSEN, LIMIT = "o", ":"
 LINES = 7  # of equal error in a map
 POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction

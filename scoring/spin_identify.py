@@ -117,7 +117,7 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
     inward = arm1 * rate[use] ** 2 + spin.accel_mps2[use, radial]
     angle = np.interp(spin.t_ns[use], reference.t_ns, reference.angle_rad)
     ahead, felt = arm2 * turning[use], spin.accel_mps2[use, tangential]
-    # Noise of encoder and accelerometer are independent: what they share, gravity on a tilted shaft left out, is motion.
+    # Noise of encoder and accelerometer are independent: what they share beside gravity is motion.
     shared = np.cov(_without_turns(ahead, angle), _without_turns(felt, angle))
     return Trial(
         recording=recording.name,

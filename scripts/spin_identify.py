@@ -1,0 +1,117 @@
+"""``stillpoint spin identify``: noise variances of the accelerometers on a shaft."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import matplotlib as mpl
+import numpy as np
+from cyclopts import Parameter
+from matplotlib.figure import Figure
+
+from stillpoint.datasets.spin import G_MPS2
+from stillpoint.datasets.store import read_recording
+from stillpoint.scoring.spin_figures import DPI, STYLE, draw_variances
+from stillpoint.scoring.spin_identify import Identified, Trial, identify
+from stillpoint.scripts.flags import Inputs, OutDir
+from stillpoint.scripts.inputs import output_dir, recordings
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.tables import print_table
+
+TRIAL_COLUMNS = (
+    "recording",
+    "samples",
+    "D4",
+    "robust",
+    "glitches",
+    "F4 mean",
+    "F4 1x",
+    "D5",
+    "encoder's",
+    "D5 alone",
+    "left out",
+)
+TURNING_SHARE = 0.1  # of D4, from which on it is said that it turns with the shaft
+
+
+def spin_identify(
+    paths: Inputs,
+    /,
+    *,
+    by_truth: Annotated[bool, Parameter(negative="")] = False,
+    out: OutDir = Path(),
+    json: JsonFile = None,
+) -> None:
+    """Noise variances of F4 and F5 from trials with an encoder (paper 000, eqs (28)-(31), figures 7 and 8).
+
+    Writes spin-identify.png and spin-identify.json. The maximum over the trials is taken, as in the paper. D5 by (30)
+    holds the noise of the encoder's differences too; what the accelerometer and the encoder share is motion, which
+    gives the encoder's part and D5 without it.
+
+    Parameters
+    ----------
+    paths
+        Recordings of one rig: MCAP files, folders or globs.
+    by_truth
+        Compare with the true rate of simulated trials instead of their encoder.
+    out
+        Folder to write into; made when it is not there.
+    json
+        Also write the rows to this file; - is the standard output.
+    """
+    found = identify([read_recording(path) for path in recordings(paths)], by_truth)
+    folder = output_dir(out)
+    with mpl.rc_context(STYLE):
+        _variance_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
+    facts: list[dict[str, Any]] = [asdict(one) for one in found.trials]
+    facts.append({"recording": "maximum"} | {name: value for name, value in asdict(found).items() if name != "trials"})
+    write_json(str(folder / "spin-identify.json"), facts)
+    write_json(json, facts)
+    if json != STDOUT:
+        _show_variances(found)
+        print(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
+
+
+def _show_variances(found: Identified) -> None:
+    most = dict.fromkeys(TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
+    most |= {"D5": f"{found.d5_m2ps4:.3f}", "D5 alone": f"{found.d5_alone_m2ps4:.3f}"}
+    sections: list[list[Sequence[str]]] = [[_trial_row(one) for one in found.trials], [list(most.values())]]
+    print_table("variances in (m/s²)², means and what turns once per turn in m/s²", TRIAL_COLUMNS, sections, texts=1)
+    for one in found.trials:
+        if one.turning_share > TURNING_SHARE:
+            tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / G_MPS2, 1.0)))
+            print(
+                f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
+                f"tilted by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"
+            )
+    print(
+        f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)², {found.q_alone_rad2ps4:.3g} by F5 alone"
+    )
+    print(
+        f"for `stillpoint estimate`: --set radial_var_m2ps4={found.d4_m2ps4:.3g} "
+        f"--set tangential_var_m2ps4={found.d5_alone_m2ps4:.3g}"
+    )
+
+
+def _trial_row(one: Trial) -> Sequence[str]:
+    return (
+        one.recording,
+        str(one.samples),
+        f"{one.radial.variance_m2ps4:.3f}",
+        f"{one.radial.robust_m2ps4:.3f}",
+        str(one.radial.glitches),
+        f"{one.radial.mean_mps2:.3f}",
+        f"{one.radial.once_per_turn_mps2:.3f}",
+        f"{one.tangential.variance_m2ps4:.3f}",
+        f"{one.encoder_m2ps4:.3f}",
+        f"{one.tangential_alone_m2ps4:.3f}",
+        str(one.left_out),
+    )
+
+
+def _variance_figure(found: Identified) -> Figure:
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    for ax, which in zip(figure.subplots(1, 2), ("radial", "tangential"), strict=True):
+        draw_variances(ax, found, which)
+    return figure
