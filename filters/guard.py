@@ -15,7 +15,7 @@ from stillpoint.filters.sample import GAP_S, Sample
 # No sensor reads as much, in rad/s, m/s^2 or uT: such a number is a broken one.
 LARGEST = 1e6
 # The last good rate stands in for broken ones that long; after it the body is taken to rest.
-HOLD_S = 1.0
+HOLD_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Gyro(NamedTuple):
     """What is remembered of the gyro."""
 
     last: Vector  # good one
-    held_s: float  # for how long it has stood in
+    last_ns: int  # its stamp
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
     n_saturated_gyro: int  # used as they are: no better rate is known
     n_same_gyro: int  # bit for bit the one before; used
@@ -112,7 +112,7 @@ def start(c: Coefficients) -> Guard:
     """Before the first sample."""
     zero = like(c.gyro_radps, 0.0)
     none = (zero, zero, zero)
-    return Guard(-1, Gyro(none, zero, 0, 0, 0), Accel(none, 0, 0, 0), Mag(none, 0, 0, 0), 0, 0)
+    return Guard(-1, Gyro(none, 0, 0, 0, 0), Accel(none, 0, 0, 0), Mag(none, 0, 0, 0), 0, 0)
 
 
 @compiled
@@ -125,17 +125,16 @@ def read(v: Vector, last: Vector, limit: float) -> Reading:
 
 
 @compiled
-def rate_of(gyro: Gyro, reading: Reading, dt_s: float) -> tuple[Gyro, Vector]:
+def rate_of(gyro: Gyro, reading: Reading, t_ns: int) -> tuple[Gyro, Vector]:
     """The rate to go by: the one that was read, else the last good one for a while, else rest."""
-    last, held_s, n_bad, n_saturated, n_same = gyro
+    last, last_ns, n_bad, n_saturated, n_same = gyro
     n_same += 1 if reading.is_same else 0
     n_saturated += 1 if reading.is_saturated else 0
-    zero = like(dt_s, 0.0)
     if reading.is_usable:
-        return Gyro(reading.vector, zero, n_bad, n_saturated, n_same), reading.vector
-    held_s += dt_s
-    rate = last if held_s <= like(dt_s, HOLD_S) else (zero, zero, zero)
-    return Gyro(last, held_s, n_bad + 1, n_saturated, n_same), rate
+        return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector
+    zero = like(last[0], 0.0)
+    rate = last if t_ns - last_ns <= HOLD_NS else (zero, zero, zero)
+    return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate
 
 
 @compiled
@@ -161,7 +160,7 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
         return guard, Sample(zero, none, none, none, False, False), False
     dt_s = like(zero, (raw.t_ns - t_ns) / 1e9) if t_ns >= 0 else zero
     n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
-    gyro, rate = rate_of(gyro, read(raw.gyro_b_radps, gyro.last, c.gyro_radps), dt_s)
+    gyro, rate = rate_of(gyro, read(raw.gyro_b_radps, gyro.last, c.gyro_radps), raw.t_ns)
     force = read(raw.accel_b_mps2, accel.last, c.accel_mps2)
     n_bad, n_saturated, n_same = counted(force)
     last = force.vector if force.is_usable else accel.last
