@@ -15,6 +15,7 @@ from stillpoint.scoring.envelope import break_line, envelope
 from stillpoint.scoring.figures import REST_GREY, colour_of
 
 PARTS = ("roll", "pitch", "heading")
+RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains
 Span = tuple[float, float]
 
 
@@ -33,6 +34,7 @@ def draw_angle(
         if part == 2:
             _fixes(ax, series, span, series.course_deg)
         _finish(ax, series, span, f"{PARTS[part]} (deg)")
+    axes[-1].set_xlabel("time (s)")
 
 
 def draw_heading_errors(axes: Sequence[Axes], series: Series, methods: Mapping[str, int]) -> None:
@@ -54,10 +56,11 @@ def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mappin
     for part, ax in enumerate(axes):
         for method, colour in methods.items():
             gain = column(series.gains[method], which)[:, part]
-            _line(ax, series, np.maximum(gain, 1e-6), span, color=colour_of(colour), lw=1.0, label=method)
+            _line(ax, series, np.maximum(gain, RANGE[which][0]), span, color=colour_of(colour), lw=1.0, label=method)
         _finish(ax, series, span, f"{PARTS[part]} ({unit})")
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.set_ylim(*RANGE[which])
         ax.minorticks_off()
 
 

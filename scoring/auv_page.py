@@ -34,18 +34,18 @@ class Column(NamedTuple):
     key: str
     name: str
     unit: str
-    digits: int
 
 
 COLUMNS = (
-    Column("roll_off_mean_deg", "roll off, mean", "deg", 5),
-    Column("roll_off_var_deg2", "roll off, var", "deg²", 4),
-    Column("pitch_off_mean_deg", "pitch off, mean", "deg", 5),
-    Column("pitch_off_var_deg2", "pitch off, var", "deg²", 5),
-    Column("surface_roll_rmse_deg", "roll error, surface", "deg, rms", 2),
-    Column("below_roll_rmse_deg", "roll error, below", "deg, rms", 3),
-    Column("pitch_rmse_deg", "pitch error", "deg, rms", 3),
-    Column("heading_after_deg", "heading after 600 s", "deg", 2),
+    Column("roll_off_mean_deg", "roll off", "mean, deg"),
+    Column("roll_off_var_deg2", "roll off", "var, deg²"),
+    Column("pitch_off_mean_deg", "pitch off", "mean, deg"),
+    Column("pitch_off_var_deg2", "pitch off", "var, deg²"),
+    Column("surface_roll_rmse_deg", "roll error", "surface, deg"),
+    Column("below_roll_rmse_deg", "roll error", "below, deg"),
+    Column("pitch_rmse_deg", "pitch error", "deg"),
+    Column("heading_after_deg", "heading error", "at 600 s, deg"),
+    Column("heading_drift_deg", "its change", "in 600 s, deg"),
 )
 
 
@@ -96,12 +96,12 @@ def _moved(kept: Sequence[Any], name: str) -> float:
 def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for place, (name, printed) in enumerate(PRINTED_FIGURES.items()):
-        cells = [f"{printed[c.key]:.5g}" if c.key in printed else "–" for c in COLUMNS]
+        cells = [f"{printed[c.key]:.2g}" if c.key in printed else "–" for c in COLUMNS]
         sea = "the paper" if place == 0 else ""
         rows.append({"sea": sea, "method": name, "cells": cells, "of_paper": True, "first": False, "colour": None})
     for sea_kind, some in trials.items():
         for place, method in enumerate(METHODS):
-            cells = [f"{over_trials(some, method.name, c.key):.{c.digits}f}" for c in COLUMNS]
+            cells = [f"{over_trials(some, method.name, c.key):.2g}" for c in COLUMNS]
             rows.append(
                 {
                     "sea": sea_kind if place == 0 else "",

@@ -86,8 +86,7 @@ def _trial(job: _Job) -> Trial:
 
 def _rows(trials: list[Trial]) -> list[list[str]]:
     return [
-        [trials[0].sea, method.name]
-        + [f"{over_trials(trials, method.name, column.key):.{column.digits}f}" for column in COLUMNS]
+        [trials[0].sea, method.name] + [f"{over_trials(trials, method.name, column.key):.2g}" for column in COLUMNS]
         for method in METHODS
     ]
 
