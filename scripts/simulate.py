@@ -24,6 +24,7 @@ def simulate(
     seed: Whole = 0,
     seeds: Whole = 1,
     minutes: float | None = None,
+    seconds: float | None = None,
     rate: float | None = None,
     sensor: str | None = None,
     json: JsonFile = None,
@@ -39,6 +40,7 @@ def simulate(
         phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the three experiments
         of paper 002. spin-constant, spin-variable (a motor's shaft with two accelerometers), spin-flight (five on
         a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater vehicle): paper 003.
+        servo-bench (swung by +-90 deg): paper 004.
     out
         Folder to write into; made when it is not there.
     seed
@@ -47,7 +49,9 @@ def simulate(
         How many recordings, with rising seeds.
     minutes
         Length of each; by default 2 for phone-1, 4 for phone-2 and phone-3, 0.5 for spin-constant and spin-flight,
-        1 for spin-variable, 15 for auv.
+        1 for spin-variable, 15 for auv, 30 for servo-bench.
+    seconds
+        The same in seconds.
     rate
         Samples per second of gyro and accelerometer; by default 100, for spin 250, for auv 50.
     sensor
@@ -58,6 +62,10 @@ def simulate(
     """
     if seeds < 1:
         raise BadParameter(f"--seeds {seeds}: give 1 or more")
+    if seconds is not None:
+        if minutes is not None:
+            raise BadParameter("--minutes, --seconds: are the same length twice; give one of them")
+        minutes = seconds / 60
     rows = []
     numbers = range(seed, seed + seeds)
     for number in track(numbers, "simulate", disable=seeds == 1, transient=True, console=Console(stderr=True)):

@@ -37,6 +37,14 @@ def test_writes_one_file_and_one_line_per_seed(call, tmp_path, capsys):
     assert kept.info == made.info
 
 
+def test_a_length_in_seconds_is_one_in_minutes(call, tmp_path):
+    for folder, length in (("a", ("--seconds", "3")), ("b", ("--minutes", "0.05"))):
+        assert call("simulate", "spin-constant", "-o", tmp_path / folder, *length) == 0
+    first, second = (tmp_path / folder / "spin-constant-white-seed0.mcap" for folder in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+    assert call("simulate", "spin-constant", "-o", tmp_path, "--seconds", "3", "--minutes", "1") == 2
+
+
 def test_same_options_same_bytes(call, tmp_path):
     for folder in ("a", "b"):
         assert call("simulate", "phone-2", "-o", str(tmp_path / folder), "--minutes", "1.5", "--rate", "50") == 0

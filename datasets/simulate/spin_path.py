@@ -6,16 +6,16 @@ In flight the axis cones: the rates about y and z turn with the drive, and the c
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 from scipy.signal import lfilter
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.simulate.draws import draws
 
 KNOT_S = 0.02  # between the knots of the drive's rate
+RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its stated size
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,9 @@ class Flight:
 class SpinPath:
     """The motion at any time from 0 to its length."""
 
-    drive_radps: CubicSpline
+    drive_rad: PPoly  # the drive's angle, 0 at time 0
     ripple: float  # e, rad
     phase_rad: float
-
-    @cached_property
-    def _drive_rad(self) -> CubicSpline:
-        return self.drive_radps.antiderivative()
-
-    def drive_rad(self, t_s: Floats) -> Floats:
-        """The drive's angle (N,), 0 at first."""
-        return np.asarray(self._drive_rad(t_s))
 
     def angle_rad(self, t_s: Floats) -> Floats:
         """The body's angle (N,) about its axis, unwrapped, 0 at time 0."""
@@ -62,14 +54,13 @@ class SpinPath:
 
     def rate_radps(self, t_s: Floats) -> Floats:
         """Its derivative (N,)."""
-        return np.asarray(self.drive_radps(t_s) * (1 + self.ripple * np.cos(self.drive_rad(t_s) + self.phase_rad)))
+        return np.asarray(self.drive_rad(t_s, 1) * (1 + self.ripple * np.cos(self.drive_rad(t_s) + self.phase_rad)))
 
     def accel_radps2(self, t_s: Floats) -> Floats:
         """The derivative of the rate (N,)."""
-        at, rate = self.drive_rad(t_s) + self.phase_rad, self.drive_radps(t_s)
-        return np.asarray(
-            self.drive_radps(t_s, 1) * (1 + self.ripple * np.cos(at)) - rate**2 * self.ripple * np.sin(at)
-        )
+        at, drive_radps = self.drive_rad(t_s) + self.phase_rad, self.drive_rad(t_s, 1)
+        changing = self.drive_rad(t_s, 2) * (1 + self.ripple * np.cos(at))
+        return np.asarray(changing - drive_radps**2 * self.ripple * np.sin(at))
 
 
 def constant(t_s: Floats) -> Floats:
@@ -94,11 +85,10 @@ def turn(motor: Motor, length_s: float, seed: int) -> SpinPath:
     speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
         motor.ripple_s, len(knots_s), seed
     )
-    drive = CubicSpline(knots_s, np.deg2rad(speed_degps))
+    drive = CubicSpline(knots_s, np.deg2rad(speed_degps)).antiderivative()
+    drive.c[-1] -= drive(0.0)
     phase = draws(seed, "spin/phase").uniform(0, 2 * np.pi)
-    path = SpinPath(drive, motor.once_per_turn_degps / 2020, phase)
-    path._drive_rad.c[-1] -= path._drive_rad(0.0)  # angles count from time 0
-    return path
+    return SpinPath(drive, motor.once_per_turn_degps / RIPPLE_AT_DEGPS, phase)
 
 
 def _wandering(time_s: float, count: int, seed: int) -> Floats:
@@ -113,7 +103,7 @@ def _wandering(time_s: float, count: int, seed: int) -> Floats:
 def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, Floats]:
     """Rates about y and z (N, 2) and their derivatives (N, 2)."""
     size = np.deg2rad(flight.coning_degps) * np.exp(-t_s / flight.decay_s)
-    at, speed = flight.coning_ratio * path.drive_rad(t_s), flight.coning_ratio * path.drive_radps(t_s)
+    at, speed = flight.coning_ratio * path.drive_rad(t_s), flight.coning_ratio * path.drive_rad(t_s, 1)
     along, across = np.column_stack([np.cos(at), np.sin(at)]), np.column_stack([-np.sin(at), np.cos(at)])
     rate = size[:, None] * along
     return rate, np.asarray(-rate / flight.decay_s + (size * speed)[:, None] * across)
