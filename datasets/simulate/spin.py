@@ -37,104 +37,111 @@ VARIABLE = Scenario(Motor(variable, ripple_degps=1.5), BENCH)
 FLIGHT = Scenario(Motor(decaying, ripple_degps=0.0, once_per_turn_degps=0.0), FIVE_ACCELEROMETERS, Flight())
 
 
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What the body does at the instants of the samples."""
+
+    t_s: Floats  # (N,)
+    angle_rad: Floats  # (N,) about x
+    rate_radps: Floats  # (N, 3)
+    accel_radps2: Floats  # (N, 3)
+    centre_b_mps2: Floats  # (N, 3) specific force at the centre
+
+
 def spinning(kind: str, scenario: Scenario, sensor: SpinSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one trial. The geometry of the recording is the stated one; the true arms are in ``info.extra``."""
     path = turn(scenario.motor, minutes * 60, seed)
     step_ns = round(1e9 / rate_hz)
     t_ns = np.arange(max(int(round(minutes * 60e9) // step_ns), 2), dtype=np.int64) * step_ns
-    geometry = replace(scenario.geometry, accel_range_mps2=np.full(_count(scenario.geometry), sensor.range_g * G_MPS2))
-    accel, drawn = _accelerometers(scenario, geometry, path, sensor, t_ns / 1e9, seed)
-    gyro, gyro_drawn = _gyros(scenario, path, sensor, t_ns / 1e9, seed)
-    came = draws(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
-    came[0] = True
-    spin = Spin(t_ns[came], accel[came], gyro[came], geometry)
-    full = saturated(spin).sum(axis=0)
-    notes = [f"accelerometer {k + 1}: {n} samples at its range" for k, n in enumerate(full) if n]
-    if not came.all():
-        notes.append(f"{int((~came).sum())} samples lost on the way")
+    motion = _motion(scenario, path, sensor.tilt_deg, t_ns / 1e9)
+    spin, drawn, notes = _spin(scenario.geometry, motion, sensor, t_ns, seed)
+    said = asdict(scenario.motor) | {"speed_degps": scenario.motor.speed_degps.__name__}
+    flight = None if scenario.flight is None else asdict(scenario.flight)
     return Recording(
         f"{kind}-{sensor.name}-seed{seed}",
         spin=spin,
         encoder=None if sensor.encoder is None or scenario.flight else _encoder(path, sensor.encoder, t_ns),
-        roll_truth=Encoder(t_ns, path.angle_rad(t_ns / 1e9), path.rate_radps(t_ns / 1e9)),
+        roll_truth=Encoder(t_ns, motion.angle_rad, motion.rate_radps[:, 0]),
         info=Info(
             source=f"stillpoint simulate {kind} --sensor {sensor.name} --seed {seed} --minutes {minutes:g} "
             f"--rate {rate_hz:g}",
             licence="CC0-1.0",
             sensor=f"simulated: ADXL345, {sensor.name}",
-            notes=tuple(notes),
+            notes=notes,
             extra={
                 "sensor_model": json.dumps(asdict(sensor)),
-                "sensor_drawn": json.dumps(drawn | gyro_drawn),
-                "motion": json.dumps(_motion(scenario)),
+                "sensor_drawn": json.dumps(drawn),
+                "motion": json.dumps({"motor": said, "flight": flight}),
             },
         ),
     )
 
 
-def _count(geometry: SpinGeometry) -> int:
-    return len(geometry.accel_r_b_m)
-
-
-def _motion(scenario: Scenario) -> dict[str, Any]:
-    motor = asdict(scenario.motor) | {"speed_degps": scenario.motor.speed_degps.__name__}
-    return {"motor": motor, "flight": None if scenario.flight is None else asdict(scenario.flight)}
-
-
-def _parts(geometry: SpinGeometry, sensor: SpinSensor) -> list[SpinAccel]:
-    """The model of each accelerometer of the two presets: the last two are F4 and F5."""
-    return [sensor.centre] * (_count(geometry) - 2) + [sensor.radial, sensor.tangential]
-
-
-def _accelerometers(
-    scenario: Scenario, geometry: SpinGeometry, path: SpinPath, sensor: SpinSensor, t_s: Floats, seed: int
-) -> tuple[Floats, dict[str, Any]]:
-    """Samples (N, k) with all their errors, and what was drawn."""
-    rate, accel, centre = np.zeros((len(t_s), 3)), np.zeros((len(t_s), 3)), _gravity_b_mps2(path, sensor, t_s)
+def _motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) -> Motion:
+    angle, rate, accel = path.angle_rad(t_s), np.zeros((len(t_s), 3)), np.zeros((len(t_s), 3))
     rate[:, 0], accel[:, 0] = path.rate_radps(t_s), path.accel_radps2(t_s)
-    if scenario.flight is not None:
-        rate[:, 1:], accel[:, 1:] = coning_radps(scenario.flight, path, t_s)
-        centre = braking_b_mps2(scenario.flight, path, t_s)
-    columns, drawn = [], []
-    limit = sensor.range_g * G_MPS2
-    for k, part in enumerate(_parts(geometry, sensor)):
-        name = f"spin/F{k + 1}" if _count(geometry) == 5 else f"spin/F{k + 4}"
-        error = {
-            what: draws(seed, f"{name}/{what}").standard_normal() * size
-            for what, size in (
-                ("arm", part.arm_error),
-                ("scale", part.scale_error),
-                ("bias", part.bias_mg * G_MPS2 / 1e3),
-            )
-        }
-        arm = geometry.accel_r_b_m[k] * (1 + error["arm"])
-        ideal = specific_force(arm, centre, rate, accel) @ geometry.accel_axis_b[k]
-        felt = (ideal + _shaking(part, path, t_s, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
-        felt += part.noise_mps2 * draws(seed, f"{name}/noise").standard_normal(len(t_s))
-        spoilt, glitches = _glitches(part, t_s, seed, name)
-        felt += glitches
-        if sensor.bits is not None:
-            unit = 2 * limit / 2**sensor.bits
-            felt = np.round(felt / unit) * unit
-        columns.append(np.clip(felt, -limit, limit))
-        drawn.append({name: float(value) for name, value in error.items()} | {"glitches": spoilt})
-    return np.column_stack(columns), {"accelerometers": drawn}
+    if scenario.flight is None:
+        return Motion(t_s, angle, rate, accel, _gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
+    rate[:, 1:], accel[:, 1:] = coning_radps(scenario.flight, path, t_s)
+    return Motion(t_s, angle, rate, accel, braking_b_mps2(scenario.flight, path, t_s))
 
 
-def _gravity_b_mps2(path: SpinPath, sensor: SpinSensor, t_s: Floats) -> Floats:
+def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
     """What holds a tilted shaft against gravity, in b (N, 3); at angle 0 the body's z axis points up most."""
-    tilt, angle = np.deg2rad(sensor.tilt_deg), path.angle_rad(t_s)
-    up = [np.full(len(t_s), np.cos(tilt)), np.sin(tilt) * np.sin(angle), np.sin(tilt) * np.cos(angle)]
+    across = np.sin(tilt_rad)
+    up = [np.full(len(angle_rad), np.cos(tilt_rad)), across * np.sin(angle_rad), across * np.cos(angle_rad)]
     return np.asarray(G_MPS2 * np.column_stack(up))
 
 
-def _shaking(part: SpinAccel, path: SpinPath, t_s: Floats, seed: int, name: str) -> Floats:
-    phases = draws(seed, f"{name}/vibration").uniform(0, 2 * np.pi, 2)
-    sizes = np.sqrt(2) * np.array([part.vibration_1x_mps2, part.vibration_2x_mps2])
-    if not sizes.any():
-        return np.zeros(len(t_s))
-    angle = path.angle_rad(t_s)
-    return np.asarray(sizes[0] * np.sin(angle + phases[0]) + sizes[1] * np.sin(2 * angle + phases[1]))
+def _spin(
+    geometry: SpinGeometry, motion: Motion, sensor: SpinSensor, t_ns: Times, seed: int
+) -> tuple[Spin, dict[str, Any], tuple[str, ...]]:
+    """What reaches the computer, what was drawn, and what there is to say about it."""
+    count = len(geometry.accel_r_b_m)
+    parts = [sensor.centre] * (count - 2) + [sensor.radial, sensor.tangential]  # F4 and F5 are the last two
+    made = [
+        _accelerometer(
+            part, geometry.accel_r_b_m[k], geometry.accel_axis_b[k], motion, sensor, seed, f"F{6 - count + k}"
+        )
+        for k, part in enumerate(parts)
+    ]
+    gyro, gyro_bias = _gyros(geometry.gyro_axis_b, motion, sensor, seed)
+    came = draws(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
+    came[0] = True
+    ranged = replace(geometry, accel_range_mps2=np.full(count, sensor.range_g * G_MPS2))
+    spin = Spin(t_ns[came], np.column_stack([one for one, _ in made])[came], gyro[came], ranged)
+    full = saturated(spin).sum(axis=0)
+    notes = [f"accelerometer {k + 1}: {n} samples at its range" for k, n in enumerate(full) if n]
+    if not came.all():
+        notes.append(f"{int((~came).sum())} samples lost on the way")
+    return spin, {"accelerometers": [drawn for _, drawn in made], "gyro_bias_radps": gyro_bias}, tuple(notes)
+
+
+def _accelerometer(
+    part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: Motion, sensor: SpinSensor, seed: int, name: str
+) -> tuple[Floats, dict[str, float]]:
+    """Samples (N,) with all their errors, and what was drawn."""
+    sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * G_MPS2 / 1e3}
+    error = {what: draws(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
+    arm = stated_arm_m * (1 + error["arm"])
+    ideal = specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
+    felt = (ideal + _shaking(part, motion, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
+    felt += part.noise_mps2 * draws(seed, f"spin/{name}/noise").standard_normal(len(felt))
+    spoilt, glitches = _glitches(part, motion.t_s, seed, f"spin/{name}")
+    felt += glitches
+    limit = sensor.range_g * G_MPS2
+    if sensor.bits is not None:
+        unit = 2 * limit / 2**sensor.bits
+        felt = np.round(felt / unit) * unit
+    drawn = {what: float(value) for what, value in error.items()} | {"glitches": spoilt}
+    return np.clip(felt, -limit, limit), drawn
+
+
+def _shaking(part: SpinAccel, motion: Motion, seed: int, name: str) -> Floats:
+    """What the motor shakes it with (N,), with a phase of its own."""
+    phases = draws(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
+    once, twice = np.sqrt(2) * part.vibration_1x_mps2, np.sqrt(2) * part.vibration_2x_mps2
+    return np.asarray(once * np.sin(motion.angle_rad + phases[0]) + twice * np.sin(2 * motion.angle_rad + phases[1]))
 
 
 def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, Floats]:
@@ -152,18 +159,11 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
     return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * G_MPS2)
 
 
-def _gyros(
-    scenario: Scenario, path: SpinPath, sensor: SpinSensor, t_s: Floats, seed: int
-) -> tuple[Floats, dict[str, Any]]:
-    """Samples (N, m) of the gyros, at the instants of the stamps."""
-    axes = scenario.geometry.gyro_axis_b
-    if scenario.flight is None or not len(axes):
-        return np.zeros((len(t_s), len(axes))), {}
-    rate = np.column_stack([path.rate_radps(t_s), coning_radps(scenario.flight, path, t_s)[0]])
+def _gyros(axes: Floats, motion: Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
+    """Samples (N, m) of the gyros at the instants of the stamps, and their biases."""
     bias = np.deg2rad(sensor.gyro_bias_degps) * draws(seed, "spin/gyro/bias").standard_normal(len(axes))
-    noise = draws(seed, "spin/gyro/noise").standard_normal((len(t_s), len(axes)))
-    gyro = rate @ axes.T + bias + np.deg2rad(sensor.gyro_noise_degps) * noise
-    return gyro, {"gyro_bias_radps": bias.tolist()}
+    noise = draws(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))
+    return motion.rate_radps @ axes.T + bias + np.deg2rad(sensor.gyro_noise_degps) * noise, bias.tolist()
 
 
 def _encoder(path: SpinPath, model: EncoderModel, t_ns: Times) -> Encoder:
