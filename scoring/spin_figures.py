@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from stillpoint.datasets.spin import G_MPS2
 from stillpoint.scoring.figures import COLOURS
 from stillpoint.scoring.spin_design import Placement, Rig, limits_m, place
 from stillpoint.scoring.spin_identify import Identified
@@ -14,6 +15,7 @@ from stillpoint.scoring.spin_identify import Identified
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110
 CHOSEN, LIMIT = "o", ":"
+LABEL_AT = 12  # of the points of a curve
 LINES = 7  # of equal error in a map
 POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
 
@@ -26,13 +28,14 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
     for values, colour, label in (
         ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample"),
         ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m"),
-        ([9.80665e-3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias"),
+        ([G_MPS2 / 1e3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias"),
     ):
-        ax.plot(arms_m, np.rad2deg(values), color=colour, label=label)
+        ax.plot(arms_m, np.rad2deg(values), color=colour)
+        at = (arms_m[LABEL_AT], np.rad2deg(values[LABEL_AT]))
+        ax.annotate(label, at, xytext=(4, 4), textcoords="offset points", color=colour)
     _range(ax, limit_m, rig.headroom)
     ax.plot(chosen.d1_m, np.rad2deg(chosen.raw_rate_sd_radps), CHOSEN, color=COLOURS[0])
     ax.set(xlabel="d1 (m)", ylabel="error of the rate (deg/s)", yscale="log", title="radial accelerometer F4")
-    ax.legend(frameon=False, loc="lower left")
 
 
 def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
