@@ -38,7 +38,11 @@ class Variant:
     optimised: bool = True  # else the start value is scored
 
 
-NO_CALIBRATION = {"inertial.gyro_matrix_sd": 1e-5, "inertial.accel_matrix_sd": 1e-5}
+NO_CALIBRATION = {
+    "inertial.gyro_matrix_sd": 1e-5,
+    "inertial.accel_matrix_sd": 1e-5,
+    "inertial.raw_matrix_sd": 1e-5,
+}
 VARIANTS = (
     Variant("everything"),
     Variant("no calibration matrices", NO_CALIBRATION),

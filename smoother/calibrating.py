@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import B, H, M
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.earth import local_declination
+from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
@@ -20,7 +21,18 @@ from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2
 from stillpoint.smoother.field import field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
-from stillpoint.smoother.plausibility import Fit, fit_of, judged_again, mean_fit, refuse_contradictions
+from stillpoint.smoother.plausibility import (
+    DOUBT_SD,
+    SURPRISE_LIMIT_SD,
+    Fit,
+    fit_of,
+    judged_again,
+    mean_fit,
+    raw_sensor,
+    refuse_contradictions,
+    refuse_surprise,
+    surprise,
+)
 from stillpoint.smoother.satellite import fix_factors
 from stillpoint.smoother.solve import Solution, accuracy_of, rotations_of, scale_of, solve
 from stillpoint.smoother.windows import Past, Piece, attitudes_after, hand_over, joined, resume, split
@@ -38,7 +50,23 @@ def calibrating_graph(recording: Recording, params: GraphParams) -> Reference:
 
 
 def reference_from(recording: Recording, evidence: Evidence, params: GraphParams) -> Reference:
-    """The graph solved, window by window where it is long: each begins with all that those before it say."""
+    """The graph solved; once more with the priors of a raw sensor where the data contradict those of a good one."""
+    raw = raw_sensor(params)
+    try:
+        pieces, fit = _windows_solved(recording, evidence, params)
+        if raw is not None:
+            refuse_surprise(pieces[-1].calibration, DOUBT_SD, recording.name, params)
+        return _reference_of(recording, evidence, pieces, fit, params)
+    except Unobservable:
+        if raw is None:
+            raise
+    pieces, fit = _windows_solved(recording, evidence, raw)
+    refuse_surprise(pieces[-1].calibration, SURPRISE_LIMIT_SD, recording.name, raw)
+    return _reference_of(recording, evidence, pieces, fit, raw)
+
+
+def _windows_solved(recording: Recording, evidence: Evidence, params: GraphParams) -> tuple[list[Piece], Fit]:
+    """Window by window where it is long: each begins with all that those before it say."""
     pieces: list[Piece] = []
     fits: list[Fit] = []
     past: Past | None = None
@@ -57,7 +85,7 @@ def reference_from(recording: Recording, evidence: Evidence, params: GraphParams
         pieces.append(_piece_of(recording, window, solution, until, params))
         if until < end:
             past = hand_over(summed(before, None, past), closed, window.keys, solution, params)
-    return _reference_of(recording, evidence, pieces, mean_fit(fits), params)
+    return pieces, mean_fit(fits)
 
 
 def build(
@@ -205,6 +233,9 @@ def _reference_of(
             "cost": whole.cost,
             "closing_squares": closing,
             "residuals": fit.squares,
+            "gyro_matrix_prior_sd": params.inertial.gyro_matrix_sd,
+            "accel_matrix_prior_sd": params.inertial.accel_matrix_sd,
+            "calibration_surprise_sd": surprise(whole.calibration, params),
             "field_inlier_share": fit.field_inlier_share,
             "field_misfit_ut": fit.field_misfit_ut,
             "convention": CONVENTION,

@@ -37,6 +37,7 @@ class InertialNoise(Settings):
     bias_step_s: float = number(10.0, 1.0, 600.0, "the bias is constant for so long")
     gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "scale and misalignment of the gyro, relative")
     accel_matrix_sd: float = number(0.005, 1e-5, 0.2, "the same of the accelerometer")
+    raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both, tried when the data contradict the two above")
     accel_late_sd_s: float = number(0.01, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
     gap_rate_sd_radps: float = degrees(60.0, 0.1, 3000.0, "rate that a gap in the stamps may hide")
 

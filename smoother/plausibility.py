@@ -17,7 +17,7 @@ from stillpoint.datasets.earth import magnetic_field_n_ut
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Info
-from stillpoint.datasets.trajectory import BasePoseReturn
+from stillpoint.datasets.trajectory import BasePoseReturn, Calibration
 from stillpoint.smoother.base_pose import BasePose, Returns
 from stillpoint.smoother.field import weights
 from stillpoint.smoother.graph_params import GraphParams
@@ -25,6 +25,9 @@ from stillpoint.smoother.keys import Keys
 from stillpoint.smoother.solve import Solution
 
 IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, over what the noise sizes allow
+DOUBT_SD = 2.5  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro that is 5 % off: 6.5
+SURPRISE_LIMIT_SD = 3.0  # the same with the prior of a raw sensor
+LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
 PRIOR_LIMIT_SD = 5.0  # calibration and biases, of their prior's sd
 INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, whose median is small though
 MISFIT_LIMIT_SD = 0.9  # the median size of the field's residuals, of ``FieldParams.sd_ut``
@@ -110,6 +113,37 @@ def _inertial(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphP
         if largest > PRIOR_LIMIT_SD * sd:
             return f"to fit the data the {what} would have to be off by {largest * factor:.2g} {unit}"
     return ""
+
+
+def surprise(calibration: Calibration, params: GraphParams) -> float:
+    """How far an element of the gyro's matrix went from its prior, in units of how far it was to be expected to go.
+
+    That is, squared, the prior's variance less what is left of it: an element that the data hardly show must hardly
+    move. A gyro that turns about one axis only and reads a fifth too much is seen by the magnetometer alone, and moves
+    by less than its prior's sd; it is this that gives it away.
+    """
+    prior = params.inertial.gyro_matrix_sd
+    moved = (calibration.gyro_matrix - np.eye(3)) / prior
+    learnt = np.maximum(1 - (calibration.gyro_matrix_sd / prior) ** 2, LEAST_LEARNT)
+    return float(np.max(np.abs(moved) / np.sqrt(learnt)))
+
+
+def refuse_surprise(calibration: Calibration, limit_sd: float, name: str, params: GraphParams) -> None:
+    """Raise :class:`Unobservable` when the data contradict the prior of the gyro's calibration."""
+    found = surprise(calibration, params)
+    if found > limit_sd:
+        raise Unobservable(
+            f"{name}: the gyro's scale or axes contradict the other sensors ({found:.1f} sd from what a gyro may "
+            "have); run the doctor: an axis, sign, scale, unit or clock may be wrong"
+        )
+
+
+def raw_sensor(params: GraphParams) -> GraphParams | None:
+    """The same for a sensor that nobody calibrated; None where the settings allow for one already."""
+    p = params.inertial
+    if p.raw_matrix_sd <= max(p.gyro_matrix_sd, p.accel_matrix_sd):
+        return None
+    return replace(params, inertial=replace(p, gyro_matrix_sd=p.raw_matrix_sd, accel_matrix_sd=p.raw_matrix_sd))
 
 
 def _magnetic(fit: Fit, solution: Solution, info: Info, params: GraphParams) -> str:

@@ -146,6 +146,16 @@ def test_a_clipped_accelerometer_costs_next_to_nothing(hand):
     assert score(reference(clipped), hand.truth, "heading").total_rmse_deg < 1.0
 
 
+def test_a_raw_gyro_5_per_cent_off_is_calibrated_and_said_to_be_raw(hand):
+    """Ten sd of a good gyro's prior: with that prior the error is 2 deg and more, or the recording is refused."""
+    made = reference(with_imu(hand, gyro=1.05 * hand.imu.gyro_b_radps))
+    assert made.diagnostics["gyro_matrix_prior_sd"] == 0.03
+    assert np.abs(np.diagonal(made.calibration.gyro_matrix) - 1 / 1.05).max() < 0.02
+    found = score(made, hand.truth, "heading")
+    assert found.total_rmse_deg < 1.0
+    assert found.coverage95 > 0.9
+
+
 SPOILED = {
     "gyro x and y swapped": lambda r: with_imu(r, gyro=r.imu.gyro_b_radps[:, [1, 0, 2]]),
     "gyro x flipped": lambda r: with_imu(r, gyro=r.imu.gyro_b_radps * [-1, 1, 1]),
@@ -167,7 +177,9 @@ def test_a_contradiction_is_refused_and_named(hand, fault):
         reference(SPOILED[fault](replace(hand, base_pose=None)))
 
 
-@pytest.mark.parametrize("fault", ["gyro z flipped", "gyro flipped", "magnetometer x and y swapped"])
+@pytest.mark.parametrize(
+    "fault", ["gyro z flipped", "gyro flipped", "gyro 20 % too large", "magnetometer x and y swapped"]
+)
 def test_turning_about_the_vertical_only_the_magnetometer_tells(table, fault):
     with pytest.raises(Unobservable, match="contradict"):
         reference(SPOILED[fault](replace(table, base_pose=None)))
