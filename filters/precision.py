@@ -4,7 +4,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from stillpoint.datasets import Estimate
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import rotation
 
 Precision = Literal["double", "single"]
 
@@ -30,3 +32,16 @@ def _single(tree: Any) -> Any:
         parts = [_single(part) for part in tree]
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     return tree
+
+
+def off_double(single: Estimate, double: Estimate) -> dict[str, float]:
+    """By how much two estimates of the same samples differ: the largest and the RMS angle, deg."""
+    if single.q_nb is not None and double.q_nb is not None:
+        apart_rad = (rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude()
+    else:
+        assert single.angle_rad is not None
+        assert double.angle_rad is not None
+        apart_rad = np.abs(single.angle_rad - double.angle_rad)
+    apart_deg = np.rad2deg(apart_rad)
+    rms_deg = float(np.sqrt(np.mean(apart_deg**2)))
+    return {"off_double_max_deg": float(apart_deg.max()), "off_double_rms_deg": rms_deg}

@@ -1,7 +1,8 @@
 """``estimate(recording, name)``: an estimator over a whole recording."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from time import perf_counter_ns
 from typing import Any
 
@@ -13,7 +14,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters import front, peers
 from stillpoint.filters.heading_source import Heading
-from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.precision import Precision, in_precision, off_double
 from stillpoint.filters.roll_run import estimate_roll
 from stillpoint.filters.sample import Log, Track, counts
 from stillpoint.filters.sources import Sources, as_raw_log, learnt, sources_of
@@ -46,7 +47,8 @@ def estimate(
     params
         An instance of the estimator's ``Params``, or a mapping with the fields that differ from their default.
     precision
-        ``"single"``: every operation in float32, as on a microcontroller (not for peers).
+        ``"single"``: every operation in float32, as on a microcontroller (not for peers); how far that is off a run
+        in double precision is in the diagnostics, ``off_double_max_deg`` and ``off_double_rms_deg``.
     heading
         ``"gps-course"``: the course of satellite fixes while they are valid, and the magnetometer, calibrated by
         them, otherwise; see :mod:`stillpoint.filters.heading_source`.
@@ -65,23 +67,35 @@ def estimate(
     entry = find(name)
     settings = chosen(entry.params(), params, name)
     if isinstance(entry, RollEstimator):
-        return estimate_roll(recording, name, entry, settings, precision)
-    imu = recording.require_imu()
-    sources = sources_of(recording, heading, heading_params, ranges)
-    if isinstance(entry, Peer) and precision != "double":
-        raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
+        if heading != "mag" or heading_params or ranges:
+            raise BadParameter(f"{name}: follows a spin, which has no heading; leave heading and ranges out")
+        one = partial(estimate_roll, recording, name, entry, settings)
+    else:
+        if isinstance(entry, Peer) and precision != "double":
+            raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
+        imu, sources = recording.require_imu(), sources_of(recording, heading, heading_params, ranges)
+        one = partial(_attitudes, recording.name, imu, name, entry, settings, sources)
+    made = one(precision)
+    if precision == "double":
+        return made
+    return replace(made, diagnostics={**made.diagnostics, **off_double(made, one("double"))})
+
+
+def _attitudes(
+    recording: str, imu: Imu, name: str, entry: Estimator | Peer, settings: Settings, sources: Sources, in_: Precision
+) -> Estimate:
     raw, facts = as_raw_log(imu, sources)
-    front_c = in_precision(sources.front, precision)
-    passed, log = front.run(in_precision(raw, precision), in_precision(front.start(front_c), precision), front_c)
+    front_c = in_precision(sources.front, in_)
+    passed, log = front.run(in_precision(raw, in_), in_precision(front.start(front_c), in_), front_c)
     facts |= counts(passed) | sources.facts | learnt(passed.heading)
     if isinstance(entry, Peer):
         columns, met, elapsed_ns = _run_peer(entry, settings, imu, log, sources)
     else:
-        columns, met, elapsed_ns = _run(entry, log, settings, sources.declination_rad, precision)
+        columns, met, elapsed_ns = _run(entry, log, settings, sources.declination_rad, in_)
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
-        recording=recording.name,
+        recording=recording,
         params=asdict(settings),
         diagnostics=facts | met,
         ns_per_sample=elapsed_ns / len(imu.t_ns),

@@ -1,26 +1,24 @@
 """``stillpoint estimate``: run streaming estimators over recordings."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from stillpoint.datasets import write
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.settings import chosen
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.filters import estimate as run
+from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, find
 from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
+from stillpoint.scripts.runs import Run, runs_of
 
-EXAMPLE = "cf.omega0_radps=0.3"
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 
 
@@ -28,9 +26,7 @@ COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 class _Job:
     source: Path
     target: Path
-    estimator: str
-    precision: Precision
-    settings: dict[str, Any] = field(default_factory=dict)
+    run: Run
 
 
 def estimate(
@@ -40,7 +36,8 @@ def estimate(
     estimators: Annotated[str, Parameter(name=["--estimators", "-e"])] = "cf",
     out: OutDir = Path(),
     set_: SetFlag = None,
-    single: Annotated[bool, Parameter(negative=())] = False,
+    precision: Precision = "double",
+    heading: Heading = "mag",
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
@@ -58,58 +55,31 @@ def estimate(
     out
         Folder to write into; made when it is not there.
     set_
-        A parameter, ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3; can be given several times.
-    single
-        Compute in single precision, as on a microcontroller (not for peers).
+        A parameter, ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3; can be given several times. Those of
+        --heading gps-course are heading.NAME, full scales of the sensors range.NAME (docs/streaming.md).
+    precision
+        single: compute in float32, as on a microcontroller (not for peers), and say how far off double that is.
+    heading
+        gps-course: from satellite fixes while they are valid, from the magnetometer, calibrated by them, otherwise.
     jobs
         Processes; by default one per core.
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    names = _names(estimators)
-    settings = _settings(assignments(set_, EXAMPLE), names)
+    run_with = runs_of(estimators, set_, precision, heading)
     sources = inputs.recordings(paths)
-    work = _jobs(sources, settings, inputs.output_dir(out), single)
+    work = _jobs(sources, run_with, inputs.output_dir(out))
     outcomes = run_jobs(_make, work, jobs, "estimate")
     rows = [
-        made_row({"recording": job.source.stem, "estimator": job.estimator}, job.target, outcome)
+        made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     return report_made("estimates", COLUMNS, rows, _cells, json)
 
 
-def _names(estimators: str) -> list[str]:
-    """The estimators that a word of the command line stands for."""
-    if estimators in ("all", "roll"):
-        return list(ATTITUDES if estimators == "all" else ROLLS)
-    return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
-
-
-def _settings(changes: Mapping[str, str], names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Settings by estimator, checked before the first recording is read."""
-    for name in names:
-        find(name)
-    settings: dict[str, dict[str, Any]] = {name: {} for name in names}
-    for path, value in changes.items():
-        estimator, dot, name = path.partition(".")
-        if not dot:
-            raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {EXAMPLE}")
-        if estimator not in settings:
-            raise BadParameter(f"--set {path}={value}: {estimator} is not among the estimators {', '.join(names)}")
-        settings[estimator][name] = value
-    for estimator, values in settings.items():
-        chosen(find(estimator).params(), values, estimator)
-    return settings
-
-
-def _jobs(sources: Sequence[Path], settings: dict[str, dict[str, Any]], folder: Path, single: bool) -> list[_Job]:
-    peers = [name for name in settings if isinstance(find(name), Peer)]
-    if single and peers:
-        raise BadParameter(f"--single: {', '.join(peers)} computes in its package's precision; leave it out")
+def _jobs(sources: Sequence[Path], runs: Sequence[Run], folder: Path) -> list[_Job]:
     work = [
-        _Job(source, folder / f"{source.stem}.{name}.estimate.mcap", name, "single" if single else "double", values)
-        for source in sources
-        for name, values in settings.items()
+        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run) for source in sources for run in runs
     ]
     require_distinct(job.target for job in work)
     return work
@@ -118,7 +88,15 @@ def _jobs(sources: Sequence[Path], settings: dict[str, dict[str, Any]], folder: 
 def _make(job: _Job) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
     recording = read_recording(job.source)
-    made = run(recording, job.estimator, job.settings, job.precision)
+    made = run(
+        recording,
+        job.run.estimator,
+        job.run.params,
+        job.run.precision,
+        job.run.heading,
+        heading_params=job.run.heading_params,
+        ranges=job.run.ranges,
+    )
     write(job.target, replace(made, made_from={job.source.name: sha256(job.source)}))
     return {
         "samples": len(made.t_ns),
@@ -131,11 +109,14 @@ def _make(job: _Job) -> dict[str, Any]:
 def _cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["estimator"], "-", "-", "-"]
-    counted = {name: count for name, count in row["diagnostics"].items() if name.startswith("n_") and count}
+    diagnostics = row["diagnostics"]
+    met = [f"{name[2:].replace('_', ' ')} {n}" for name, n in diagnostics.items() if name.startswith("n_") and n]
+    if "off_double_max_deg" in diagnostics:
+        met.append(f"at most {diagnostics['off_double_max_deg']:.2g} deg off double")
     return [
         row["recording"],
         row["estimator"],
         str(row["samples"]),
         f"{row['ns_per_sample']:.0f}",
-        ", ".join(f"{name[2:].replace('_', ' ')} {count}" for name, count in counted.items()) or "-",
+        ", ".join(met) or "-",
     ]

@@ -71,12 +71,13 @@ def test_one_file_per_recording_and_estimator_that_names_its_source(recordings: 
 
 
 def test_single_precision_and_peers_by_the_command(recordings: Path, tmp_path: Path) -> None:
-    estimate([recordings / "phone-1-seed0.mcap"], estimators="cf", out=tmp_path, single=True)
+    estimate([recordings / "phone-1-seed0.mcap"], estimators="cf", out=tmp_path, precision="single")
     kept = read(tmp_path / "phone-1-seed0.cf.estimate.mcap")
     assert (kept.q_nb.astype(np.float32) == kept.q_nb).all()
     assert kept.diagnostics["precision"] == "single"
+    assert 0 < kept.diagnostics["off_double_rms_deg"] < kept.diagnostics["off_double_max_deg"] < 0.01
     with pytest.raises(BadParameter, match="vqf"):
-        estimate([recordings], estimators="cf,vqf", out=tmp_path, single=True)
+        estimate([recordings], estimators="cf,vqf", out=tmp_path, precision="single")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,67 @@
+"""Which estimators to run, with which settings: what ``estimate`` and ``stream`` take from the command line."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.settings import chosen
+from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.precision import Precision
+from stillpoint.filters.sources import front_of
+from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, RollEstimator, find
+from stillpoint.scripts.batch import assignments
+
+EXAMPLE = "cf.omega0_radps=0.3"
+HEADING, RANGE = "heading", "range"  # of --set, beside the estimators
+
+
+@dataclass(frozen=True)
+class Run:
+    """One estimator as the command line asks for it; settings may still be text."""
+
+    estimator: str
+    params: dict[str, Any]
+    precision: Precision
+    heading: Heading
+    heading_params: dict[str, Any]
+    ranges: dict[str, Any]
+
+
+def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
+    """One run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
+    names = _names(estimators)
+    entries = {name: find(name) for name in names}
+    peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
+    if precision == "single" and peers:
+        raise BadParameter(f"--precision single: {', '.join(peers)} computes in its package's precision; leave it out")
+    spins = [name for name, entry in entries.items() if isinstance(entry, RollEstimator)]
+    if heading != "mag" and spins:
+        raise BadParameter(
+            f"--heading {heading}: {', '.join(spins)} follows a spin, which has no heading; leave it out"
+        )
+    settings = _settings(set_, names)
+    front_of(heading, settings[HEADING], settings[RANGE], None)
+    for name, entry in entries.items():
+        chosen(entry.params(), settings[name], name)
+    return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]
+
+
+def _names(estimators: str) -> list[str]:
+    """The estimators that a word of the command line stands for."""
+    if estimators in ("all", "roll"):
+        return list(ATTITUDES if estimators == "all" else ROLLS)
+    return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
+
+
+def _settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
+    settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, HEADING, RANGE)}
+    for path, value in assignments(set_, EXAMPLE).items():
+        owner, dot, name = path.partition(".")
+        if not dot:
+            raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {EXAMPLE}")
+        if owner not in settings:
+            raise BadParameter(f"--set {path}={value}: {owner} is not among the estimators {', '.join(names)}")
+        settings[owner][name] = value
+    return settings
