@@ -1,13 +1,13 @@
 """What the estimators of roll are told about noise and sense, and what a geometry makes of it (paper 000, eq (25))."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from stillpoint.datasets.recording import Floats, SpinGeometry
 from stillpoint.datasets.settings import Settings, choice, number
-from stillpoint.datasets.spin import TERMS, channels, coefficients
+from stillpoint.datasets.spin import TERMS, SpinChannels, channels, coefficients
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,9 @@ class RollParams(Settings):
     )
     direction: Literal["positive", "negative"] = choice(
         "positive", "sense of the spin about x where no sensor tells it: a square has no sign"
+    )
+    saturated: Literal["skip", "use"] = choice(
+        "skip", "samples at the range of their accelerometer: left out, or used as paper 000 has no test for them"
     )
 
 
@@ -40,7 +43,18 @@ def accel_variances(params: RollParams, geometry: SpinGeometry) -> Floats:
     return np.where(tangential, params.tangential_var_m2ps4, params.radial_var_m2ps4)
 
 
+def spin_channels(params: RollParams, geometry: SpinGeometry) -> SpinChannels:
+    """The observations that a geometry gives, weighted by the noise that the parameters state.
+
+    Raises :class:`Unobservable` where it does not fix rate and angular acceleration.
+    """
+    by = channels(geometry, accel_variances(params, geometry))
+    if params.saturated == "use":
+        return replace(by, geometry=replace(geometry, accel_range_mps2=None))
+    return by
+
+
 def noise(params: RollParams, geometry: SpinGeometry) -> Noise:
     """Q and R of (25) for a geometry; raises :class:`Unobservable` where it does not fix rate and acceleration."""
-    by = channels(geometry, accel_variances(params, geometry))
+    by = spin_channels(params, geometry)
     return Noise(by.q_rad2ps4, by.r_rad2ps4, 1 if params.direction == "positive" else -1)

@@ -1,6 +1,6 @@
 """An estimator of roll over a whole recording."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from time import perf_counter_ns
 
 import numpy as np
@@ -8,11 +8,11 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.recording import Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.settings import Settings
-from stillpoint.datasets.spin import SpinChannels, channels, measure, saturated
+from stillpoint.datasets.spin import SpinChannels, measure, saturated
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.roll_direction import Evidence, directions, no_evidence, says_direction
-from stillpoint.filters.roll_noise import RollParams, accel_variances
+from stillpoint.filters.roll_noise import RollParams, spin_channels
 from stillpoint.filters.roll_sample import RollLog, RollTrack, empty_track
 from stillpoint.filters.sample import GAP_S, counts
 from stillpoint.filters.table import RollEstimator
@@ -51,13 +51,9 @@ def estimate_roll(
     )
 
 
-def spin_channels(params: RollParams, geometry: SpinGeometry) -> SpinChannels:
-    """The observations that a geometry gives, weighted by the noise that the parameters state."""
-    return channels(geometry, accel_variances(params, geometry))
-
-
 def as_roll_log(spin: Spin, by: SpinChannels, dt_s: Floats, evidence: Evidence) -> tuple[RollLog, Evidence]:
     """The samples as the estimators take them, after an evidence of the direction, and that to go on with."""
+    spin = replace(spin, geometry=by.geometry)  # without a range, where saturated samples are to be used
     seen = measure(spin, by)
     direction, evidence = directions(spin, by, evidence)
     log = RollLog(

@@ -11,7 +11,8 @@ from stillpoint.datasets.recording import Spin, SpinGeometry
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.roll_direction import Evidence, no_evidence
-from stillpoint.filters.roll_run import as_roll_log, spin_channels
+from stillpoint.filters.roll_noise import spin_channels
+from stillpoint.filters.roll_run import as_roll_log
 from stillpoint.filters.roll_sample import RollOutput, angle_of, no_roll, roll_sample_at
 from stillpoint.filters.sample import counts
 from stillpoint.filters.table import RollEstimator, find
@@ -71,7 +72,7 @@ class RollStream:
         if saved is not None and saved.name != name:
             raise BadParameter(f"{name}: the saved state is of {saved.name}; go on with that one")
         settings = chosen(entry.params(), params, name)
-        self._name, self._step, self._precision, self._geometry = name, entry.step, precision, geometry
+        self._name, self._step, self._precision = name, entry.step, precision
         self._by = spin_channels(settings, geometry)
         self._c = in_precision(entry.coefficients(settings, geometry), precision)
         self._t_ns, self._n_out_of_order, self._evidence = -1, 0, no_evidence()
@@ -89,7 +90,9 @@ class RollStream:
         if t_ns <= self._t_ns:
             self._n_out_of_order += 1
             return self._answer()
-        spin = Spin(np.array([t_ns]), np.array([accel_mps2]), np.array([gyro_radps], dtype=np.float64), self._geometry)
+        spin = Spin(
+            np.array([t_ns]), np.array([accel_mps2]), np.array([gyro_radps], dtype=np.float64), self._by.geometry
+        )
         dt_s = np.array([(t_ns - self._t_ns) / 1e9 if self._t_ns >= 0 else 0.0])
         log, self._evidence = as_roll_log(spin, self._by, dt_s, self._evidence)
         sample = roll_sample_at(in_precision(log, self._precision), 0)

@@ -101,6 +101,8 @@ def trial(
 def settings_of(scenario: Scenario, method: str, printed: bool) -> dict[str, Any]:
     """The parameters of one filter, in its own reading or as the paper prints its equations."""
     settings = dict(scenario.settings)
+    if method in OF_PAPER:
+        settings["saturated"] = "use"
     if method in ("EKF", "AEKF") and printed:
         settings |= {"process_noise": "literal", "first_rate": "first"}
     if method == "AEKF":

@@ -1,0 +1,81 @@
+"""``stillpoint experiment``: the table, and paper 000's experiments with few trials."""
+
+import json
+import re
+from importlib import import_module
+
+import pytest
+
+from stillpoint.scoring.roll_study import CONSTANT, METRICS, OF_PAPER, VARIABLE, Trial, in_order, trial, wins, worst
+from stillpoint.scripts.experiment import EXPERIMENTS
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_is_there_and_explains_itself(name, call, capsys):
+    module, function = EXPERIMENTS[name][0].split(":")
+    assert getattr(import_module(f"stillpoint.scripts.{module}"), function).__doc__
+    assert call("experiment", name, "--help") == 0
+    assert "--out" in capsys.readouterr().out
+
+
+def test_an_unknown_experiment_is_answered_with_those_there_are(call, capsys):
+    assert call("experiment", "spin-fast") == 2
+    assert "spin-constant" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "online"), [("spin-constant", False), ("spin-variable", True)])
+def test_a_page_has_the_figures_of_the_paper_and_ours(name, online, call, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    flags = ["--online"] if online else []
+    assert call("experiment", name, *flags, "--noise", "glitch", "--trials", "2", "-j", "x.json") == 2  # no such flag
+    assert list(tmp_path.iterdir()) == []
+    assert (
+        call("experiment", name, *flags, "--noise", "glitch", "--trials", "2", "--json", "x.json", "--jobs", "1") == 0
+    )
+    rows = json.loads((tmp_path / "x.json").read_text())["rows"]
+    methods = ["observation", "EKF", "AEKF", "guarded", *([] if online else ["smoother"])]
+    assert [(row["seed"], row["method"]) for row in rows] == [(seed, method) for seed in (0, 1) for method in methods]
+    assert all(row["error"] is None for row in rows)
+    page = (tmp_path / f"{name}{'-online' if online else ''}.experiment.html").read_text()
+    scenario = {"spin-constant": CONSTANT, "spin-variable": VARIABLE}[name]
+    for value in scenario.printed[online].worst.values():
+        assert f"<td>{value:.2f}</td>" in page
+    largest = max(row["angle_max_deg"] for row in rows if row["method"] == "guarded")
+    assert f"<td>{largest:.2f}</td>" in page
+    assert page.count("<svg") == 2 * 5
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", page), "the page needs nothing but itself"
+    assert "the worst of 2 trials" in capsys.readouterr().out
+
+
+def test_a_wrong_number_is_one_line(call, capsys):
+    assert call("experiment", "spin-constant", "--trials", "0") == 2
+    assert "give 1 trial or more" in capsys.readouterr().err
+
+
+def test_online_is_single_precision_and_nearly_the_same():
+    """The paper's microcontroller computes in float32, which is 0.01 deg of 2 after 30 s."""
+    offline, online = (trial(CONSTANT, "glitch", 3, online) for online in (False, True))
+    assert "smoother" in offline.scores
+    assert "smoother" not in online.scores
+    for method in online.scores:
+        for metric in METRICS:
+            one, other = (getattr(made.scores[method], metric) for made in (offline, online))
+            assert one == pytest.approx(other, rel=0.01, abs=0.01)
+            assert one != other
+
+
+def test_the_order_and_the_wins_are_counted():
+    trials = [trial(CONSTANT, "glitch", seed, online=True) for seed in (0, 1)]
+    assert in_order(trials, "rate_rmse_degps", OF_PAPER) == 2
+    assert in_order(trials, "rate_rmse_degps", tuple(reversed(OF_PAPER))) == 0
+    assert wins(trials, "rate_max_degps", OF_PAPER) == {"observation": 0, "EKF": 0, "AEKF": 2}
+    assert worst(trials, "EKF", "rate_max_degps") == max(one.scores["EKF"].rate_max_degps for one in trials)
+    assert worst([Trial("glitch", 0, {}, {"smoother": "needs gtsam"})], "smoother", "angle_max_deg") is None
+
+
+def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
+    """K H = 0.999: one reading of Q does not fit both scenarios."""
+    made = trial(VARIABLE, "white", 0, online=True, reading="printed").scores
+    assert made["EKF"].rate_rmse_degps == pytest.approx(made["observation"].rate_rmse_degps, rel=0.005)
+    ours = trial(VARIABLE, "white", 0, online=True).scores
+    assert ours["EKF"].rate_rmse_degps < 0.5 * ours["observation"].rate_rmse_degps

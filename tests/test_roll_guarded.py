@@ -1,0 +1,161 @@
+"""``roll-guarded`` against what spoils the filters of paper 000, and these beside it: the point is the difference."""
+
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+import pytest
+from spins import CONSTANT, exact, spoilt
+
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import estimate
+from stillpoint.scoring.roll import RollScore, compare_roll, score_roll
+
+
+def f5_bias(accel):
+    accel[:, 1] += 0.4  # 40 mg, the offset of the data sheet
+
+
+def lost(accel):
+    accel[2000], accel[3000:3010, 0] = np.nan, np.nan
+
+
+def zeros(accel):
+    accel[2000:2003] = 0
+
+
+def many_zeros(accel):
+    accel[2000:2050] = 0
+
+
+def stuck_f4(accel):
+    accel[3000:3250, 0] = accel[3000, 0]
+
+
+def stuck_f5(accel):
+    accel[3000:3250, 1] = 1.0
+
+
+def bad_first_sample(accel):
+    accel[0, 0] = -60
+
+
+def glitches_of_f4(accel):
+    accel[1000::500, 0] += 40
+
+
+def glitches_of_f5(accel):
+    accel[1000::1000, 1] += 60
+
+
+def pairs_of_glitches(accel):
+    accel[1000::1000] += 60
+    accel[1001::1000] += 60
+
+
+EVENTS = (
+    f5_bias,
+    lost,
+    zeros,
+    many_zeros,
+    stuck_f4,
+    stuck_f5,
+    bad_first_sample,
+    glitches_of_f4,
+    glitches_of_f5,
+    pairs_of_glitches,
+)
+
+
+def scored(recording: Recording, name: str, settings=CONSTANT) -> RollScore:
+    assert recording.roll_truth is not None
+    return score_roll(estimate(recording, name, settings), recording.roll_truth)
+
+
+def noisy(recording: Recording) -> Recording:
+    """With 0.05 m/s^2 of noise: values that never change are a stuck sensor's."""
+    spin = recording.spin
+    accel = spin.accel_mps2 + np.random.default_rng(0).normal(0, 0.05, spin.accel_mps2.shape)
+    return replace(recording, spin=replace(spin, accel_mps2=accel))
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.__name__)
+def test_no_event_costs_the_guarded_filter_more_than_a_degree(event):
+    found = scored(spoilt(event), "roll-guarded")
+    assert found.angle_max_deg <= 1.0
+    assert found.rate_rmse_degps <= 0.25
+
+
+def test_the_adaptive_filter_runs_away_on_a_bias_of_f5():
+    """Bias -> residual -> alpha up -> gain down -> larger residual: findings on paper 000, table A6."""
+    recording = spoilt(f5_bias)
+    assert scored(recording, "roll-aekf").angle_max_deg > 2000
+    assert 100 < scored(recording, "roll-ekf").angle_max_deg < 400
+    assert scored(recording, "roll-guarded").angle_max_deg < 1
+
+
+@pytest.mark.parametrize(
+    ("event", "name", "least_deg"),
+    [(zeros, "roll-ekf", 5), (many_zeros, "roll-ekf", 100), (pairs_of_glitches, "roll-aekf", 100)],
+)
+def test_the_paper_s_filters_lose_the_angle(event, name, least_deg):
+    assert scored(spoilt(event), name).angle_max_deg > least_deg
+
+
+def test_the_bias_of_f5_is_found():
+    """The rate alone shows it: after the bias was found the error has no mean, at 40 mg and at none."""
+    for event in (f5_bias, lambda accel: None):
+        assert abs(scored(spoilt(event), "roll-guarded").rate_mean_degps) < 0.05
+
+
+def test_a_bad_start_literal_locks_the_adaptive_filter_and_the_median_does_not():
+    """x0 half of the rate: alpha trusts no observation for long, and the angle lags by then."""
+
+    def spoil(accel):
+        accel[0, 0] = -31.0
+
+    recording = spoilt(spoil)
+    first = scored(recording, "roll-aekf", {**CONSTANT, "first_rate": "first"})
+    assert first.angle_max_deg > 8
+    assert scored(recording, "roll-aekf").angle_max_deg < 2
+
+
+def test_a_lockout_ends_in_a_new_start():
+    """While nothing is measured the body is braked from 35 to 20 rad/s: 25 refusals later the rate is right."""
+
+    def rate(t):
+        return np.where(t < 2, 35.0, 20.0)
+
+    found = estimate(noisy(exact(rate, np.zeros_like)), "roll-guarded")
+    assert found.diagnostics["n_restarts"] == 1
+    assert found.diagnostics["n_refused"] == 25
+    assert found.rate_radps[500 + 25 :] == pytest.approx(20, abs=0.3)
+    assert found.angle_sd_rad[530] > 1.0  # 0.1 s at an unknown rate
+    assert found.angle_sd_rad[499] < 0.1
+
+
+def test_a_motor_that_starts_with_a_jerk_is_followed():
+    """200 rad/s^2 from one sample to the next: a jump that stays is no glitch, what was left out is paid back."""
+
+    def accel(t):
+        return np.where((t >= 1) & (t < 1.15), 200.0, 0.0)
+
+    recording = noisy(exact(lambda t: 5 + 200 * np.clip(t - 1, 0, 0.15), accel))
+    found = estimate(recording, "roll-guarded", CONSTANT)
+    c = compare_roll(found, recording.roll_truth)
+    assert found.diagnostics["n_restarts"] == 0
+    assert found.diagnostics["n_accel_refused"] == 4
+    assert np.abs(found.rate_radps[300:] - recording.roll_truth.rate_radps[300:]).max() < 0.5
+    assert (np.abs(c.angle_error_rad[1:]) < 3 * c.angle_sd_rad[1:]).all()
+
+
+def test_white_noise_costs_the_guarded_angle_next_to_nothing():
+    """The angle as a state is as good as the integral of the observation: within 1.05 of it, over 30 trials."""
+    squares = {"roll-obs": 0.0, "roll-guarded": 0.0, "roll-aekf": 0.0}
+    for seed in range(30):
+        recording = simulate("spin-constant", seed=seed, sensor="white")
+        for name in squares:
+            squares[name] += scored(recording, name).angle_rmse_deg ** 2
+    assert sqrt(squares["roll-guarded"] / squares["roll-obs"]) <= 1.05
+    assert sqrt(squares["roll-aekf"] / squares["roll-obs"]) > 1.2
