@@ -22,8 +22,8 @@ class Condensed:
     inner: Floats  # (B, i, i) R_i, upper triangular
     coupling: Floats  # (B, i, s) S
     inner_right: Floats  # (B, i) d
-    outer: Floats  # (B, s, s) the factor
-    outer_right: Floats  # (B, s)
+    outer: Floats  # (B, r, s) the factor, of r <= s rows
+    outer_right: Floats  # (B, r)
 
 
 def condense(rows: Floats, inside: int) -> Condensed:

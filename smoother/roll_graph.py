@@ -27,7 +27,7 @@ from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import RollFit, Roots, jacobian
 from stillpoint.smoother.roll_samples import RollSamples
 from stillpoint.smoother.roll_start import Harmonic
-from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
+from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
 
 HELD = 1e-4  # sd of a constant that is not estimated: as good as none, and no strain on the numbers
 ZERO_SD_RAD = 1e-4  # of the first angle where nothing else says where zero is
@@ -51,22 +51,24 @@ def prior_of(
 ) -> Prior:
     """Constants that nothing can tell about are held."""
     p = params.calibration
-    sizes = np.full(len(CONSTANTS), HELD)
-    sizes[2:4] = p.lever_arm_sd
+    sizes, steps = np.full((2, len(CONSTANTS)), HELD)
+    free = {ARM_S: p.lever_arm_sd, ARM_A: p.lever_arm_sd}
     if harmonic is not None:
-        sizes[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
+        free[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
     if encoder:
-        sizes[LATENCY] = params.encoder.latency_sd_s
-        sizes[OFFSET] = FREE_SD_RAD if harmonic is not None else HELD
-    cov = np.diag(sizes**2)
+        free[LATENCY] = params.encoder.latency_sd_s
+    if encoder and harmonic is not None:
+        free[OFFSET] = FREE_SD_RAD
+    for constant, sd in free.items():
+        sizes[constant], steps[constant] = sd, CONSTANT * sd
+    cov, walk = np.diag(sizes**2), np.diag(steps**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
     cov[:2, :2] = p.accel_bias_sd_mps2**2 * bias
-    walk = np.diag(np.where(sizes > HELD, CONSTANT * sizes, HELD) ** 2)
     walk[:2, :2] = p.accel_bias_walk**2 * p.step_s * bias
     mean = np.zeros(len(CONSTANTS))
     mean[AMPLITUDE] = 0.0 if harmonic is None else harmonic.amplitude_mps2
-    free = harmonic is not None or encoder
-    return Prior(angle_rad, FREE_SD_RAD if free else ZERO_SD_RAD, mean, cov, walk)
+    fixed = harmonic is not None or encoder
+    return Prior(angle_rad, FREE_SD_RAD if fixed else ZERO_SD_RAD, mean, cov, walk)
 
 
 def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
@@ -84,7 +86,7 @@ def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsa
 
 def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
     """What the samples of each block say about its two keys and the constants."""
-    unit = gtsam.noiseModel.Unit.Create(chain.layout.shared)
+    unit = gtsam.noiseModel.Unit.Create(blocks.outer.shape[1])
     for i, (a, b) in enumerate(zip(blocks.outer, blocks.outer_right, strict=True)):
         c = C(int(chain.constants_of[i]))
         yield gtsam.JacobianFactor(K(i), a[:, :2], K(i + 1), a[:, 2:4], c, a[:, 4:], b, unit)

@@ -17,7 +17,7 @@ from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import roots_of
 from stillpoint.smoother.roll_samples import samples_of
 from stillpoint.smoother.roll_start import Harmonic, find_harmonic, start_rates
-from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, OFFSET, RollState
+from stillpoint.smoother.roll_state import AMPLITUDE, ARM_S, CONSTANTS, OFFSET, RollState
 
 ROUGH = 3  # iterations before gravity is looked for
 GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
@@ -64,12 +64,15 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
 
 
 def start_of(chain: Chain, readings: EncoderReadings | None) -> RollState:
-    """Rates from the squared rate; the angle is 0 at the first sample, or the encoder's."""
+    """Rates from the squared rate, scaled by the encoder's; the angle is 0 at the first sample, or the encoder's."""
     rates = start_rates(chain.samples, 1.0)
-    state = RollState(0.0, rates, np.zeros((int(chain.constants_of[-1]) + 1, len(CONSTANTS))))
-    first = -float(angles_of(chain, state)[0])
-    if readings is not None:
-        first = float(np.median(readings.angle_rad - angles_of(chain, state)[readings.k]))
+    constants = np.zeros((int(chain.constants_of[-1]) + 1, len(CONSTANTS)))
+    if readings is None:
+        return RollState(-float(rates[0] * chain.step_s[0]), rates, constants)
+    scale = float(np.median(readings.rate_radps)) / float(np.median(rates[readings.k]))
+    constants[:, ARM_S] = 1 / scale**2 - 1
+    state = RollState(0.0, scale * rates, constants)
+    first = float(np.median(readings.angle_rad - angles_of(chain, state)[readings.k]))
     return replace(state, start_angle_rad=first)
 
 
