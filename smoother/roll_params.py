@@ -54,6 +54,9 @@ class RollGraphParams(Settings):
     calibration: RollCalibration = field(default_factory=RollCalibration)
     harmonic: HarmonicParams = field(default_factory=HarmonicParams)
     encoder: EncoderParams = field(default_factory=EncoderParams)
+    direction: Literal["positive", "negative"] = choice(
+        "positive", "sense of the spin about x where no sensor tells it: a square has no sign"
+    )
     block: float = number(24.0, 4.0, 64.0, "samples between keys; the result does not depend on it")
     rate_limit_radps: float = number(1e-5, 1e-12, 1.0, "the solution is found when the rates change by less, RMS")
     iterations: float = number(30.0, 1.0, 200.0, "that the solution may take")

@@ -15,7 +15,7 @@ from stillpoint.smoother.roll_graph import Accuracy, accuracy_of, eliminated, pr
 from stillpoint.smoother.roll_optimum import RollSolution, improved, no_optimum
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import roots_of
-from stillpoint.smoother.roll_samples import samples_of
+from stillpoint.smoother.roll_samples import samples_of, sign_of
 from stillpoint.smoother.roll_start import Harmonic, find_harmonic, start_rates
 from stillpoint.smoother.roll_state import AMPLITUDE, ARM_S, CONSTANTS, OFFSET, RollState
 
@@ -37,7 +37,8 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
             raise Unobservable(f"{recording.name}: has no encoder; leave encoder.use off")
         readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
     chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
-    state = start_of(chain, readings)
+    known = sign_of(recording.spin) if recording.spin is not None else None
+    state = start_of(chain, readings, known or (1.0 if params.direction == "positive" else -1.0))
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
     rough = improved(chain, state, prior, recording.name, params, ROUGH)
     harmonic = None if params.harmonic.search == "off" else find_harmonic(chain, rough.at.state, params.harmonic)
@@ -59,13 +60,16 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
         rate_sd_radps=accuracy.rate_sd_radps,
         method="roll-graph",
         name=recording.name,
-        diagnostics=_diagnostics(chain, solution, accuracy, harmonic),
+        diagnostics={
+            **_diagnostics(chain, solution, accuracy, harmonic),
+            "direction": "as a sensor shows it" if known or readings else f"taken as {params.direction}",
+        },
     )
 
 
-def start_of(chain: Chain, readings: EncoderReadings | None) -> RollState:
-    """Rates from the squared rate, scaled by the encoder's; the angle is 0 at the first sample, or the encoder's."""
-    rates = start_rates(chain.samples, 1.0)
+def start_of(chain: Chain, readings: EncoderReadings | None, sign: float) -> RollState:
+    """Rates from the squared rate; the angle is 0 at the first sample. With an encoder, its sign, scale and angle."""
+    rates = start_rates(chain.samples, sign)
     constants = np.zeros((int(chain.constants_of[-1]) + 1, len(CONSTANTS)))
     if readings is None:
         return RollState(-float(rates[0] * chain.step_s[0]), rates, constants)

@@ -14,6 +14,7 @@ from stillpoint.smoother.roll_params import RollNoise
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 ROUNDING = 1e-9  # relative
+LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
 FEWEST = 50  # valid samples of a channel
 LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # of the channel: what stamps, arms and axes that are never exact add
 
@@ -67,6 +68,17 @@ def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
         squared_gravity=_gravity(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
     )
+
+
+def sign_of(spin: Spin) -> float | None:
+    """The sign of the spin about x by the gyro that sees most of it, +1.0 or -1.0; None where none sees any."""
+    along = spin.geometry.gyro_axis_b[:, 0]
+    if not len(along) or np.abs(along).max() < LEAST_ALONG:
+        return None
+    best = int(np.abs(along).argmax())
+    seen = spin.gyro_radps[:, best]
+    seen = seen[np.isfinite(seen)]
+    return float(np.sign(np.median(seen) * along[best])) or None if len(seen) else None
 
 
 def white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:

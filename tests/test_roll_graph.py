@@ -309,6 +309,26 @@ def test_the_resolution_is_that_of_the_counts(counts):
     assert resolution_rad(angle) == 0.0
 
 
+@pytest.mark.parametrize("tilt_deg", [0, 90])
+def test_a_spin_the_other_way_is_the_mirror_image(tilt_deg):
+    """Of body and motion in the x-z plane: lever arms and axes change sides, the angle its sign, the forces nothing."""
+    recording = tilted(tilt_deg, 2)
+    mirror = np.array([1.0, -1.0, 1.0])
+    geometry = SpinGeometry(BENCH.accel_r_b_m * mirror, BENCH.accel_axis_b * mirror, np.array([X]), None, True)
+    spin = recording.spin
+    gyro = -recording.roll_truth.rate_radps[:, None]
+    mirrored = replace(recording, spin=Spin(spin.t_ns, spin.accel_mps2, gyro, geometry))
+    made, other = reference(recording), reference(mirrored)
+    assert other.diagnostics["direction"] == "as a sensor shows it"
+    assert made.diagnostics["direction"] == "taken as positive"
+    np.testing.assert_allclose(other.rate_radps, -made.rate_radps, atol=1e-6)
+    turns = np.round(np.median(other.angle_rad + made.angle_rad) / (2 * np.pi))
+    np.testing.assert_allclose(other.angle_rad, 2 * np.pi * turns - made.angle_rad, atol=1e-5)
+    blind = replace(mirrored, spin=replace(mirrored.spin, geometry=replace(geometry, gyro_axis_b=np.array([Y]))))
+    told = reference(blind, params={"direction": "negative"})
+    np.testing.assert_array_equal(told.rate_radps, other.rate_radps)
+
+
 def test_lost_saturated_and_missing_samples_are_left_out_and_counted():
     recording = simulate("spin-constant", seed=2, sensor="white")
     spin = recording.spin
