@@ -4,15 +4,15 @@ Roll, pitch and heading are the z-y-x Euler angles of ``q_nb``, each with a filt
 
     (angle, bias)' = A (angle, bias) + (dt rate, 0)    A = [[1, -dt], [0, 1]]    H = [1 0]
 
-The rate is the Euler rate (1), so the bias is that of an Euler rate. Roll and pitch are measured by the accelerometer
-(14), (15), heading by the field, levelled by the roll and pitch just found (7). The paper's angles are those of a
-forward-right-down body in North-East-Down: pitch has the other sign there and heading counts from north, which leaves
-every filter as it is.
+The rate is the Euler rate (1). Roll and pitch are measured by the accelerometer (14), (15), heading by the field that
+is levelled by the roll and pitch just found (7). The paper's angles are those of a forward-right-down body in
+North-East-Down: pitch has the other sign there, heading counts from north, and every filter is as it is here.
 
-The angles are kept as the rotation that they make. (1) is integrated over the interval as that rotation, exactly, and
-an innovation is one arc tangent of the measured against the predicted angle: nothing wraps, nothing is averaged across
-+-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it the accelerometer
-is left out and the gyro alone turns the estimate (``n_gimbal``).
+The angles are kept as the rotation that they make, and the three biases as a vector in body axes, where a gyro's bias
+is constant; seen along the axis about which an angle turns it is that angle's. (1) is integrated over the interval as a
+rotation, exactly, and an innovation is one arc tangent of the measured against the predicted angle: nothing wraps,
+nothing is averaged across +-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it
+the accelerometer is left out and the gyro alone turns the estimate (``n_gimbal``).
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
-from stillpoint.filters.rotation import Quaternion, Vector, dot, multiply, rotate, scale
+from stillpoint.filters.rotation import Quaternion, Vector, add, dot, multiply, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
 # Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.
@@ -40,7 +40,7 @@ class Params(Settings):
     """Parameters of ``kf-axis``."""
 
     gyro_noise_rad_rts: float = degrees(0.1, 1e-6, 100.0, "Q of an angle: random walk of the integrated gyro")
-    bias_walk_radps_rts: float = degrees(0.02, 0.0, 100.0, "Q of a bias: random walk of an Euler rate's bias")
+    bias_walk_radps_rts: float = degrees(0.02, 0.0, 100.0, "Q of a bias: its random walk")
     tilt_sd_rad: float = degrees(
         5.0, 1e-3, 90.0, "R of roll and pitch: one accelerometer sample, level, linear motion included"
     )
@@ -74,9 +74,8 @@ class Coefficients(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """Bias of one Euler rate, and the covariance P of (angle, bias); the angle itself is in the rotation."""
+    """Covariance P of (angle, bias) of one Euler angle."""
 
-    bias_radps: float
     p_angle: float
     p_cross: float
     p_bias: float
@@ -86,6 +85,7 @@ class State(NamedTuple):
     """What is remembered."""
 
     q_nb: Quaternion
+    bias_b_radps: Vector
     roll: Axis
     pitch: Axis
     heading: Axis
@@ -100,12 +100,15 @@ class State(NamedTuple):
     n_no_north: int  # and those without horizontal part
 
 
-class Tilted(NamedTuple):
+class Moved(NamedTuple):
     """What gyro and accelerometer make of a state."""
 
     q_nb: Quaternion
+    bias_b_radps: Vector
     roll: Axis
     pitch: Axis
+    nu_roll: float  # normalised innovations, NaN for none
+    nu_pitch: float
     is_gimbal: bool
 
 
@@ -137,37 +140,38 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.tilt_rad2, 0.0), like(c.tilt_rad2, 0.5**0.5)
-    tilt = Axis(zero, c.tilt_rad2, zero, c.bias_rad2ps2)
-    heading = Axis(zero, like(zero, ANY_HEADING_RAD2), zero, c.bias_rad2ps2)
-    return State((half, zero, zero, half), tilt, tilt, heading, zero, zero, False, False, 0, 0, 0, 0, 0)
+    tilt = Axis(c.tilt_rad2, zero, c.bias_rad2ps2)
+    heading = Axis(like(zero, ANY_HEADING_RAD2), zero, c.bias_rad2ps2)
+    none = (zero, zero, zero)
+    return State((half, zero, zero, half), none, tilt, tilt, heading, zero, zero, False, False, 0, 0, 0, 0, 0)
 
 
 @compiled
 def predict(axis: Axis, dt_s: float, c: Coefficients) -> Axis:
     """P of (11) after an interval: A P A' + Q dt."""
-    bias, p_angle, p_cross, p_bias = axis
+    p_angle, p_cross, p_bias = axis
     grown = p_angle + dt_s * (dt_s * p_bias - p_cross - p_cross) + c.gyro_rad2ps * dt_s
-    return Axis(bias, grown, p_cross - dt_s * p_bias, p_bias + c.walk_rad2ps3 * dt_s)
+    return Axis(grown, p_cross - dt_s * p_bias, p_bias + c.walk_rad2ps3 * dt_s)
 
 
 @compiled
-def correct(axis: Axis, innovation: float, r: float) -> tuple[float, Axis, float]:
-    """One measurement of variance ``r``: by how much to turn, the new bias and P, and the normalised innovation.
+def correct(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float, float]:
+    """One measurement of variance ``r``: P, by how much to turn and to change the bias, the normalised innovation.
 
     P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
     """
-    bias, p_angle, p_cross, p_bias = axis
+    p_angle, p_cross, p_bias = axis
     per_s = like(r, 1.0) / (p_angle + r)  # one division: they are slow
     left, by = r * per_s, innovation * per_s
     determinant = max(p_angle * p_bias - p_cross * p_cross, like(r, 0.0))
-    new = Axis(bias + p_cross * by, p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
-    return p_angle * by, new, innovation * sqrt(per_s)
+    new = Axis(p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
+    return new, p_angle * by, p_cross * by, innovation * sqrt(per_s)
 
 
 @compiled
-def renewed(axis: Axis, p_angle: float, p_bias: float) -> Axis:
-    """The same bias with a P of its own."""
-    return Axis(axis.bias_radps, p_angle, like(p_angle, 0.0), p_bias)
+def renewed(p_angle: float, p_bias: float) -> Axis:
+    """A P whose angle and bias have nothing to do with each other."""
+    return Axis(p_angle, like(p_angle, 0.0), p_bias)
 
 
 @compiled
@@ -221,14 +225,9 @@ def unit(q: Quaternion) -> Quaternion:
 
 
 @compiled
-def in_body(roll: float, pitch: float, heading: float, frame: Frame) -> Vector:
-    """The body rate that these Euler rates make: the inverse of (1)."""
-    up, across = frame.up_b, frame.pitch_b
-    return (
-        roll + up[0] * heading,
-        across[1] * pitch + up[1] * heading,
-        across[2] * pitch + up[2] * heading,
-    )
+def in_body(roll: float, pitch: float, frame: Frame) -> Vector:
+    """The body rate of these rates of roll and pitch: the inverse of (1)."""
+    return roll, frame.pitch_b[1] * pitch, frame.pitch_b[2] * pitch
 
 
 @compiled
@@ -250,15 +249,6 @@ def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
 
 
 @compiled
-def wrapped(angle: float) -> float:
-    """An angle within a turn and a bit, in (-pi, pi]."""
-    whole, half = like(angle, 2 * pi), like(angle, pi)
-    if angle > half:
-        return angle - whole
-    return angle + whole if angle <= -half else angle
-
-
-@compiled
 def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> tuple[float, ...]:
     """Variances of the Euler angles as the covariance of a small rotation in body axes."""
     up, (_, py, pz) = frame.up_b, frame.pitch_b
@@ -268,52 +258,40 @@ def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> tuple
 
 
 @compiled
-def without_coriolis(sample: Sample, state: State, frame: Frame, c: Coefficients) -> Vector:
+def without_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
     """Specific force less w x V of (4), for a V along body x."""
-    fx, fy, fz = sample.accel_b_mps2
-    _, bias_y, bias_z = in_body(state.roll.bias_radps, state.pitch.bias_radps, state.heading.bias_radps, frame)
-    _, wy, wz = sample.gyro_b_radps
-    return fx, fy - (wz - bias_z) * c.speed_mps, fz + (wy - bias_y) * c.speed_mps
+    return force[0], force[1] - rate[2] * speed_mps, force[2] + rate[1] * speed_mps
 
 
 @compiled
-def tilted(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> tuple[Tilted, Vector]:
-    """Gyro, then roll and pitch by the accelerometer; the normalised innovations, NaN for none."""
+def moved(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Moved:
+    """The attitude by the gyro, then roll and pitch by the accelerometer."""
     dt_s, none = sample.dt_s, like(sample.dt_s, nan)
-    q_nb = multiply(state.q_nb, rotation.exp(scale(sample.gyro_b_radps, dt_s)))
+    bias = state.bias_b_radps
+    rate = add(sample.gyro_b_radps, scale(bias, like(dt_s, -1.0)))
+    q_nb = multiply(state.q_nb, rotation.exp(scale(rate, dt_s)))
     frame = frame_of(q_nb)
-    roll, pitch = state.roll, state.pitch
     if frame.cos_pitch < like(dt_s, GIMBAL):
-        return Tilted(q_nb, roll, pitch, True), (none, none, none)
-    turn_roll, turn_pitch = -roll.bias_radps * dt_s, -pitch.bias_radps * dt_s
-    nu_roll = nu_pitch = none
-    if has_accel:
-        force = without_coriolis(sample, state, frame, c) if c.speed_mps > 0 else sample.accel_b_mps2
-        off_roll, off_pitch = tilt_errors(force, frame, c.tilt)
-        # The accelerometer shows roll by its part across x only.
-        r_roll = c.tilt_rad2 / (frame.cos_pitch * frame.cos_pitch)
-        by_roll, roll, nu_roll = correct(roll, wrapped(off_roll - turn_roll), r_roll)
-        by_pitch, pitch, nu_pitch = correct(pitch, wrapped(off_pitch - turn_pitch), c.tilt_rad2)
-        turn_roll, turn_pitch = turn_roll + by_roll, turn_pitch + by_pitch
+        return Moved(q_nb, bias, state.roll, state.pitch, none, none, True)
+    if not has_accel:
+        return Moved(q_nb, bias, state.roll, state.pitch, none, none, False)
+    force = without_coriolis(sample.accel_b_mps2, rate, c.speed_mps) if c.speed_mps > 0 else sample.accel_b_mps2
+    off_roll, off_pitch = tilt_errors(force, frame, c.tilt)
+    # The accelerometer shows roll by its part across x only.
+    r_roll = c.tilt_rad2 / (frame.cos_pitch * frame.cos_pitch)
+    roll, turn_roll, bias_roll, nu_roll = correct(state.roll, off_roll, r_roll)
+    pitch, turn_pitch, bias_pitch, nu_pitch = correct(state.pitch, off_pitch, c.tilt_rad2)
     q_nb = multiply(q_nb, tilting(turn_roll, turn_pitch, frame.pitch_b))
-    return Tilted(q_nb, roll, pitch, False), (nu_roll, nu_pitch, none)
-
-
-@compiled
-def headed(heading: Axis, error: float, turn: float, is_headed: bool, c: Coefficients) -> tuple[float, Axis, float]:
-    """The heading (7), ``error`` ahead of the estimate: turn about up, the new bias and P, normalised innovation."""
-    if c.compass or not is_headed:  # taken, not approached
-        return error, renewed(heading, c.heading_rad2, heading.p_bias), like(error, nan)
-    by_heading, heading, nu = correct(heading, wrapped(error - turn), c.heading_rad2)
-    return turn + by_heading, heading, nu
+    bias = add(bias, in_body(bias_roll, bias_pitch, frame))
+    return Moved(q_nb, bias, roll, pitch, nu_roll, nu_pitch, False)
 
 
 @compiled
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Predict all three angles, correct roll and pitch, then the heading."""
     dt_s, zero, none = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, nan)
-    q_nb, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed = state[:8]
-    n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north = state[8:]
+    q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed = state[:9]
+    n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north = state[9:]
     least = like(dt_s, FREE_FALL_MPS2 * FREE_FALL_MPS2)
     has_accel = sample.has_accel and dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least
     has_mag = sample.has_mag and dot(sample.mag_b_ut, sample.mag_b_ut) > 0
@@ -325,34 +303,33 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     roll, pitch, heading = predict(roll, dt_s, c), predict(pitch, dt_s, c), predict(heading, dt_s, c)
     if c.reset_s > 0 and since_reset_s >= c.reset_s:
         since_reset_s = zero
-        roll, pitch = renewed(roll, c.tilt_rad2, c.bias_rad2ps2), renewed(pitch, c.tilt_rad2, c.bias_rad2ps2)
-        heading = renewed(heading, c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
-    innovations = (none, none, none)
-    turn = -heading.bias_radps * dt_s
+        roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)
+        heading = renewed(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
+    nu_roll = nu_pitch = nu_heading = none
     if is_level:
-        before = State(q_nb, roll, pitch, heading, zero, zero, True, is_headed, 0, 0, 0, 0, 0)
-        (q_nb, roll, pitch, is_gimbal), innovations = tilted(before, sample, has_accel, c)
+        before = State(q_nb, bias, roll, pitch, heading, zero, zero, True, is_headed, 0, 0, 0, 0, 0)
+        q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = moved(before, sample, has_accel, c)
         n_gimbal += is_gimbal
     elif has_accel:
-        q_nb, is_level, age_s, turn = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, zero, zero
-        roll, pitch = renewed(roll, c.tilt_rad2, roll.p_bias), renewed(pitch, c.tilt_rad2, pitch.p_bias)
-    if is_level:
-        if has_mag:
-            error, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
-            if found:
-                turn, heading, nu_heading = headed(heading, error, turn, is_headed, c)
-                innovations, is_headed = (innovations[0], innovations[1], nu_heading), True
-            else:
-                n_no_north += 1
-        q_nb = unit(turned_about_up(q_nb, turn))
-    frame = frame_of(q_nb)
-    state = State(
-        q_nb, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed,
-        n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north,
-    )  # fmt: skip
-    bias_b = in_body(roll.bias_radps, pitch.bias_radps, heading.bias_radps, frame)
-    cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
-    return state, Output(q_nb, bias_b, cov_b, innovations, is_level and age_s >= like(dt_s, START_S))
+        q_nb, is_level, age_s = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, zero
+        roll, pitch = renewed(c.tilt_rad2, roll.p_bias), renewed(c.tilt_rad2, pitch.p_bias)
+    if is_level and has_mag:
+        turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
+        if not found:
+            n_no_north += 1
+        elif c.compass or not is_headed:  # taken, not approached
+            heading, is_headed = renewed(c.heading_rad2, heading.p_bias), True
+            q_nb = turned_about_up(q_nb, turn)
+        else:
+            heading, turn, bias_heading, nu_heading = correct(heading, turn, c.heading_rad2)
+            q_nb = turned_about_up(q_nb, turn)
+            bias = add(bias, scale(frame_of(q_nb).up_b, bias_heading))
+    q_nb = unit(q_nb)
+    counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
+    state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)
+    cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame_of(q_nb))
+    ready = is_level and age_s >= like(dt_s, START_S)
+    return state, Output(q_nb, bias, cov_b, (nu_roll, nu_pitch, nu_heading), ready)
 
 
 @compiled

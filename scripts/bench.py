@@ -13,8 +13,11 @@ from stillpoint.scripts.tables import print_table
 
 # name -> a function from the number of runs to a list of Timing
 BENCHES = {
+    "filters": "stillpoint.scripts.bench_filters:bench_filters",
     "mcap": "stillpoint.scripts.bench_mcap:bench_mcap",
+    "roll-filters": "stillpoint.scripts.bench_roll_filters:bench_roll_filters",
     "smoother": "stillpoint.scripts.bench_smoother:bench_smoother",
+    "start": "stillpoint.scripts.bench_start:bench_start",
 }
 COLUMNS = ("what", "against", "median, s", "min", "max", "runs", "per sample, ns", "ratio")
 
@@ -31,8 +34,9 @@ def bench(
     Parameters
     ----------
     name
-        What to time: mcap (writing and reading an hour of a phone's sensors), smoother (200 s beside offlineVQF, then
-        an hour and four hours, once each).
+        What to time: filters (every estimator over 720 000 samples, and sample by sample), mcap (writing and reading an
+        hour of a phone's sensors), smoother (200 s beside offlineVQF, then an hour and four hours, once each), start
+        (the help page, and the first estimate after an installation, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     json

@@ -1,0 +1,58 @@
+"""The rows of ``stillpoint bench filters`` and ``bench start``; no test asserts a time."""
+
+import sys
+
+import pytest
+
+from stillpoint.datasets import BadParameter
+from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import ESTIMATORS
+from stillpoint.filters.table import Estimator
+from stillpoint.scripts import bench_filters, bench_start
+from stillpoint.scripts.bench import bench
+
+OURS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
+
+
+def test_every_estimator_of_ours_has_its_kind_in_ahrs():
+    assert sorted(bench_filters.KINDS) == sorted(OURS)
+
+
+def test_the_rows_set_every_estimator_beside_vqf_and_its_kind(monkeypatch):
+    monkeypatch.setattr(bench_filters, "MINUTES", 2.0)
+    monkeypatch.setattr(bench_filters, "STREAMED", 100)
+    rows = [row.row() for row in bench_filters.bench_filters(1)]
+    peers = [name for name, entry in ESTIMATORS.items() if entry.is_peer]
+    named = [row["name"].split(" (")[0] for row in rows]
+    assert named[: len(peers)] == peers
+    against = {(row["name"], row["against"].split(" (")[0]) for row in rows if row["against"]}
+    assert {(name, "vqf") for name in OURS} <= against
+    assert ("cf", "mahony") in against
+    assert ("cf", "ahrs Complementary") in against
+    assert [row["name"] for row in rows[-len(OURS) :]] == [f"{name}, a call of a stream" for name in OURS]
+    assert all(row["median_s"] > 0 for row in rows)
+
+
+def test_a_part_of_a_recording_has_the_fields_until_its_end():
+    whole = simulate("phone-3", minutes=2.0)
+    part = bench_filters.first(whole, 1000)
+    assert len(part.imu.t_ns) == 1000
+    assert part.mag.t_ns[-1] <= part.imu.t_ns[-1] < whole.mag.t_ns[len(part.mag.t_ns)]
+
+
+def test_the_start_is_measured_in_processes_of_its_own(monkeypatch):
+    monkeypatch.setattr(bench_start, "ESTIMATORS", {"gyro": ESTIMATORS["gyro"], "vqf": ESTIMATORS["vqf"]})
+    rows = bench_start.bench_start(1)
+    assert [row.name for row in rows] == [
+        "stillpoint --help",
+        "first estimate with gyro, nothing compiled",
+        "the next process with gyro",
+    ]
+    assert [len(row.seconds) for row in rows] == [1, 1, 1]
+    assert all(row.median_s > 0 for row in rows)
+
+
+def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ahrs", None)
+    with pytest.raises(BadParameter, match=r"ahrs is not installed; pip install .stillpoint\[peers\]"):
+        bench("filters")
