@@ -20,19 +20,31 @@ def compiled(function: Function) -> Function:
     """Compile at the first call for the argument types at hand, and keep the machine code on disk.
 
     It lies beside the package, or in numba's user cache where the package cannot be written; where neither can, every
-    process compiles anew.
+    process compiles anew. The function is copied into its callers.
     """
+    return _compiled(function, inline=True)
+
+
+def compiled_apart(function: Function) -> Function:
+    """The same for what runs once in many samples, or is long and called from many places: not copied into callers.
+
+    Copied into ``step``, and with that into ``run``, it would only make both slow to compile.
+    """
+    return _compiled(function, inline=False)
+
+
+def _compiled(function: Function, inline: bool) -> Function:
     try:
-        dispatcher = _with_numba(function, cache=True)
+        dispatcher = _with_numba(function, inline, cache=True)
     except RuntimeError:  # numba found no folder to write to
-        return cast(Function, _with_numba(function, cache=False))
+        return cast(Function, _with_numba(function, inline, cache=False))
     drop_stale(Path(dispatcher.stats.cache_path))
     return cast(Function, dispatcher)
 
 
-def _with_numba(function: Callable[..., Any], cache: bool) -> Any:
+def _with_numba(function: Callable[..., Any], inline: bool, cache: bool) -> Any:
     # Steps are chains of small functions that hand structures on: without inlining these go through memory.
-    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=True)(function)
+    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=inline)(function)
 
 
 def drop_stale(cache: Path) -> None:

@@ -5,12 +5,13 @@ definite by form, not by luck: prediction is a congruence A P A' + Q, an update 
 triangle and mirror it. What rounding may take off the smallest eigenvalue, :func:`round_up` gives back.
 """
 
+from math import sqrt
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.rotation import Quaternion, Vector, dot
 
 Matrix: TypeAlias = NDArray[Any]  # float64 or float32
@@ -31,7 +32,7 @@ def identity(p: Matrix) -> Matrix:
     return a
 
 
-@compiled
+@compiled_apart
 def congruence(a: Matrix, p: Matrix) -> None:
     """P becomes A P A'."""
     n = len(p)
@@ -61,7 +62,7 @@ def round_up(p: Matrix) -> None:
         p[i, i] *= larger
 
 
-@compiled
+@compiled_apart
 def times(p: Matrix, h: Matrix) -> Matrix:
     """P h' of a row h."""
     product = np.empty_like(h)
@@ -73,7 +74,7 @@ def times(p: Matrix, h: Matrix) -> Matrix:
     return product
 
 
-@compiled
+@compiled_apart
 def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
     """P becomes (I - K h) P (I - K h)' + K r K', which holds for any gain K of a scalar measurement with row h."""
     n = len(p)
@@ -89,29 +90,36 @@ def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
             p[j, i] = value
 
 
-@compiled
-def forget(p: Matrix, first: int, last: int, variance: float) -> None:
-    """The errors ``first`` .. ``last`` - 1 become unknown: of this variance, and independent of all others."""
-    for i in range(first, last):
-        for j in range(len(p)):
-            p[i, j] = like(p[0, 0], 0.0)
-            p[j, i] = like(p[0, 0], 0.0)
-        p[i, i] = variance
+@compiled_apart
+def forget(p: Matrix, i: int, variance: float) -> None:
+    """Error i becomes unknown: of this variance, and independent of all others."""
+    for j in range(len(p)):
+        p[i, j] = like(p[0, 0], 0.0)
+        p[j, i] = like(p[0, 0], 0.0)
+    p[i, i] = variance
+
+
+@compiled_apart
+def widen(p: Matrix, i: int, factor: float) -> None:
+    """The variance of error i times ``factor``, its correlations as they were."""
+    root = sqrt(factor)
+    for j in range(len(p)):
+        p[i, j] *= root
+        p[j, i] *= root
 
 
 @compiled
-def widen(p: Matrix, first: int, last: int, factor: float) -> None:
-    """Standard deviations of the errors ``first`` .. ``last`` - 1 times ``factor``, correlations as they were."""
-    for i in range(first, last):
-        for j in range(len(p)):
-            p[i, j] *= factor
-            p[j, i] *= factor
-
-
-@compiled
-def row(p: Matrix, i: int, u: Six) -> float:
-    """Row i of the first six errors' P, times u."""
-    return p[i, 0] * u[0] + p[i, 1] * u[1] + p[i, 2] * u[2] + p[i, 3] * u[3] + p[i, 4] * u[4] + p[i, 5] * u[5]
+def of_six(p: Matrix, u: Six) -> Six:
+    """The first six errors' P, times u."""
+    a, b, c, d, e, f = u
+    return (
+        p[0, 0] * a + p[0, 1] * b + p[0, 2] * c + p[0, 3] * d + p[0, 4] * e + p[0, 5] * f,
+        p[1, 0] * a + p[1, 1] * b + p[1, 2] * c + p[1, 3] * d + p[1, 4] * e + p[1, 5] * f,
+        p[2, 0] * a + p[2, 1] * b + p[2, 2] * c + p[2, 3] * d + p[2, 4] * e + p[2, 5] * f,
+        p[3, 0] * a + p[3, 1] * b + p[3, 2] * c + p[3, 3] * d + p[3, 4] * e + p[3, 5] * f,
+        p[4, 0] * a + p[4, 1] * b + p[4, 2] * c + p[4, 3] * d + p[4, 4] * e + p[4, 5] * f,
+        p[5, 0] * a + p[5, 1] * b + p[5, 2] * c + p[5, 3] * d + p[5, 4] * e + p[5, 5] * f,
+    )
 
 
 @compiled
@@ -135,9 +143,7 @@ def in_body_axes(p: Matrix, spread_s: Axes, variance: float, q_nb: Quaternion) -
     """
     first, second, third = axes_in_n(q_nb)
     u, v, w = seen_along(first, spread_s), seen_along(second, spread_s), seen_along(third, spread_s)
-    pu = row(p, 0, u), row(p, 1, u), row(p, 2, u), row(p, 3, u), row(p, 4, u), row(p, 5, u)
-    pv = row(p, 0, v), row(p, 1, v), row(p, 2, v), row(p, 3, v), row(p, 4, v), row(p, 5, v)
-    pw = row(p, 0, w), row(p, 1, w), row(p, 2, w), row(p, 3, w), row(p, 4, w), row(p, 5, w)
+    pu, pv, pw = of_six(p, u), of_six(p, v), of_six(p, w)
     uv, uw, vw = product(u, pv), product(u, pw), product(v, pw)
     uu, vv, ww = product(u, pu) + variance, product(v, pv) + variance, product(w, pw) + variance
     return uu, uv, uw, uv, vv, vw, uw, vw, ww

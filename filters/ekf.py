@@ -1,32 +1,43 @@
-"""``ekf``: error-state (multiplicative) extended Kalman filter of attitude and gyro bias."""
+"""``ekf``: error-state (multiplicative) extended Kalman filter of attitude and gyro bias.
+
+The attitude is a quaternion, its error a small rotation d in body axes, q_true = q exp(d) (Lefferts, Markley and
+Shuster 1982; Sola 2017, arXiv:1711.02508). Model, prediction and updates are those of
+:mod:`stillpoint.filters.error_state`. That keeps the covariance in n, as R P R', where a turn of the body leaves it
+alone; this file adds what makes the filter multiplicative in body axes: when the attitude is corrected, the covariance
+of d stays as it is *in the body*, so in n it turns with the correction. (``iekf`` leaves it as it is in n. The two
+differ by the second order of a correction.)
+
+Output: ``cov_b_rad2`` is the covariance of d, at every sample. ``innovation`` has the velocity's two (east, north) and
+the heading's, each whitened given those before it: their sum of squares, NIS, is chi-square with 3 degrees of freedom
+(2 without a field) where the noise is as the parameters say. They come at the end of a window and are NaN elsewhere.
+
+Fails: in a sustained acceleration (a long curve, a rocket) of more than ``velocity_mps_rts`` allows, which looks like
+tilt; where the field is that of another place but of the same size and dip; without a field the heading drifts with
+what is left of the bias about the vertical, which only a rest shows.
+"""
 
 from dataclasses import dataclass
-from math import nan, sqrt
 
-from stillpoint.filters import error_state, rotation
+from stillpoint.filters import error_state
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.error_state import (
     Body,
     Coefficients,
     ErrorStateParams,
-    Weight,
     corrected,
+    due,
     gather,
-    heading_measurement,
-    innovation,
+    heading_innovation,
     is_due,
+    nothing_new,
     output,
-    predict,
     turn_errors,
     update_bias,
     update_heading,
     update_velocity,
     velocity_innovations,
-    velocity_variance,
 )
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
-from stillpoint.filters.stillness import is_resting, watch
-from stillpoint.filters.window import means
 
 State = Body
 coefficients = error_state.coefficients
@@ -40,34 +51,26 @@ class Params(ErrorStateParams):
 
 @compiled
 def step(state: Body, sample: Sample, c: Coefficients) -> tuple[Body, Output]:
-    """Turn by the rate; at the end of a window predict the errors, and update them."""
+    """Turn by the rate; at the end of a window predict the errors and update them."""
     body = gather(state, sample, c)
-    east = north = heading = like(c.gate, nan)
+    innovations = nothing_new(c)
     if is_due(body.window.turning, c):
-        x, p, window, status = body.x, body.p, body.window, body.status
-        asis = Weight(like(c.gate, 1.0), like(c.gate, 1.0))
-        still = watch(body.still, means(window), c.limits)
-        resting = is_resting(still, c.limits)
-        m = heading_measurement(x, window, status.since_field_s, body.field, c)
-        predict(x, p, window, c)
-        variance = velocity_variance(window.turning.length_s, resting, c)
-        east, north = velocity_innovations(x, p, variance)
-        tilt_beyond, heading_beyond = update_velocity(x, p, variance, asis, c.gate), False
-        if resting:
-            update_bias(x, p, window.turning, still, c)
-        if m.is_there:
-            residual, expected = innovation(x, p, m)
-            heading = residual / sqrt(expected)
-            heading_beyond = update_heading(x, p, m, asis, status, c)
-        turn_errors(p, rotation.exp((x[0], x[1], x[2])))
-        body = corrected(body, still, (tilt_beyond, heading_beyond), m.is_there, c)
-    return body, output(body, (east, north, heading), c)
+        x, p, one = body.x, body.p, like(c.gate, 1.0)
+        at = due(body, c)
+        east, north = velocity_innovations(x, p, at.velocity_variance)
+        velocity_beyond = update_velocity(x, p, at.velocity_variance, one, c.gate)
+        update_bias(x, p, body.window.turning, at, c)
+        innovations = (east, north, heading_innovation(x, p, at.heading))
+        heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
+        turn_errors(x, p)
+        body = corrected(body, at, (velocity_beyond, heading_beyond), c)
+    return body, output(body, innovations, c)
 
 
 @compiled
 def run(log: Log, state: Body, c: Coefficients, track: Track) -> Body:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):
-        state, output = step(state, sample_at(log, k), c)
-        keep(track, k, output)
+        state, out = step(state, sample_at(log, k), c)
+        keep(track, k, out)
     return state

@@ -22,20 +22,19 @@ that size and dip of the field show (:mod:`stillpoint.filters.known_field`).
 
 **Rest.** The mean rate is the bias (:mod:`stillpoint.filters.stillness`), and v is 0 to ``REST_MPS``.
 
-Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When they
-stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of the
-accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever.
-"""
+Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
+they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
+the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever."""
 
 from dataclasses import dataclass
-from math import cos, pi, sin, sqrt
+from math import cos, nan, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import (
     Matrix,
     axes_in_n,
@@ -64,8 +63,8 @@ from stillpoint.filters.rotation import (
     scale,
 )
 from stillpoint.filters.sample import GAP_S, Output, Sample
-from stillpoint.filters.stillness import Limits, Stillness, moving, rate_sd
-from stillpoint.filters.window import Forces, Turning, Window, no_samples, pushed, turned, with_field
+from stillpoint.filters.stillness import Limits, Stillness, is_resting, moving, rate_sd, watch
+from stillpoint.filters.window import Forces, Turning, Window, means, no_samples, pushed, turned, with_field
 
 # Where the errors stand in P: attitude 0-2 (2 is the heading), bias 3-5, velocity 6-7.
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
@@ -98,8 +97,8 @@ class ErrorStateParams(Settings):
         0.5, 1e-3, 1e3, "mean horizontal velocity over 1 s (sd, m/s; over T s by sqrt(T) less); 0.001 = no acceleration"
     )
     tilt_sd_rad: float = degrees(10.0, 0.01, 60.0, "sd of the first tilt, by one accelerometer sample, per axis")
-    heading_sd_rad: float = degrees(20.0, 0.01, 100.0, "sd of the first heading, by one window of the field")
-    field_noise_ut_rts: float = number(12.0, 1e-3, 1e4, "error of the mean field over 1 s, also by iron (sd, uT)")
+    heading_sd_rad: float = degrees(30.0, 0.01, 100.0, "sd of the first heading, by one window of the field")
+    field_noise_ut_rts: float = number(10.0, 1e-3, 1e4, "error of the mean field over 1 s, also by iron (sd, uT)")
     field_tolerance: float = number(0.1, 1e-3, 1.0, "a known field keeps its size within this share")
     dip_tolerance_rad: float = degrees(10.0, 0.1, 90.0, "and its dip within")
     field_memory_s: float = number(20.0, 0.1, 1e5, "size and dip are the mean over so long, s")
@@ -171,13 +170,6 @@ class Body(NamedTuple):
     met: Met
 
 
-class Weight(NamedTuple):
-    """How an update departs from the model: 1 and 1 where it does not."""
-
-    alpha: float  # times the variance of the innovation
-    fade: float  # times the variance of the measured states, before the update
-
-
 class Measurement(NamedTuple):
     """A scalar: seen = row times x + noise of this variance."""
 
@@ -185,6 +177,15 @@ class Measurement(NamedTuple):
     row: Matrix  # (8,)
     seen: float
     variance: float
+
+
+class Due(NamedTuple):
+    """What an update at the end of a window starts from; x and P are predicted to there."""
+
+    still: Stillness
+    is_resting: bool
+    velocity_variance: float  # of the measurement that the velocity is 0
+    heading: Measurement
 
 
 def coefficients(params: ErrorStateParams, declination_rad: float) -> Coefficients:
@@ -216,9 +217,11 @@ def start(c: Coefficients) -> Body:
     """Before the first sample: level, x over north, and nothing known of it."""
     zero, half = like(c.gate, 0.0), like(c.gate, 0.5**0.5)
     x, p = np.full(SIZE, zero), np.full((SIZE, SIZE), zero)
-    forget(p, 0, BIAS, like(zero, UNKNOWN_RAD2))
-    forget(p, BIAS, VELOCITY, c.bias_variance)
-    forget(p, VELOCITY, SIZE, c.velocity_variance)
+    for i in range(BIAS):
+        p[i, i] = like(zero, UNKNOWN_RAD2)
+        p[BIAS + i, BIAS + i] = c.bias_variance
+    for i in range(VELOCITY, SIZE):
+        p[i, i] = c.velocity_variance
     status = Status(False, False, False, zero, zero, zero)
     met = Met(0, 0, 0, 0, 0, 0, 0)
     return Body((half, zero, zero, half), x, p, no_samples(zero), moving(zero), no_field(zero), status, met)
@@ -256,24 +259,24 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
     return Body(q_nb, x, p, window, still, field, status, met)
 
 
-@compiled
+@compiled_apart
 def lose(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
     """After a gap: the bias has walked, all else is unknown."""
-    forget(p, 0, BIAS, like(gap_s, UNKNOWN_RAD2))
-    for i in range(BIAS, VELOCITY):
-        p[i, i] += c.bias_walk * gap_s
+    for i in range(BIAS):
+        forget(p, i, like(gap_s, UNKNOWN_RAD2))
+        p[BIAS + i, BIAS + i] += c.bias_walk * gap_s
     stop(x, p, c)
 
 
 @compiled
 def stop(x: Matrix, p: Matrix, c: Coefficients) -> None:
     """Nothing is known of the velocity but how large it may be."""
-    forget(p, VELOCITY, SIZE, c.velocity_variance)
     for i in range(VELOCITY, SIZE):
+        forget(p, i, c.velocity_variance)
         x[i] = like(c.gate, 0.0)
 
 
-@compiled
+@compiled_apart
 def begin(
     q_nb: Quaternion,
     x: Matrix,
@@ -283,7 +286,7 @@ def begin(
     status: Status,
     c: Coefficients,
 ) -> tuple[Quaternion, Status, bool]:
-    """Tilt and heading as far as they are missing and there is something to tell them by; False: no north in a field."""
+    """Tilt and heading, as far as they are missing and there is a sample to tell them; False: a field without north."""
     use_accel, use_mag, is_gap = use
     is_level, is_headed, is_ready, since_s, _, _ = status
     zero, found = like(c.gate, 0.0), True
@@ -298,23 +301,25 @@ def begin(
     return q_nb, Status(is_level, is_headed, is_ready, since_s, zero, zero), found
 
 
-@compiled
+@compiled_apart
 def upright(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
     """The tilt by which this specific force, now in n, points up; the heading stays."""
-    forget(p, 0, HEADING, c.tilt_variance)
+    for i in range(HEADING):
+        forget(p, i, c.tilt_variance)
     stop(x, p, c)
     zero = like(c.gate, 0.0)
     return normalise(multiply(between(force_n, (zero, zero, like(zero, 1.0))), q_nb))
 
 
-@compiled
+@compiled_apart
 def to_north(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
     """n turned about up: what is known in its axes turns with it, all but the heading."""
     cosine, sine, a = cos(turn_rad), sin(turn_rad), identity(p)
     for i in (0, VELOCITY):
         a[i, i], a[i, i + 1], a[i + 1, i], a[i + 1, i + 1] = cosine, -sine, sine, cosine
     congruence(a, p)
-    forget(p, HEADING, HEADING + 1, c.heading_variance)
+    for i in range(HEADING, BIAS):
+        forget(p, i, c.heading_variance)
     x[VELOCITY], x[VELOCITY + 1] = (
         x[VELOCITY] * cosine - x[VELOCITY + 1] * sine,
         x[VELOCITY] * sine + x[VELOCITY + 1] * cosine,
@@ -328,7 +333,7 @@ def is_due(turning: Turning, c: Coefficients) -> bool:
     return turning.length_s > 0 and turning.length_s >= c.window_s * like(c.window_s, 1 - 1e-5)
 
 
-@compiled
+@compiled_apart
 def transition(window: Window, p: Matrix) -> Matrix:
     """Of the errors over a window: see the first lines."""
     a, half = identity(p), like(p[0, 0], 0.5)
@@ -349,7 +354,7 @@ def attitude_noise(turning: Turning, c: Coefficients) -> float:
     return c.gyro_noise * length_s + c.turn_error * turning.turned_rad + walked
 
 
-@compiled
+@compiled_apart
 def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
     """What the window's noise adds to P: the model's densities integrated with its transition."""
     length_s, spread_s, up_mps = window.turning.length_s, window.turning.spread_s, window.forces.push_n_mps[2]
@@ -369,7 +374,7 @@ def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
         p[1 - i, VELOCITY + i] = p[VELOCITY + i, 1 - i]
 
 
-@compiled
+@compiled_apart
 def predict(x: Matrix, p: Matrix, window: Window, c: Coefficients) -> None:
     """Velocity and covariance at the end of the window."""
     push = window.forces.push_n_mps
@@ -381,7 +386,7 @@ def predict(x: Matrix, p: Matrix, window: Window, c: Coefficients) -> None:
     unknown = like(c.gate, UNKNOWN_RAD2)
     for i in range(BIAS):
         if p[i, i] > unknown:
-            widen(p, i, i + 1, sqrt(unknown / p[i, i]))
+            widen(p, i, unknown / p[i, i])
 
 
 @compiled
@@ -395,7 +400,7 @@ def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
     return residual, variance
 
 
-@compiled
+@compiled_apart
 def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float, gate: float) -> bool:
     """x and P after a measurement, its innovation's variance times alpha; True when it was beyond the gate."""
     residual, model = innovation(x, p, m)
@@ -419,11 +424,14 @@ def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
     return Measurement(True, row, seen, variance)
 
 
-@compiled
-def velocity_variance(length_s: float, resting: bool, c: Coefficients) -> float:
-    """Of the measurement that the velocity is 0."""
-    variance = c.velocity_variance / length_s
-    return min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance
+@compiled_apart
+def due(body: Body, c: Coefficients) -> Due:
+    """Predict to the end of the window, and say what there is to update with."""
+    length_s, still = body.window.turning.length_s, watch(body.still, means(body.window), c.limits)
+    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
+    predict(body.x, body.p, body.window, c)
+    resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
+    return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
 
 
 @compiled
@@ -436,29 +444,28 @@ def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, 
     )
 
 
-@compiled
-def update_velocity(x: Matrix, p: Matrix, variance: float, weight: Weight, gate: float) -> bool:
+@compiled_apart
+def update_velocity(x: Matrix, p: Matrix, variance: float, alpha: float, gate: float) -> bool:
     """Tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate."""
-    if weight.fade > 1:
-        widen(p, 0, HEADING, sqrt(weight.fade))
-        widen(p, VELOCITY, SIZE, sqrt(weight.fade))
     beyond = False
     for i in range(VELOCITY, SIZE):
-        beyond = update(x, p, of_one(p, i, like(gate, 0.0), variance), True, weight.alpha, gate) or beyond
+        beyond = update(x, p, of_one(p, i, like(gate, 0.0), variance), True, alpha, gate) or beyond
     return beyond
 
 
-@compiled
-def update_bias(x: Matrix, p: Matrix, turning: Turning, still: Stillness, c: Coefficients) -> None:
+@compiled_apart
+def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients) -> None:
     """At rest the mean rate is the bias."""
-    slow = rate_sd(still)
+    if not at.is_resting:
+        return
+    slow = rate_sd(at.still)
     variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
     for i in range(3):
         mean = turning.measured_b_rad[i] / turning.length_s
         update(x, p, of_one(p, BIAS + i, mean, variance), True, like(mean, 1.0), c.gate)
 
 
-@compiled
+@compiled_apart
 def heading_measurement(
     x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients
 ) -> Measurement:
@@ -478,17 +485,37 @@ def heading_measurement(
         turn += row[BIAS + j] * x[BIAS + j]
     hold_s = min(since_field_s + length_s, max(length_s, like(square, LONGEST_HOLD_S)))
     disturbed = disturbance_ut2(field, looks(field_n, length_s))
+    if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
+        flat = field.known.size_ut * cos(field.known.dip_rad)
+        square = max(flat * flat, square * like(square, 0.01))
     return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square)
 
 
 @compiled
-def update_heading(x: Matrix, p: Matrix, m: Measurement, weight: Weight, status: Status, c: Coefficients) -> bool:
+def nothing_new(c: Coefficients) -> Vector:
+    """The innovations of a sample that ends no window."""
+    none = like(c.gate, nan)
+    return none, none, none
+
+
+@compiled
+def heading_innovation(x: Matrix, p: Matrix, m: Measurement) -> float:
+    """Whitened, given what the updates before have moved; NaN without a field."""
+    if not m.is_there:
+        return like(m.seen, nan)
+    residual, variance = innovation(x, p, m)
+    return residual / sqrt(variance)
+
+
+@compiled_apart
+def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: Status, c: Coefficients) -> bool:
     """Heading and bias by the field; True beyond the gate."""
-    if weight.fade > 1:
-        widen(p, HEADING, HEADING + 1, sqrt(weight.fade))
+    if not m.is_there:
+        return False
     if status.heading_doubt_s >= c.heading_patience_s:
-        forget(p, HEADING, HEADING + 1, like(c.gate, UNKNOWN_RAD2))
-    return update(x, p, m, False, weight.alpha, c.gate)
+        for i in range(HEADING, BIAS):
+            forget(p, i, like(c.gate, UNKNOWN_RAD2))
+    return update(x, p, m, False, alpha, c.gate)
 
 
 @compiled
@@ -498,18 +525,18 @@ def is_oblique(forces: Forces) -> bool:
     return up < size * like(size, OBLIQUE) and size > forces.time_s * like(size, LEAST_FORCE_MPS2)
 
 
-@compiled
-def turn_errors(p: Matrix, moved: Quaternion) -> None:
-    """P when the attitude's error in body axes stays as it is, and these are moved in n."""
-    a, axes = identity(p), axes_in_n(moved)
+@compiled_apart
+def turn_errors(x: Matrix, p: Matrix) -> None:
+    """P when the attitude's error stays as it is in body axes, which x is about to move in n."""
+    a, axes = identity(p), axes_in_n(rotation.exp((x[0], x[1], x[2])))
     for j in range(3):
         axis = axes[j]
         a[0, j], a[1, j], a[2, j] = axis[0], axis[1], axis[2]
     congruence(a, p)
 
 
-@compiled
-def corrected(body: Body, still: Stillness, beyond: tuple[bool, bool], has_field: bool, c: Coefficients) -> Body:
+@compiled_apart
+def corrected(body: Body, at: Due, beyond: tuple[bool, bool], c: Coefficients) -> Body:
     """The next window's beginning: the attitude moved by its error, and what the updates met."""
     q_nb, x, p, window, _, field, status, met = body
     is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s = status
@@ -524,7 +551,7 @@ def corrected(body: Body, still: Stillness, beyond: tuple[bool, bool], has_field
         q_nb = upright(q_nb, window.forces.push_n_mps, x, p, c)
         tilt_doubt_s, n_tilt = zero, n_tilt + 1
     since_s += length_s
-    if has_field:
+    if at.heading.is_there:
         n_heading += 1 if heading_doubt_s >= c.heading_patience_s else 0
         heading_doubt_s = min(heading_doubt_s, c.heading_patience_s) + length_s if beyond[1] else zero
         seen = looks(scale(window.fields.sum_n_ut, like(zero, 1.0) / window.fields.how_many), length_s)
@@ -534,7 +561,7 @@ def corrected(body: Body, still: Stillness, beyond: tuple[bool, bool], has_field
         n_no_north += 1
     status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s)
     met = Met(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
-    return Body(q_nb, x, p, no_samples(zero), still, field, status, met)
+    return Body(q_nb, x, p, no_samples(zero), at.still, field, status, met)
 
 
 @compiled

@@ -1,9 +1,8 @@
 """Whether the body rests: then the gyro reads its bias about all three axes, also about the vertical.
 
-A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. That much a slow
-even turn does, too. So neither up nor the field may have turned in the body since the rest began: a turn of less than
-``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says.
-"""
+A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. That much a
+slow even turn does, too. So neither up nor the field may have turned in the body since the rest began: a turn of less
+than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says."""
 
 from math import pi
 from typing import NamedTuple

@@ -8,10 +8,12 @@ from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.filters import (
+    aekf,
     complementary,
     ekf,
     fixed_gain,
     gyro,
+    iekf,
     kf_axis,
     least_squares,
     moving_average,
@@ -108,6 +110,20 @@ ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
     "ekf": _ours(
         ekf,
         "error-state (multiplicative) extended Kalman filter of attitude and gyro bias",
+        gives_bias=True,
+        gives_cov=True,
+        innovations=3,
+    ),
+    "aekf": _ours(
+        aekf,
+        "ekf with innovation-based adaptation of its trust in sensors and model (paper 000)",
+        gives_bias=True,
+        gives_cov=True,
+        innovations=3,
+    ),
+    "iekf": _ours(
+        iekf,
+        "right-invariant extended Kalman filter on SO(3) with gyro bias",
         gives_bias=True,
         gives_cov=True,
         innovations=3,

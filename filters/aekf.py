@@ -1,0 +1,198 @@
+"""``aekf``: ``ekf`` with innovation-based adaptation (paper 000, eqs (15)-(23), for vectors).
+
+The paper compares the last M innovations of one scalar with the variance C that the filter expects of them. Here there
+are two sensors, which are disturbed at different times, so each has its own: the accelerometer's m = 2 innovations of
+the velocity, and the heading's m = 1. With C = H P H' + R and eta the innovation::
+
+    (16), (17)  alpha = max(1, mean over M of eta' C^-1 eta / m)
+    observation-uncertain:  lambda = 1, K = P H' / (alpha C)                    the measurement is trusted less
+    system-uncertain:  lambda = tr(alpha H P H' + (alpha - 1) R) / tr(H P H')   (23): the prediction is trusted less
+
+Readings. tr(C_bar C^-1) with each innovation weighed by its own C, which is eta' C^-1 eta. 1/M, not 1/(M - 1): no mean
+is taken off. alpha is 1 until M innovations exist. lambda enters P once, not again in the gain (as printed, (19) and
+(20) make P negative). It fades the errors that the sensor sees, tilt and velocity or the heading: fading the bias too
+would let it wander with every shake (fading per state: D. Zhou, P. M. Frank, Int. J. Control 65(2), 1996).
+
+Guards. Without them a wrong model makes alpha grow, the gain fall, the error grow, and alpha grow again: in the
+observation-uncertain mode the paper's filter then leaves for good. Here alpha and lambda end at ``largest_alpha`` and
+``largest_lambda``, and an alpha that stays there counts as doubt: after the patience of ``ekf`` tilt or heading begin
+again. Innovations are given as the model expects them (alpha = 1), so NIS shows what the adaptation answers to. It
+leaves the chi-square band by design: alpha >= 1 never trusts more than the model, and on noise that is as the
+parameters say alpha is still above 1 half of the time (mean 1.1 to 1.2 for M = 10), so the covariance is pessimistic
+(mode observation) and the estimate noisier than that of ``ekf`` (mode system)."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.settings import choice, number
+from stillpoint.filters import error_state
+from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.covariance import Matrix, widen
+from stillpoint.filters.error_state import (
+    HEADING,
+    VELOCITY,
+    Body,
+    ErrorStateParams,
+    Measurement,
+    corrected,
+    due,
+    gather,
+    heading_innovation,
+    innovation,
+    is_due,
+    nothing_new,
+    output,
+    turn_errors,
+    update_bias,
+    update_heading,
+    update_velocity,
+    velocity_innovations,
+)
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+
+
+@dataclass(frozen=True)
+class Params(ErrorStateParams):
+    """Parameters of ``aekf``."""
+
+    mode: Literal["observation", "system"] = choice(
+        "observation", "what is not known exactly: the observation (lambda = 1) or the system (lambda of (23))"
+    )
+    innovations: float = number(10, 1, 1000, "how many innovations M are averaged; alpha is 1 until there are as many")
+    largest_alpha: float = number(10.0, 1.0, 1e6, "alpha ends here")
+    largest_lambda: float = number(10.0, 1.0, 1e6, "lambda ends here")
+
+
+class Coefficients(NamedTuple):
+    """Derived once from the parameters."""
+
+    ekf: error_state.Coefficients
+    innovations: int
+    fades: bool  # True: lambda by (23)
+    largest_alpha: float
+    largest_lambda: float
+
+
+class Memory(NamedTuple):
+    """The last M innovations of a sensor."""
+
+    nis: Matrix  # (M,) eta' C^-1 eta / m, a ring that is written into
+    seen: int
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    body: Body
+    velocity: Memory
+    heading: Memory
+
+
+class Trust(NamedTuple):
+    """What an update is weighed with."""
+
+    alpha: float  # times the variance of the innovation
+    fade: float  # lambda: times the variances of the errors that are seen
+    at_limit: bool
+
+
+def coefficients(params: Params, declination_rad: float) -> Coefficients:
+    """Of these parameters at a place with this declination (east of true north)."""
+    return Coefficients(
+        error_state.coefficients(params, declination_rad),
+        round(params.innovations),
+        params.mode == "system",
+        params.largest_alpha,
+        params.largest_lambda,
+    )
+
+
+@compiled
+def start(c: Coefficients) -> State:
+    """Before the first sample."""
+    zero = like(c.largest_alpha, 0.0)
+    velocity, heading = np.full(c.innovations, zero), np.full(c.innovations, zero)
+    return State(error_state.start(c.ekf), Memory(velocity, 0), Memory(heading, 0))
+
+
+@compiled_apart
+def adapted(memory: Memory, nis: float, explained: float, noise: float, c: Coefficients) -> tuple[Memory, Trust]:
+    """alpha by (17) and lambda by (23) with this innovation; ``explained`` and ``noise`` are tr(H P H') and tr(R)."""
+    one = like(nis, 1.0)
+    memory.nis[memory.seen % c.innovations] = nis
+    seen = memory.seen + 1 if memory.seen < 2 * c.innovations - 1 else c.innovations  # stays right modulo M
+    total = like(nis, 0.0)
+    for each in memory.nis:
+        total += each
+    full = seen >= c.innovations
+    raw = max(one, total / like(nis, c.innovations)) if full else one
+    alpha = min(raw, c.largest_alpha)
+    at_limit = raw >= c.largest_alpha and full
+    memory = Memory(memory.nis, seen)
+    if not c.fades:
+        return memory, Trust(alpha, one, at_limit)
+    fade = alpha + (alpha - one) * noise / explained
+    return memory, Trust(one, min(fade, c.largest_lambda), at_limit)
+
+
+@compiled
+def trust_velocity(
+    memory: Memory, p: Matrix, innovations: tuple[float, float], variance: float, c: Coefficients
+) -> tuple[Memory, Trust]:
+    """By both innovations of the velocity."""
+    east, north = innovations
+    half, two = like(east, 0.5), like(east, 2.0)
+    explained = p[VELOCITY, VELOCITY] + p[VELOCITY + 1, VELOCITY + 1]
+    memory, trust = adapted(memory, (east * east + north * north) * half, explained, two * variance, c)
+    if trust.fade > 1:
+        for i in range(HEADING):
+            widen(p, i, trust.fade)
+            widen(p, VELOCITY + i, trust.fade)
+    return memory, trust
+
+
+@compiled
+def trust_heading(
+    memory: Memory, x: Matrix, p: Matrix, m: Measurement, nu: float, c: Coefficients
+) -> tuple[Memory, Trust]:
+    """By the innovation of the heading; as it was where there is none."""
+    if not m.is_there:
+        return memory, Trust(like(nu, 1.0), like(nu, 1.0), False)
+    explained = innovation(x, p, m)[1] - m.variance
+    memory, trust = adapted(memory, nu * nu, explained, m.variance, c)
+    if trust.fade > 1:
+        for i in range(HEADING, HEADING + 1):
+            widen(p, i, trust.fade)
+    return memory, trust
+
+
+@compiled
+def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
+    """As that of ``ekf``, with trust in each sensor as its innovations were."""
+    body, velocity, heading = gather(state.body, sample, c.ekf), state.velocity, state.heading
+    innovations = nothing_new(c.ekf)
+    if is_due(body.window.turning, c.ekf):
+        x, p = body.x, body.p
+        at = due(body, c.ekf)
+        east, north = velocity_innovations(x, p, at.velocity_variance)
+        velocity, trust = trust_velocity(velocity, p, (east, north), at.velocity_variance, c)
+        velocity_beyond = update_velocity(x, p, at.velocity_variance, trust.alpha, c.ekf.gate) or trust.at_limit
+        update_bias(x, p, body.window.turning, at, c.ekf)
+        nu = heading_innovation(x, p, at.heading)
+        innovations = (east, north, nu)
+        heading, trust = trust_heading(heading, x, p, at.heading, nu, c)
+        heading_beyond = update_heading(x, p, at.heading, trust.alpha, body.status, c.ekf) or trust.at_limit
+        turn_errors(x, p)
+        body = corrected(body, at, (velocity_beyond, heading_beyond), c.ekf)
+    return State(body, velocity, heading), output(body, innovations, c.ekf)
+
+
+@compiled
+def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, out = step(state, sample_at(log, k), c)
+        keep(track, k, out)
+    return state

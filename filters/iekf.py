@@ -1,0 +1,70 @@
+"""``iekf``: right-invariant extended Kalman filter on SO(3) with a gyro bias, for comparison with ``ekf``.
+
+The error is exp(e) = R_true R', a rotation in n (A. Barrau, S. Bonnabel, "The invariant extended Kalman filter as a
+stable observer", IEEE Trans. Automatic Control 62(4), 2017). Right-invariant, because what is measured, specific force
+and field, are known vectors of n seen from the body, y = R' g + noise: observations of that kind have a Jacobian that
+does not depend on the estimate, [g]x, with a right-invariant error. The bias is appended in body axes (the "imperfect"
+IEKF of A. Barrau's thesis, 2015; R. Hartley et al., Int. J. Robotics Research 39(4), 2020, eqs (48)-(52)); with it the
+attitude's error still follows e' = -R (d + noise), whatever the motion.
+
+Model, prediction and updates are those of :mod:`stillpoint.filters.error_state`, which are in e already. Against
+``ekf`` one thing differs: a correction leaves the covariance of e as it is in n. So what accelerometers cannot know,
+the heading, stays the third axis of P exactly, however large a correction of the tilt is. Everything else is as in
+``ekf``."""
+
+from dataclasses import dataclass
+
+from stillpoint.filters import error_state
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.error_state import (
+    Body,
+    Coefficients,
+    ErrorStateParams,
+    corrected,
+    due,
+    gather,
+    heading_innovation,
+    is_due,
+    nothing_new,
+    output,
+    update_bias,
+    update_heading,
+    update_velocity,
+    velocity_innovations,
+)
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+
+State = Body
+coefficients = error_state.coefficients
+start = error_state.start
+
+
+@dataclass(frozen=True)
+class Params(ErrorStateParams):
+    """Parameters of ``iekf``."""
+
+
+@compiled
+def step(state: Body, sample: Sample, c: Coefficients) -> tuple[Body, Output]:
+    """Turn by the rate; at the end of a window predict the errors and update them."""
+    body = gather(state, sample, c)
+    innovations = nothing_new(c)
+    if is_due(body.window.turning, c):
+        x, p, one = body.x, body.p, like(c.gate, 1.0)
+        at = due(body, c)
+        east, north = velocity_innovations(x, p, at.velocity_variance)
+        velocity_beyond = update_velocity(x, p, at.velocity_variance, one, c.gate)
+        update_bias(x, p, body.window.turning, at, c)
+        innovations = (east, north, heading_innovation(x, p, at.heading))
+        heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
+        body = corrected(body, at, (velocity_beyond, heading_beyond), c)
+    return body, output(body, innovations, c)
+
+
+@compiled
+def run(log: Log, state: Body, c: Coefficients, track: Track) -> Body:
+    """Every sample of a log."""
+    for k in range(len(log.dt_s)):
+        state, out = step(state, sample_at(log, k), c)
+        keep(track, k, out)
+    return state
