@@ -5,6 +5,7 @@ of a sensor's range, readings that repeat. Each is counted.
 """
 
 from dataclasses import dataclass
+from math import nan
 from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
@@ -58,7 +59,7 @@ class Gyro(NamedTuple):
     """What is remembered of the gyro."""
 
     last: Vector  # good one
-    last_ns: int  # its stamp
+    last_ns: int  # its stamp, -1 before the first
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
     n_saturated_gyro: int  # used as they are: no better rate is known
     n_same_gyro: int  # bit for bit the one before; used
@@ -110,9 +111,9 @@ def coefficients(ranges: Ranges) -> Coefficients:
 @compiled
 def start(c: Coefficients) -> Guard:
     """Before the first sample."""
-    zero = like(c.gyro_radps, 0.0)
-    none = (zero, zero, zero)
-    return Guard(-1, Gyro(none, 0, 0, 0, 0), Accel(none, 0, 0, 0), Mag(none, 0, 0, 0), 0, 0)
+    none = like(c.gyro_radps, nan)  # the same as no vector
+    last = (none, none, none)
+    return Guard(-1, Gyro(last, -1, 0, 0, 0), Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0)
 
 
 @compiled
@@ -133,7 +134,7 @@ def rate_of(gyro: Gyro, reading: Reading, t_ns: int) -> tuple[Gyro, Vector]:
     if reading.is_usable:
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector
     zero = like(last[0], 0.0)
-    rate = last if t_ns - last_ns <= HOLD_NS else (zero, zero, zero)
+    rate = last if last_ns >= 0 and t_ns - last_ns <= HOLD_NS else (zero, zero, zero)
     return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate
 
 

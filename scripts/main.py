@@ -20,6 +20,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "doctor": ("doctor:doctor", "Test recordings by physics and say what to do."),
     "reference": ("reference:reference", "Make the reference trajectory of recordings."),
     "estimate": ("estimate:estimate", "Run streaming estimators over recordings."),
+    "stream": ("stream:stream", "Estimates while the samples come, or a recording live in Foxglove."),
     "score": ("score:score", "Score estimates against a reference or a truth."),
     "validate": ("validate:validate", "Score references against independent truth."),
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),

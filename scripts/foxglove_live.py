@@ -1,0 +1,171 @@
+"""A recording replayed live to Foxglove, with what streaming estimators say about it.
+
+The recording's own messages go out as they lie in the file (``cdr`` with ``ros2msg`` schemas), so the same layout shows
+the file and the replay. Beside them are one transform ``map`` -> ``imu_link/NAME`` and one pose per estimator.
+"""
+
+import heapq
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import foxglove
+from foxglove import Channel, Context, Schema
+from foxglove.channels import FrameTransformsChannel, PoseInFrameChannel
+from foxglove.messages import FrameTransform, FrameTransforms, Pose, PoseInFrame, Quaternion, Timestamp, Vector3
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
+from mcap.reader import make_reader
+
+from stillpoint.datasets import Recording
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.topics import BODY_FRAME, LOCAL_FRAME
+from stillpoint.filters import Stream
+from stillpoint.filters.sources import magnetometer, newest
+from stillpoint.scripts.sample_lines import Arrival
+
+ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
+POSES_HZ = 60.0  # of real time: no screen shows more
+OPENING_S = 0.5  # a client asks for one panel's topic after the other
+
+
+class _FirstClient(ServerListener):
+    """Says when somebody looks."""
+
+    def __init__(self) -> None:
+        self.is_there = Event()
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        self.is_there.set()
+
+
+def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host: str, port: int, speed: float) -> int:
+    """Wait for a client, then send the recording in its own time, ``speed`` times as fast; the number of samples.
+
+    Ends with the recording, or by Ctrl-C. Raises :class:`BadParameter` when the port cannot be listened on.
+    """
+    context, client = Context(), _FirstClient()
+    estimates = _Estimates(streams, context)
+    raw = _RawMessages(file, context)
+    try:
+        server = foxglove.start_server(
+            name=f"stillpoint {file.name}",
+            host=host,
+            port=port,
+            capabilities=[Capability.Time],
+            server_listener=client,
+            context=context,
+        )
+    except Exception as error:  # the package has no class of its own for it
+        raise BadParameter(
+            f"--foxglove {port}: cannot listen on {host} ({error}); name another port or host"
+        ) from error
+    try:
+        print(f"stillpoint: waiting for Foxglove to open ws://{host}:{server.port}", file=sys.stderr, flush=True)
+        while not client.is_there.wait(0.1):
+            pass
+        time.sleep(OPENING_S)
+        return _send(heapq.merge(raw, _samples(recording), key=lambda timed: timed[0]), server, raw, estimates, speed)
+    except KeyboardInterrupt:
+        return estimates.n_samples
+    finally:
+        server.stop()
+
+
+def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float) -> int:
+    """Each message when its time has come."""
+    begun, first_ns = time.monotonic(), None
+    for t_ns, what in timed:
+        first_ns = t_ns if first_ns is None else first_ns
+        ahead_s = (t_ns - first_ns) / 1e9 / speed - (time.monotonic() - begun)
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+        if isinstance(what, Arrival):
+            said.update(what)
+            server.broadcast_time(t_ns)
+        else:
+            raw.send(t_ns, *what)
+    return said.n_samples
+
+
+class _RawMessages:
+    """The messages of a file with their log time, and a channel for each topic."""
+
+    def __init__(self, file: Path, context: Context) -> None:
+        self._file = file
+        self._channels: dict[int, Channel] = {}
+        with file.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None, "a file that was read has a summary"
+        for number, channel in summary.channels.items():
+            schema = summary.schemas.get(channel.schema_id)
+            described = None
+            if schema is not None:
+                described = Schema(name=schema.name, encoding=schema.encoding, data=schema.data)
+            self._channels[number] = Channel(
+                channel.topic, schema=described, message_encoding=channel.message_encoding, context=context
+            )
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        with self._file.open("rb") as stream:
+            for _, channel, message in make_reader(stream).iter_messages():
+                yield message.log_time, (channel.id, message.data)
+
+    def send(self, t_ns: int, number: int, data: bytes) -> None:
+        """One message as it lies in the file."""
+        self._channels[number].log(data, log_time=t_ns)
+
+
+class _Estimates:
+    """The streams, and the channels for what they say."""
+
+    def __init__(self, streams: Mapping[str, Stream], context: Context) -> None:
+        self._streams = streams
+        self._transforms = FrameTransformsChannel("/tf", context=context)
+        self._poses = {name: PoseInFrameChannel(f"/estimate/{name}/pose", context=context) for name in streams}
+        self._sent = 0.0
+        self.n_samples = 0
+
+    def update(self, sample: Arrival) -> None:
+        """One sample to every stream; to Foxglove no more often than a screen shows it."""
+        said = {name: stream.update(*sample) for name, stream in self._streams.items()}
+        self.n_samples += 1
+        if time.monotonic() - self._sent < 1 / POSES_HZ:
+            return
+        self._sent = time.monotonic()
+        stamp = Timestamp(sec=sample.t_ns // 10**9, nsec=sample.t_ns % 10**9)
+        transforms = []
+        for name, output in said.items():
+            w, x, y, z = output.q_nb
+            turned = Quaternion(x=x, y=y, z=z, w=w)
+            transforms.append(
+                FrameTransform(
+                    timestamp=stamp,
+                    parent_frame_id=LOCAL_FRAME,
+                    child_frame_id=f"{BODY_FRAME}/{name}",
+                    translation=ORIGIN,
+                    rotation=turned,
+                )
+            )
+            pose = PoseInFrame(timestamp=stamp, frame_id=LOCAL_FRAME, pose=Pose(position=ORIGIN, orientation=turned))
+            self._poses[name].log(pose, log_time=sample.t_ns)
+        self._transforms.log(FrameTransforms(transforms=transforms), log_time=sample.t_ns)
+
+
+def _samples(recording: Recording) -> Iterator[tuple[int, Arrival]]:
+    """The samples of a recording as a stream gets them, with their stamps."""
+    imu, (mag, _, _), gps = recording.require_imu(), magnetometer(recording), recording.gps
+    field = None if mag is None else newest(mag.t_ns, imu.t_ns)
+    fix = None if gps is None else newest(gps.t_ns, imu.t_ns)
+    for k, t_ns in enumerate(imu.t_ns.tolist()):
+        here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
+        course = None
+        if gps is not None and fix is not None and fix[k] >= 0:
+            row = fix[k]
+            course = (float(gps.course_rad[row]) if gps.valid[row] else float("nan"), float(gps.speed_mps[row]))
+        yield (
+            t_ns,
+            Arrival(t_ns, tuple(imu.gyro_b_radps[k].tolist()), tuple(imu.accel_b_mps2[k].tolist()), here, course),
+        )

@@ -1,0 +1,134 @@
+"""Lines of text become samples: NDJSON or CSV, told apart by the first line. docs/streaming.md describes both."""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from stillpoint.datasets.errors import BadParameter
+
+NAN = float("nan")
+IMU = ("gx", "gy", "gz", "ax", "ay", "az")
+MAG = ("mx", "my", "mz")
+FIX = ("course_rad", "speed_mps")
+KNOWN = ("t_ns", "t_s", *IMU, *MAG, *FIX)
+FORMAT = (
+    "t_ns or t_s, gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps"
+)
+
+Vector = tuple[float, ...]
+
+
+class Arrival(NamedTuple):
+    """One line: what :meth:`stillpoint.filters.Stream.update` takes."""
+
+    t_ns: int
+    gyro_b_radps: Vector
+    accel_b_mps2: Vector
+    mag_b_ut: Vector | None
+    course: tuple[float, float] | None
+
+
+class Malformed(ValueError):
+    """A line that is no sample, and why."""
+
+
+class Lines:
+    """Reads one line after the other; the first that is not empty says which format and which fields there are.
+
+    Raises :class:`BadParameter` when the first line names no samples, :class:`Malformed` for any other bad line.
+    """
+
+    def __init__(self) -> None:
+        self.ignored: tuple[str, ...] = ()
+        self._values: Callable[[str], Mapping[str, Any]] | None = None
+
+    def read(self, raw: bytes) -> Arrival | None:
+        """The sample of a line; None for an empty one and for the header."""
+        try:
+            text = raw.decode("utf-8-sig" if self._values is None else "utf-8").strip()
+        except UnicodeDecodeError:
+            raise Malformed("it is not UTF-8 text") from None
+        if not text:
+            return None
+        if self._values is None:
+            return self._begin(text)
+        return arrival(self._values(text))
+
+    def _begin(self, text: str) -> Arrival | None:
+        if text.startswith("{"):
+            values = _object(text)
+            self._require(list(values))
+            self._values = _object
+            return arrival(values)
+        names = [name.strip() for name in text.split(",")]
+        self._require(names)
+
+        def row(line: str) -> Mapping[str, Any]:
+            cells = line.split(",")
+            if len(cells) != len(names):
+                raise Malformed(f"it has {len(cells)} values, the header {len(names)} names")
+            return {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
+
+        self._values = row
+        return None
+
+    def _require(self, names: list[str]) -> None:
+        missing = [name for name in IMU if name not in names]
+        if not {"t_ns", "t_s"} & set(names):
+            missing.insert(0, "t_ns")
+        if missing:
+            given = ", ".join(names)[:100]
+            raise BadParameter(f"the first line names {given}, but not {', '.join(missing)}; give {FORMAT}")
+        self.ignored = tuple(name for name in names if name not in KNOWN)
+
+
+def arrival(values: Mapping[str, Any]) -> Arrival:
+    """The sample that these fields make; a field that is not there is NaN, which the guard of a stream knows."""
+    gyro, accel, mag, fix = (tuple(_number(values, name) for name in names) for names in (IMU[:3], IMU[3:], MAG, FIX))
+    return Arrival(
+        _stamp(values),
+        gyro,
+        accel,
+        mag if _any(values, MAG) else None,
+        (fix[0], fix[1]) if _any(values, FIX) else None,
+    )
+
+
+def _object(text: str) -> Mapping[str, Any]:
+    try:
+        values = json.loads(text)
+    except ValueError as error:
+        raise Malformed(f"it is not JSON ({error})") from None
+    if not isinstance(values, dict):
+        raise Malformed("it is not a JSON object")
+    return values
+
+
+def _any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+    return any(values.get(name) not in (None, "") for name in names)
+
+
+def _number(values: Mapping[str, Any], name: str) -> float:
+    value = values.get(name)
+    if value is None or value == "":
+        return NAN
+    if isinstance(value, bool):
+        raise Malformed(f"{name} is {value!r}, not a number")
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise Malformed(f"{name} is {value!r}, not a number") from None
+
+
+def _stamp(values: Mapping[str, Any]) -> int:
+    name = "t_s" if values.get("t_ns") in (None, "") else "t_ns"
+    value = values.get(name)
+    if isinstance(value, bool):
+        raise Malformed(f"{name} is {value!r}, not a time")
+    try:
+        t_ns = round(_number(values, name) * 1e9) if name == "t_s" else int(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise Malformed(f"{name} is {value!r}, not a time") from None
+    if not -(2**63) <= t_ns < 2**63 or (isinstance(value, float) and name == "t_ns" and value != t_ns):
+        raise Malformed(f"{name} is {value!r}: give whole nanoseconds within 63 bits")
+    return t_ns
