@@ -1,10 +1,12 @@
-"""Streaming estimators of attitude.
+"""Streaming estimators of attitude, and of roll.
 
-``estimate(recording, name)`` runs one over a recording, ``Stream(name)`` sample by sample; ``ESTIMATORS`` lists them.
+``estimate(recording, name)`` runs one over a recording, ``Stream(name)`` and ``RollStream(name, geometry)`` sample by
+sample; ``ESTIMATORS`` lists them.
 """
 
+from stillpoint.filters.roll_stream import RollAnswer, RollStream, SavedRoll
 from stillpoint.filters.run import estimate
 from stillpoint.filters.stream import Saved, Stream
 from stillpoint.filters.table import ESTIMATORS
 
-__all__ = ["ESTIMATORS", "Saved", "Stream", "estimate"]
+__all__ = ["ESTIMATORS", "RollAnswer", "RollStream", "Saved", "SavedRoll", "Stream", "estimate"]

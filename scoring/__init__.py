@@ -1,10 +1,24 @@
 """How good an estimate is: scores against a truth or a reference, pictures, and the report.
 
 score(estimate, truth, align="heading", frame="nwu") -> Score
+score_roll(estimate, truth, zero="start") -> RollScore, of angle and rate about a spin axis
 """
 
 from stillpoint.scoring.align import ALIGN_KINDS, AlignKind, Alignment
 from stillpoint.scoring.compare import Comparison, compare
+from stillpoint.scoring.roll import RollScore, score_roll
 from stillpoint.scoring.score import Score, score, score_of, score_row
 
-__all__ = ["ALIGN_KINDS", "AlignKind", "Alignment", "Comparison", "Score", "compare", "score", "score_of", "score_row"]
+__all__ = [
+    "ALIGN_KINDS",
+    "AlignKind",
+    "Alignment",
+    "Comparison",
+    "RollScore",
+    "Score",
+    "compare",
+    "score",
+    "score_of",
+    "score_roll",
+    "score_row",
+]
