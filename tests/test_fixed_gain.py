@@ -183,7 +183,8 @@ def test_the_bias_is_taken_off_while_the_magnetometer_is_silent():
         mag=Mag(recording.mag.t_ns[first], recording.mag.mag_b_ut[first]),
         info=Info(units_unchecked=True),
     )
-    heading = np.rad2deg(angle_of(estimate(recording, "cf-fixed").q_nb, 2))
+    gains = {"kp_per_s": 1.0, "ki_per_s2": 0.05}
+    heading = np.rad2deg(angle_of(estimate(recording, "cf-fixed", gains).q_nb, 2))
     assert abs(heading[-1]) < 0.1
 
 
@@ -203,6 +204,6 @@ def test_a_slower_magnetometer_gives_eq_10_at_its_own_rate():
 def test_single_precision_costs_millidegrees_over_a_mission(mission):
     double, single = (estimate(mission, "cf-fixed", precision=precision) for precision in ("double", "single"))
     apart = np.rad2deg((rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude())
-    assert apart.max() < 0.02
+    assert apart.max() < 0.002  # half a unit in the last place of a quaternion is 7e-6 deg
     heading = wrap(euler(single.q_nb, "ned") - euler(double.q_nb, "ned"))[:, 2]
-    assert np.rad2deg(np.abs(heading.mean())) < 0.005
+    assert np.rad2deg(np.abs(heading.mean())) < 0.0005
