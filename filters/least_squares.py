@@ -52,6 +52,7 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import NamedTuple
 
+from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
@@ -156,14 +157,20 @@ class State(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of ``cf-lse`` with these parameters at a place with this declination (east of true north)."""
+    """Of ``cf-lse`` with these parameters at a place with this declination (east of true north).
+
+    Raises :class:`BadParameter` for bounds of kp the wrong way round.
+    """
+    low, high = params.kp_low_per_s, params.kp_high_per_s
+    if low > high:
+        raise BadParameter(f"cf-lse: kp_low_per_s = {low:g} is above kp_high_per_s = {high:g}; exchange them")
     return Coefficients(
         params.kp_per_s,
         params.ki_per_s2,
         int(params.fixed_samples),
         params.memory_s,
-        params.kp_low_per_s,
-        params.kp_high_per_s,
+        low,
+        high,
         params.ki_low_per_s2,
         False,
         settling_s(params.kp_per_s),
