@@ -1,7 +1,7 @@
 """Paper 000's two experiments on simulated trials: what to run, what the paper printed, who wins how often.
 
 As :mod:`stillpoint.scoring.validation`, a study that runs filters and smoother. The paper's recordings are not public;
-trials come from :mod:`stillpoint.datasets.simulate`, under three hypotheses of what the sensors' noise was made of.
+trials come from :mod:`stillpoint.datasets.simulate`, under four hypotheses of what the sensors' noise was made of.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from stillpoint.filters import estimate
 from stillpoint.scoring.roll import RollScore, compare_roll, roll_score_of
 from stillpoint.smoother import reference
 
-NoiseKind = Literal["white", "glitch", "replica"]
+NoiseKind = Literal["white", "vibration", "glitch", "replica"]
 NOISES: tuple[NoiseKind, ...] = get_args(NoiseKind)
 Reading = Literal["default", "printed"]
 METRICS = ("angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps")

@@ -65,8 +65,8 @@ def constant(
     online
         As on a microcontroller: five trials, in single precision, without the smoother.
     noise
-        What the noise is made of: white, glitch (of the slip rings) or replica (nearest to the paper's numbers); by
-        default all three, one after the other.
+        What the noise is made of: white, vibration (of the motor, on F5), glitch (of the slip rings, on F4) or replica
+        (nearest to the paper's numbers); by default all four, one after the other.
     reading
         The paper's equations as printed, or by default as this project reads them; replica takes them as printed.
     trials
@@ -104,8 +104,8 @@ def variable(
     online
         As on a microcontroller: five trials, in single precision, without the smoother.
     noise
-        What the noise is made of: white, glitch (of the slip rings) or replica (nearest to the paper's numbers); by
-        default all three, one after the other.
+        What the noise is made of: white, vibration (of the motor, on F5), glitch (of the slip rings, on F4) or replica
+        (nearest to the paper's numbers); by default all four, one after the other.
     reading
         The paper's equations as printed, or by default as this project reads them; replica takes them as printed.
     trials

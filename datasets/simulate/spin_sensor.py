@@ -90,6 +90,9 @@ def with_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
 
 def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     """The presets of a scenario by name; ``white`` has the paper's variances, ``quiet`` is the noise under glitches."""
+    shaken_mps2 = (white.tangential.noise_mps2**2 - ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
+    shaken = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
+    vibration = replace(white, name="vibration", tangential=shaken)
     glitch = replace(with_glitches(quiet, GLITCHES_PER_S), name="glitch")
     noise = REPLICA_NOISE * glitch.radial.noise_mps2
     fitted = {"offset_mps2": RESIDUAL_F4_MPS2, "noise_mps2": noise, "glitch_low_g": REPLICA_GLITCH_LOW_G}
@@ -97,7 +100,7 @@ def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     part = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, bias_mg=40.0, scale_error=0.005, arm_error=0.001)
     loose = SpinSensor("adxl345", part, part, part, gyro_noise_degps=0.1, gyro_bias_degps=0.2, lost_share=0.001)
     perfect = SpinSensor("perfect", bits=None, encoder=EncoderModel(counts_per_turn=None, latency_s=0.0))
-    return {one.name: one for one in (white, glitch, replica, loose, perfect)}
+    return {one.name: one for one in (white, vibration, glitch, replica, loose, perfect)}
 
 
 def tilted(white: SpinSensor) -> Mapping[str, SpinSensor]:
