@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from matplotlib import rcParams
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.envelope import envelope
 from stillpoint.scoring.figures import colour_of
 from stillpoint.scoring.roll_study import Series, Trial
 
+MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
 GROUP = 0.8  # share of the room of a trial that its bars take
 LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
 WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
@@ -30,6 +31,7 @@ def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[s
     if logarithmic:
         ax.set_yscale("log")
         ax.set_ylim(low / 2, high * 1.5)
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < MANY_DECADES * low else (1.0,)))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.minorticks_off()
     ax.set_xticks(range(len(trials)), [str(one.seed) for one in trials])
@@ -62,7 +64,8 @@ def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int])
         ax.set_ylim(-limit, limit)
         ax.set_ylabel("deg/s")
         beyond = int((np.abs(error) > limit).sum())
-        note = f"  ({beyond} samples beyond, up to {np.abs(error).max():.0f} deg/s)" if beyond else ""
+        samples = "sample" if beyond == 1 else "samples"
+        note = f"  ({beyond} {samples} beyond, up to {np.abs(error).max():.0f} deg/s)" if beyond else ""
         ax.set_title(f"error of {method}{note}", loc="left", color=colour_of(k), fontweight="bold")
     for ax in axes:
         ax.set_xlim(series.t_s[0], series.t_s[-1])
