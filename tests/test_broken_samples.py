@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
+from stillpoint.filters.saved import plain
 from stillpoint.filters.table import Estimator
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
@@ -237,6 +238,20 @@ def test_no_samples_whatever_make_an_output_that_is_no_attitude(name: str, headi
         out = stream.update(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, 20.0, -44.0))
     if name != "gyro":
         assert np.rad2deg(rotation(out.q_nb).magnitude()) < 20
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_time_that_does_not_rise_changes_nothing(name: str) -> None:
+    recording = record(gentle, regular(1.0))
+    stream = Stream(name)
+    said = feed(stream, recording)
+    before = stream.save()
+    for t_ns in (990_000_000, 500_000_000, 0, -1):
+        assert stream.update(t_ns, (NAN, 1, 2), (INF, 0, 0), (0, 0, 0), (1.0, 2.0)).q_nb == tuple(said[-1])
+    after = stream.save()
+    assert stream.counts["n_out_of_order"] == 4
+    assert repr(plain(after.state)) == repr(plain(before.state))  # NaN included
+    assert plain(after.front.heading) == plain(before.front.heading)
 
 
 def test_saved_counts_go_on() -> None:
