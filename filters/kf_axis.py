@@ -40,11 +40,11 @@ class Params(Settings):
     """Parameters of ``kf-axis``."""
 
     gyro_noise_rad_rts: float = degrees(0.1, 1e-6, 100.0, "Q of an angle: random walk of the integrated gyro")
-    bias_walk_radps_rts: float = degrees(0.02, 0.0, 100.0, "Q of a bias: its random walk")
+    bias_walk_radps_rts: float = degrees(0.001, 0.0, 100.0, "Q of a bias: its random walk")
     tilt_sd_rad: float = degrees(
-        5.0, 1e-3, 90.0, "R of roll and pitch: one accelerometer sample, level, linear motion included"
+        20.0, 1e-3, 90.0, "R of roll and pitch: one sample, level, with its share of slow linear motion"
     )
-    heading_sd_rad: float = degrees(10.0, 1e-3, 180.0, "R of heading: one magnetometer sample")
+    heading_sd_rad: float = degrees(40.0, 1e-3, 180.0, "R of heading: one sample, with its share of slow disturbances")
     bias_sd_radps: float = degrees(1.0, 0.0, 100.0, "P of a bias at the start and after each reset")
     reset_s: float = number(0.0, 0.0, 1e6, "P starts anew that often (the paper: from time to time), s; 0 = never")
     tilt: Literal["euler", "roots", "printed"] = choice(

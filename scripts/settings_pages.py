@@ -1,16 +1,21 @@
-"""``python -m stillpoint.scripts.settings_pages``: make the tables in docs/ from the settings in the code."""
+"""``python -m stillpoint.scripts.settings_pages``: make the tables in docs/ from the settings in the code.
+
+An estimator of the table without a section on its page gets one, from its module's docstring, to be put in order.
+"""
 
 import re
 import sys
 from pathlib import Path
 
 from stillpoint.datasets.settings import Settings, describe
-from stillpoint.filters import ESTIMATORS
+from stillpoint.filters import ESTIMATORS, guard, heading_source
 from stillpoint.filters.table import find
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
-PAGES = (Path("docs/estimators.md"), Path("docs/method.md"))
+PAGES = (Path("docs/estimators.md"), Path("docs/method.md"), Path("docs/streaming.md"))
 BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
+TABLE_OF_ALL = "<!-- estimators -->"
+LAST_SECTIONS = "## How accurate they are"  # new ones come before
 
 
 def main(*pages: Path) -> None:
@@ -20,12 +25,15 @@ def main(*pages: Path) -> None:
 
 
 def refreshed(text: str) -> str:
-    """A page's text with every generated table made anew."""
+    """A page's text with every generated table made anew, and a section for every estimator on the page of all."""
 
     def table(match: re.Match[str]) -> str:
         made = _estimators() if match[2] == "estimators" else _settings(_defaults(match[3]))
         return f"{match[1]}{made}{match[4]}"
 
+    if TABLE_OF_ALL in text:
+        new = "".join(_section(name) for name in ESTIMATORS if f"\n## {name}\n" not in text)
+        text = text.replace(LAST_SECTIONS, new + LAST_SECTIONS)
     return BETWEEN_MARKS.sub(table, text)
 
 
@@ -37,8 +45,19 @@ def _estimators() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _section(name: str) -> str:
+    """What its module says, as Markdown, and a place for its settings."""
+    said = sys.modules[find(name).params.__module__].__doc__ or ""
+    said = re.sub(r":\w+:`([^`]*)`", r"`\1`", said.replace("``", "`"))
+    return f"## {name}\n\n{re.sub(r' ?::$', ':', said, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
+
+
 def _defaults(name: str) -> Settings:
-    """Of a reference method or an estimator."""
+    """Of a reference method, the source of the heading, the sensors' ranges, or an estimator."""
+    if name == "gps-course":
+        return heading_source.Params()
+    if name == "range":
+        return guard.Ranges()
     methods = METHODS | ROLL_METHODS
     return methods[name].defaults if name in methods else find(name).params()
 

@@ -191,7 +191,7 @@ def test_a_start_that_is_sure_of_everything_needs_the_reset() -> None:
     gyro = np.zeros((n, 3))
     gyro[t_s > 300, 0] = np.deg2rad(0.5)  # the bias changes after five minutes of rest
     accel = np.tile([0.0, 0.0, G], (n, 1))
-    sure = {"bias_walk_radps_rts": 0.0, "gyro_noise_rad_rts": 2e-6}
+    sure = {"bias_walk_radps_rts": 0.0, "gyro_noise_rad_rts": 2e-6, "tilt_sd_rad": 0.05}
     recording = recorded(t_s, gyro, accel)
     never, each_minute = (estimate(recording, "kf-axis", sure | {"reset_s": s}) for s in (0.0, 60.0))
     off_deg = [abs(np.rad2deg(euler(found.q_nb, "enu")[-1, 0])) for found in (never, each_minute)]
@@ -222,7 +222,7 @@ def test_two_axes_tilted_at_once_tell_the_form_with_roots_from_euler_angles() ->
     pose = Rotation.from_euler("ZYX", [0, 30, 40], degrees=True)
     n = 20_000
     recording = recorded(np.arange(n) / 100, np.zeros((n, 3)), np.tile(pose.inv().apply([0, 0, G]), (n, 1)))
-    roots = np.rad2deg(euler(estimate(recording, "kf-axis", {"tilt": "roots"}).q_nb, "enu")[-1])
+    roots = np.rad2deg(euler(estimate(recording, "kf-axis", {"tilt": "roots", "tilt_sd_rad": 0.05}).q_nb, "enu")[-1])
     # The elevation of the y axis: arcsin(sin 40 cos 30) = 33.83 deg. Pitch is one already.
     assert roots[:2] == pytest.approx([33.83, 30.0], abs=0.01)
 
@@ -236,7 +236,8 @@ def test_the_coriolis_term_of_a_steady_circle() -> None:
     accel = np.tile([0.0, turn_radps * speed_mps, G], (n, 1))
     recording = recorded(t_s, gyro, accel, level.inv().apply(NORTH))
     without, with_term = (
-        np.rad2deg(euler(estimate(recording, "kf-axis", {"speed_mps": v}).q_nb, "enu")[-1, 0]) for v in (0.0, speed_mps)
+        np.rad2deg(euler(estimate(recording, "kf-axis", {"speed_mps": v, "tilt_sd_rad": 0.05}).q_nb, "enu")[-1, 0])
+        for v in (0.0, speed_mps)
     )
     assert abs(without) > 15
     assert abs(with_term) < 0.6  # the start, upright by an accelerometer that was not corrected, wears off

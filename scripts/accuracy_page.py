@@ -1,0 +1,57 @@
+"""``python -m stillpoint.scripts.accuracy_page FOLDER``: BROAD's trials by every estimator, as a table in the docs.
+
+Total error (RMSE over the moving samples, deg) with the magnetometer, after one heading offset per trial is taken off:
+what ``stillpoint estimate`` and ``stillpoint score --align heading`` give.
+"""
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from stillpoint.datasets.importers.table import IMPORTERS
+from stillpoint.datasets.recording import Recording
+from stillpoint.filters import ESTIMATORS, estimate
+from stillpoint.filters.table import ATTITUDES
+from stillpoint.scoring import score
+
+PAGE = Path("docs/estimators.md")
+BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def main(folder: Path, page: Path = PAGE) -> None:
+    """Rewrite the table of this page from BROAD's trials in ``folder``."""
+    trials = [trial for path in sorted(folder.glob("*.mat")) for trial in IMPORTERS["broad"](path)]
+    console = Console(stderr=True)
+    totals = {name: total_rmse_deg(trials, name) for name in track(ATTITUDES, "BROAD", console=console)}
+    page.write_text(with_table(page.read_text(encoding="utf-8"), trials, totals), encoding="utf-8")
+
+
+def total_rmse_deg(trials: Sequence[Recording], name: str) -> list[float]:
+    """One estimator's error on each trial, with its default parameters."""
+    found = []
+    for trial in trials:
+        assert trial.truth is not None
+        found.append(score(estimate(trial, name), trial.truth, align="heading").total_rmse_deg)
+    return found
+
+
+def with_table(text: str, trials: Sequence[Recording], totals: Mapping[str, Sequence[float]]) -> str:
+    """The text with the table between its marks made anew, the best mean first."""
+    numbers = [trial.name.split("_")[0] for trial in trials]
+    lines = ["| estimator | mean | median | " + " | ".join(numbers) + " |", "|---" * (len(numbers) + 3) + "|"]
+    for name in sorted(totals, key=lambda name: float(np.mean(totals[name]))):
+        entry, degs = ESTIMATORS[name], totals[name]
+        shown = f"`{name}`" + (" (peer, sees the future)" if entry.offline else " (peer)" if entry.is_peer else "")
+        cells = [f"{np.mean(degs):.2f}", f"{np.median(degs):.2f}", *(f"{deg:.1f}" for deg in degs)]
+        lines.append(f"| {shown} | " + " | ".join(cells) + " |")
+    table = "\n".join(lines) + "\n"
+    return BETWEEN_MARKS.sub(lambda match: f"{match[1]}{table}{match[2]}", text)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *map(Path, sys.argv[2:]))

@@ -1,0 +1,71 @@
+"""docs/estimators.md: a section for every estimator, with what a reader needs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from stillpoint.filters import ESTIMATORS
+from stillpoint.filters.table import Estimator
+from stillpoint.scripts.accuracy_page import with_table
+from stillpoint.scripts.settings_pages import refreshed
+
+PAGE = (Path(__file__).parent.parent / "docs" / "estimators.md").read_text(encoding="utf-8")
+
+
+def section(name: str) -> str:
+    found = re.search(rf"\n## {re.escape(name)}\n(.*?)(?=\n## )", PAGE, re.DOTALL)
+    assert found is not None, f"no section ## {name}; run python -m stillpoint.scripts.settings_pages"
+    return found[1]
+
+
+def test_the_generated_parts_are_up_to_date() -> None:
+    assert refreshed(PAGE) == PAGE, "run python -m stillpoint.scripts.settings_pages"
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_every_entry_has_one_section_with_its_settings(name: str) -> None:
+    assert PAGE.count(f"\n## {name}\n") == 1
+    assert f"<!-- settings {name} -->" in section(name)
+
+
+@pytest.mark.parametrize("name", [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)])
+@pytest.mark.parametrize("part", ["*Equations.*", "*Frame.*", "*Readings.*", "*Fails"])
+def test_a_section_of_ours_says_what_a_reader_needs(name: str, part: str) -> None:
+    assert part in section(name)
+
+
+@pytest.mark.parametrize("name", [name for name, entry in ESTIMATORS.items() if entry.is_peer])
+def test_a_section_of_a_peer_names_its_package_and_version(name: str) -> None:
+    said = section(name)
+    assert re.search(r"`(vqf|ahrs|imufusion)` \d|of the same package", said)
+
+
+def test_equations_are_closed() -> None:
+    for paragraph in re.sub(r"`[^`]*`", "", PAGE).split("\n\n"):
+        assert paragraph.count("$") % 2 == 0, paragraph
+
+
+def test_an_entry_without_a_section_gets_one_from_its_module() -> None:
+    without = re.sub(r"\n## kf-axis\n.*?(?=\n## )", "", PAGE, flags=re.DOTALL)
+    again = refreshed(without)
+    assert again.count("\n## kf-axis\n") == 1
+    assert "A = [[1, -dt], [0, 1]]" in again
+    assert "| `tilt_sd_rad` |" in again
+    assert again != PAGE
+
+
+def test_the_table_of_accuracy_has_every_estimator_of_attitude_the_best_first() -> None:
+    class Trial:
+        name = "02_slow"
+
+    made = with_table("<!-- accuracy -->\n<!-- end -->", [Trial()], {"cf": [3.0], "vqf": [1.0]})
+    assert made.splitlines()[1:5] == [
+        "| estimator | mean | median | 02 |",
+        "|---|---|---|---|",
+        "| `vqf` (peer) | 1.00 | 1.00 | 1.0 |",
+        "| `cf` | 3.00 | 3.00 | 3.0 |",
+    ]
+    rows = re.search(r"<!-- accuracy -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)[1]
+    attitudes = {name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator) or entry.is_peer}
+    assert set(re.findall(r"^\| `([\w-]+)`", rows, re.MULTILINE)) == attitudes
