@@ -68,7 +68,7 @@ def doctor(
         made.append(diagnosis)
         _show(console, path, diagnosis)
         if targets:
-            remedies = _chosen(diagnosis, skip)
+            remedies = chosen(diagnosis, skip)
             write(targets[path], apply(recording, remedies))
             console.print(f"  {len(remedies)} of {len(diagnosis.remedies)} remedies applied: {targets[path]}")
     codes = {code for diagnosis in made for code in diagnosis.codes()}
@@ -94,7 +94,8 @@ def examine(recording: Recording) -> Diagnosis:
     return diagnose(recording, find_rests(apply(recording, units).require_imu()))
 
 
-def _chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
+def chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
+    """The remedies of all findings but those whose codes are to be skipped."""
     return [one.remedy for one in diagnosis.findings if one.remedy is not None and one.code not in skip]
 
 

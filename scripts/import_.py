@@ -40,6 +40,7 @@ def import_(
     *sources: Path,
     out: OutDir,
     repair: Annotated[bool, Parameter(negative="")] = False,
+    skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
     json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
 ) -> None:
@@ -57,6 +58,8 @@ def import_(
         Folder to write into; made when it is not there.
     repair
         Apply the doctor's remedies; each is recorded in the file.
+    skip
+        Code of a finding whose remedy --repair leaves out; may be given several times.
     json
         Also write what was imported as JSON to this file; - is the standard output.
     flags
@@ -64,11 +67,13 @@ def import_(
     """
     given = {name: value for name, value in vars(flags).items() if value is not None and value is not False}
     importer, options = _importer(kind, given)
+    if skip and not repair:
+        raise BadParameter("--skip: leaves remedies out of --repair; give that too")
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     kept: dict[Path, Kept] = {}
     with Console(stderr=True).status("import") as status:
-        for source, recording in _recordings(importer, options, sources, repair):
+        for source, recording in _recordings(importer, options, sources, repair, skip):
             status.update(f"import {recording.name}")
             file = output_dir(out) / f"{recording.name}.mcap"
             if file in kept:
@@ -108,7 +113,7 @@ def _choices(annotation: Any) -> tuple[str, ...]:
 
 
 def _recordings(
-    importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool
+    importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool, skip: tuple[str, ...]
 ) -> Iterator[tuple[Path, Recording]]:
     for source in dict.fromkeys(sources):
         if not repair:
@@ -116,14 +121,14 @@ def _recordings(
             continue
         # Sizes are tested after the repair: what the doctor mends need not be refused before.
         for recording in importer(source, replace(options, units_unchecked=True)):
-            yield source, _repaired(recording, source, options.units_unchecked)
+            yield source, _repaired(recording, source, skip, options.units_unchecked)
 
 
-def _repaired(recording: Recording, source: Path, units_unchecked: bool) -> Recording:
+def _repaired(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
     from stillpoint.datasets.doctor import apply
-    from stillpoint.scripts.doctor import examine
+    from stillpoint.scripts.doctor import chosen, examine
 
-    mended = apply(recording, examine(recording).remedies)
+    mended = apply(recording, chosen(examine(recording), skip))
     try:
         return replace(mended, info=replace(mended.info, units_unchecked=units_unchecked))
     except BadRecording as error:

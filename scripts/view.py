@@ -44,15 +44,20 @@ def view(
     files = mcap_files(paths)
     if not alone:
         files = _with_references(files)
+    things = [_readable(file) for file in files]  # all of them before a file or a window is there
     scene = open_scene(save)
-    for file in files:
-        thing = read(file)
-        if not isinstance(thing, Recording | Reference | Estimate):
-            raise BadParameter(f"{file}: is an angle about one axis; view shows recordings, references and estimates")
+    for file, thing in zip(files, things, strict=True):
         show(scene, file.name.removesuffix(".mcap"), thing)
     finish(scene)
     if save is not None:
         print(f"{save}: {len(files)} files; open it with: rerun {save}")
+
+
+def _readable(file: Path) -> Recording | Reference | Estimate:
+    thing = read(file)
+    if not isinstance(thing, Recording | Reference | Estimate):
+        raise BadParameter(f"{file}: is an angle about one axis; view shows recordings, references and estimates")
+    return thing
 
 
 def _with_references(files: list[Path]) -> list[Path]:

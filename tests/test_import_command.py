@@ -137,6 +137,15 @@ def test_repair_mends_what_would_be_refused_and_records_it(call, tmp_path, capsy
     assert not recording.info.units_unchecked
 
 
+def test_a_remedy_that_is_skipped_is_not_applied(call, tmp_path, capsys):
+    file = noisy(tmp_path, 1.0)
+    words = ("import", "csv", file, "-o", tmp_path / "out", *UNITS_OF_THE_VOCABULARY)
+    assert call(*words, "--repair", "--skip", "accel-units") == 2
+    assert "looks in g" in capsys.readouterr().err
+    assert call(*words, "--skip", "accel-units") == 2
+    assert "--repair" in capsys.readouterr().err
+
+
 def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(call, tmp_path, capsys):
     file = noisy(tmp_path, 4.0)
     assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 2

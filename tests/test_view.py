@@ -119,3 +119,11 @@ def test_without_a_screen_one_line_says_what_to_do(call, folder, monkeypatch, ca
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert call("view", folder / f"{NAME}.mcap") == 2
     assert capsys.readouterr().err == "stillpoint: view: there is no screen; write a file: --save NAME.rrd\n"
+
+
+@needs_rerun
+def test_a_file_that_cannot_be_read_leaves_no_scene(call, folder, tmp_path, capsys):
+    (tmp_path / "broken.mcap").write_bytes(b"no MCAP at all")
+    assert call("view", folder / f"{NAME}.mcap", tmp_path / "broken.mcap", "--save", tmp_path / "scene.rrd") == 2
+    assert "broken.mcap" in capsys.readouterr().err
+    assert not (tmp_path / "scene.rrd").exists()
