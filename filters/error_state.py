@@ -103,6 +103,9 @@ class ErrorStateParams(Settings):
     dip_tolerance_rad: float = degrees(10.0, 0.1, 90.0, "and its dip within")
     field_memory_s: float = number(20.0, 0.1, 1e5, "size and dip are the mean over so long, s")
     field_admission_s: float = number(20.0, 0.1, 1e5, "another field is known after so long in motion, s")
+    unseen_disturbance: float = number(
+        1.0, 0.0, 10.0, "a disturbance's part that turns the heading, against what its size and dip show; 0 = none"
+    )
     rest_gyro_radps: float = degrees(2.0, 1e-3, 100.0, "largest sd of the gyro within a window at rest, all axes")
     rest_accel_mps2: float = number(0.5, 1e-3, 100.0, "largest sd of the accelerometer within a window at rest, m/s^2")
     rest_s: float = number(1.5, 0.0, 600.0, "a rest counts after so long, s")
@@ -125,6 +128,7 @@ class Coefficients(NamedTuple):
     tilt_variance: float
     heading_variance: float
     field_variance: float  # uT^2 s
+    unseen: float  # a square
     tolerance: Tolerance
     limits: Limits
     rest_variance: float
@@ -202,6 +206,7 @@ def coefficients(params: ErrorStateParams, declination_rad: float) -> Coefficien
         tilt_variance=p.tilt_sd_rad**2,
         heading_variance=p.heading_sd_rad**2,
         field_variance=p.field_noise_ut_rts**2,
+        unseen=p.unseen_disturbance**2,
         tolerance=Tolerance(p.field_tolerance, p.dip_tolerance_rad, p.field_memory_s, p.field_admission_s),
         limits=Limits(p.rest_gyro_radps**2, p.rest_accel_mps2**2, 3 * p.bias_sd_radps, p.rest_s),
         rest_variance=p.rest_bias_radps**2,
@@ -484,7 +489,7 @@ def heading_measurement(
         row[BIAS + j] = half * turning.spread_s[j][2]
         turn += row[BIAS + j] * x[BIAS + j]
     hold_s = min(since_field_s + length_s, max(length_s, like(square, LONGEST_HOLD_S)))
-    disturbed = disturbance_ut2(field, looks(field_n, length_s))
+    disturbed = c.unseen * disturbance_ut2(field, looks(field_n, length_s))
     if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
         flat = field.known.size_ut * cos(field.known.dip_rad)
         square = max(flat * flat, square * like(square, 0.01))

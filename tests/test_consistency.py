@@ -1,0 +1,123 @@
+"""Are the Kalman filters as wrong as they say? NIS and NEES over 50 seeds of matched noise, against chi-square."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from matched import PARAMS, RATE_HZ, columns, matched, run
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats
+
+SEEDS = 50
+SECONDS = 40.0
+SETTLED = 500  # samples: the first tilt and heading are told by one sample each, whose error the model only bounds
+
+
+class Runs(NamedTuple):
+    """Of all seeds."""
+
+    innovations: Floats  # (k, 3) after the beginning
+    attitude_nees: Floats  # (50,) at the end
+    bias_nees: Floats
+    attitude_trace: Floats  # (50,) of the covariance at the end
+
+
+@cache
+def runs(name: str) -> Runs:
+    found = []
+    for seed in range(SEEDS):
+        recording, true, bias = matched(seed, SECONDS)
+        track, state = run(name, columns(recording), PARAMS)
+        d = (rotation(track.q_nb[-1]).inv() * true[-1]).as_rotvec()
+        off = bias[-1] - track.gyro_bias_b_radps[-1]
+        cov_b, p = track.cov_b_rad2[-1].reshape(3, 3), getattr(state, "body", state).p
+        assert np.linalg.norm(d) < np.deg2rad(3)
+        found.append(
+            (
+                track.innovation[SETTLED:],
+                d @ np.linalg.solve(cov_b, d),
+                off @ np.linalg.solve(p[3:6, 3:6], off),
+                np.trace(cov_b),
+            )
+        )
+    innovations = np.concatenate([each[0] for each in found])
+    return Runs(
+        innovations[np.isfinite(innovations).all(axis=1)], *(np.array([each[k] for each in found]) for k in (1, 2, 3))
+    )
+
+
+def inside(total: float, degrees: int) -> bool:
+    """Whether a sum of so many squares lies in its 95 % band."""
+    low, high = chi2.ppf([0.025, 0.975], degrees)
+    return bool(low < total < high)
+
+
+@pytest.mark.parametrize("name", ["ekf", "iekf"])
+def test_innovations_have_the_variance_that_is_expected_of_them(name: str) -> None:
+    seen = runs(name).innovations
+    assert len(seen) > SEEDS * 100
+    assert inside(np.sum(seen**2), seen.size)
+    # Whitened: of two that are independent the correlation has an sd of 1 / sqrt(k).
+    assert np.abs(np.corrcoef(seen.T) - np.eye(3)).max() < 3 / np.sqrt(len(seen))
+    # Those of the velocity are all new information. A heading's contains the tilt's error, which it may not move.
+    lagged = np.mean(seen[1:, :2] * seen[:-1, :2], axis=0)
+    assert np.abs(lagged).max() < 3 / np.sqrt(len(seen))
+
+
+@pytest.mark.parametrize("name", ["ekf", "iekf"])
+def test_attitudes_and_biases_are_as_wrong_as_their_covariance_says(name: str) -> None:
+    assert inside(runs(name).attitude_nees.sum(), 3 * SEEDS)
+    assert inside(runs(name).bias_nees.sum(), 3 * SEEDS)
+
+
+def test_the_adaptive_one_leaves_the_band_on_the_side_of_caution() -> None:
+    """On matched noise the mean of 10 squares of two is above 1 in half of the windows, and alpha with it; the mean of
+    max(1, chi-square of 20 / 20) is 1.12. So P is larger than it need be, and innovations are small against it.
+    """
+    adaptive, plain = runs("aekf"), runs("ekf")
+    velocity = adaptive.innovations[:, :2]
+    assert np.sum(velocity**2) < chi2.ppf(0.025, velocity.size)
+    larger = adaptive.attitude_trace / plain.attitude_trace
+    assert 1.0 < np.median(larger) < 1.2
+    assert adaptive.attitude_nees.sum() < chi2.ppf(0.975, 3 * SEEDS)
+
+
+def worst_deg(q_nb: Floats, true: Rotation, begin_s: float, end_s: float) -> float:
+    """Largest error in these seconds."""
+    part = slice(int(begin_s * RATE_HZ), int(end_s * RATE_HZ))
+    return float(np.rad2deg((rotation(q_nb[part]) * true[part].inv()).magnitude().max()))
+
+
+def test_each_mode_answers_to_the_fault_it_is_made_for() -> None:
+    """Paper 000: trust the observation less where that is not known exactly, the prediction where the system is not."""
+    recording, true, _ = matched(3, SECONDS)
+    log, none = columns(recording), {}
+    at = (np.arange(len(log.dt_s)) >= 20 * RATE_HZ) & (np.arange(len(log.dt_s)) < 22 * RATE_HZ)
+    pushed = log._replace(accel_b_mps2=log.accel_b_mps2 + at[:, None] * true.inv().apply([1.0, 0.0, 0.0]))
+    faulty = log._replace(gyro_b_radps=log.gyro_b_radps + at[:, None] * np.array([np.deg2rad(5.0), 0.0, 0.0]))
+    worst = {
+        (fault, mode): worst_deg(run(name, data, PARAMS | extra).track.q_nb, true, 20.0, 26.0)
+        for fault, data in (("pushed", pushed), ("faulty", faulty))
+        for mode, name, extra in (
+            ("plain", "ekf", none),
+            ("observation", "aekf", none),
+            ("system", "aekf", {"mode": "system"}),
+        )
+    }
+    assert worst["pushed", "observation"] < worst["pushed", "plain"] < worst["pushed", "system"]
+    assert worst["faulty", "system"] < worst["faulty", "plain"] < worst["faulty", "observation"]
+
+
+def test_the_gain_of_the_adaptive_one_has_a_floor() -> None:
+    """findings of paper 000: a wrong rate makes residuals, these alpha, alpha a smaller gain, that larger residuals."""
+    recording, true, _ = matched(4, SECONDS)
+    log = columns(recording)
+    from_10_s = np.arange(len(log.dt_s)) >= 10 * RATE_HZ
+    faulty = log._replace(gyro_b_radps=log.gyro_b_radps + from_10_s[:, None] * np.deg2rad([3.0, 0.0, 0.0]))
+    guarded = run("aekf", faulty, PARAMS)
+    assert worst_deg(guarded.track.q_nb, true, 30.0, SECONDS) < 5
+    assert np.rad2deg(guarded.track.gyro_bias_b_radps[-1, 0]) > 2.5
