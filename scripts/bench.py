@@ -15,6 +15,7 @@ from stillpoint.scripts.tables import print_table
 BENCHES = {
     "filters": "stillpoint.scripts.bench_filters:bench_filters",
     "mcap": "stillpoint.scripts.bench_mcap:bench_mcap",
+    "roll": "stillpoint.scripts.bench_roll:bench_roll",
     "roll-filters": "stillpoint.scripts.bench_roll_filters:bench_roll_filters",
     "smoother": "stillpoint.scripts.bench_smoother:bench_smoother",
     "start": "stillpoint.scripts.bench_start:bench_start",
@@ -35,8 +36,9 @@ def bench(
     ----------
     name
         What to time: filters (every estimator over 720 000 samples, and sample by sample), mcap (writing and reading an
-        hour of a phone's sensors), smoother (200 s beside offlineVQF, then an hour and four hours, once each), start
-        (the help page, and the first estimate after an installation, once each).
+        hour of a phone's sensors), roll (the graph of a spinning body over 15 000 samples), smoother (200 s beside
+        offlineVQF, then an hour and four hours, once each), start (the help page, and the first estimate after an
+        installation, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     json

@@ -13,11 +13,12 @@ a line search. gtsam eliminates the keys and gives their covariances.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, K
+from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
@@ -32,6 +33,7 @@ from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, CONSTANTS, L
 HELD = 1e-4  # sd of a constant that is not estimated: as good as none, and no strain on the numbers
 ZERO_SD_RAD = 1e-4  # of the first angle where nothing else says where zero is
 CONSTANT = 1e-3  # of its sd may a constant change from step to step, for the same reason
+UNTOLD = 0.9  # of the prior's sd: a constant whose sd is still larger is held
 FREE_SD_RAD = 10.0  # of an angle that the data has to fix
 
 
@@ -69,6 +71,22 @@ def prior_of(
     mean[AMPLITUDE] = 0.0 if harmonic is None else harmonic.amplitude_mps2
     fixed = harmonic is not None or encoder
     return Prior(angle_rad, FREE_SD_RAD if fixed else ZERO_SD_RAD, mean, cov, walk)
+
+
+def untold(linear: "Linear", prior: Prior) -> NDArray[np.bool_]:
+    """Which constants (7,) the samples say next to nothing about: their sd is still that of the prior."""
+    found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
+    return np.asarray(found > UNTOLD * np.sqrt(np.diag(prior.cov)))
+
+
+def holding(prior: Prior, held: NDArray[np.bool_]) -> Prior:
+    """The prior with some constants held at their means."""
+
+    def hold(cov: Floats) -> Floats:
+        small = np.where(held, CONSTANT, 1.0)
+        return np.where(held[:, None] ^ held[None, :], 0.0, cov * np.outer(small, small))
+
+    return replace(prior, cov=hold(prior.cov), walk_cov=hold(prior.walk_cov))
 
 
 def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:

@@ -11,7 +11,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.roll_chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
 from stillpoint.smoother.roll_encoder import EncoderReadings, readings_of
-from stillpoint.smoother.roll_graph import Accuracy, accuracy_of, eliminated, prior_of
+from stillpoint.smoother.roll_graph import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
 from stillpoint.smoother.roll_optimum import RollSolution, improved, no_optimum
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import roots_of
@@ -41,17 +41,21 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     state = start_of(chain, readings, known or (1.0 if params.direction == "positive" else -1.0))
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
     rough = improved(chain, state, prior, recording.name, params, ROUGH)
-    harmonic = None if params.harmonic.search == "off" else find_harmonic(chain, rough.at.state, params.harmonic)
-    state = rough.at.state
+    harmonic = None
+    if params.harmonic.search == "auto":
+        harmonic = find_harmonic(chain, rough.at.state, params.harmonic)
     if harmonic is not None:
-        state = with_harmonic(chain, state, harmonic, readings)
+        state = with_harmonic(chain, rough.at.state, harmonic, readings)
         prior = prior_of(samples, harmonic, readings is not None, float(angles_of(chain, state)[0]), params)
-    solution = improved(chain, state, prior, recording.name, params, int(params.iterations))
+        rough = improved(chain, state, prior, recording.name, params, ROUGH)
+    # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
+    # counts in the covariance all the same.
+    held = untold(_linear(chain, rough, prior, recording.name), prior)
+    state = replace(rough.at.state, constants=np.where(held, prior.mean, rough.at.state.constants))
+    solution = improved(chain, state, holding(prior, held), recording.name, params, int(params.iterations))
     if not solution.steps_radps[-1] < params.rate_limit_radps:
         raise no_optimum(recording.name, solution)
-    roots = roots_of(chain, solution.at, solution.sizes)
-    linear = eliminated(chain, solution.at, roots, prior, recording.name)
-    accuracy = accuracy_of(chain, linear, recording.name)
+    accuracy = accuracy_of(chain, _linear(chain, solution, prior, recording.name), recording.name)
     return RollReference(
         t_ns=samples.t_ns,
         angle_rad=angles_of(chain, solution.at.state),
@@ -62,9 +66,14 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
         name=recording.name,
         diagnostics={
             **_diagnostics(chain, solution, accuracy, harmonic),
+            "not_told": [name for name, one in zip(CONSTANTS[:AMPLITUDE], held, strict=False) if one],
             "direction": "as a sensor shows it" if known or readings else f"taken as {params.direction}",
         },
     )
+
+
+def _linear(chain: Chain, solution: RollSolution, prior: Prior, name: str) -> Linear:
+    return eliminated(chain, solution.at, roots_of(chain, solution.at, solution.sizes), prior, name)
 
 
 def start_of(chain: Chain, readings: EncoderReadings | None, sign: float) -> RollState:
