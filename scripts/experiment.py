@@ -16,6 +16,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "experiment_auv:dolphin",
         "Paper 003: attitude and filter gains of an underwater vehicle, 600 s submerged, five missions.",
     ),
+    "servo-bench": (
+        "experiment_servo:bench",
+        "Paper 004: roll of a servo bench by gyro, accelerometer and Kalman filter, five units.",
+    ),
 }
 
 app = App(name="experiment", help="Repeat a paper's experiment and set the results beside the printed ones.")

@@ -1,0 +1,60 @@
+"""Pictures of paper 004's bench: sensors at rest, drift of the gyro, angles by accelerometer and filter."""
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.scoring.figures import colour_of
+from stillpoint.scoring.servo_study import GYRO, Series, from_zero
+
+AXES = "xyz"
+Span = tuple[float, float]
+
+
+def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
+    """Figure 4: rate, then specific force, of the three axes."""
+    rows = _within(series, span)
+    for ax, columns, name in zip(
+        axes, (series.gyro_b_degps, series.accel_b_g), ("rate (deg/s)", "force (g)"), strict=True
+    ):
+        for k, axis in enumerate(AXES):
+            ax.plot(series.t_s[rows], columns[rows, k], color=colour_of(k), lw=0.8, label=axis)
+        ax.set_ylabel(name)
+
+
+def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) -> None:
+    """Figure 5: the gyro's roll from the start of the span on, and what it is off by."""
+    rows = _within(series, span)
+    roll = from_zero(series, GYRO, span[0])
+    _line(axes[0], series, roll, rows, colour_of(colour), GYRO)
+    _truth(axes[0], series, rows)
+    _line(axes[1], series, roll - series.true_roll_deg, rows, colour_of(colour), GYRO)
+    axes[0].set_ylabel("roll (deg)")
+    axes[1].set_ylabel("error (deg)")
+
+
+def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int], spans: Sequence[Span]) -> None:
+    """Figures 6 and 7: roll by each method over each of the spans, the truth on top."""
+    for ax, span in zip(axes, spans, strict=True):
+        rows = _within(series, span)
+        for method, colour in methods.items():
+            roll = from_zero(series, method, span[0]) if method == GYRO else series.roll_deg[method]
+            _line(ax, series, roll, rows, colour_of(colour), method)
+        _truth(ax, series, rows)
+        ax.set_ylabel("roll (deg)")
+    axes[-1].set_xlabel("time (s)")
+
+
+def _within(series: Series, span: Span) -> slice:
+    first, last = series.t_s.searchsorted(span)
+    return slice(int(first), int(last))
+
+
+def _line(ax: Axes, series: Series, values: Floats, rows: slice, colour: str, label: str) -> None:
+    ax.plot(series.t_s[rows], values[rows], color=colour, lw=1.0, label=label)
+
+
+def _truth(ax: Axes, series: Series, rows: slice) -> None:
+    ax.plot(series.t_s[rows], series.true_roll_deg[rows], color=rcParams["text.color"], lw=1.1, label="truth")

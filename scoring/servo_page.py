@@ -1,0 +1,92 @@
+"""One self-contained HTML page of paper 004's experiment: its figures 4 to 7 redrawn."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stillpoint.datasets.simulate.servo import BENCH
+from stillpoint.scoring.figures import COLOURS, ON_DARK
+from stillpoint.scoring.pictures import Picture, picture
+from stillpoint.scoring.report import template, versions
+from stillpoint.scoring.servo_figures import draw_drift, draw_rolls, draw_sensors
+from stillpoint.scoring.servo_study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, first_swing_s
+
+COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
+SHOWN_S = 20.0
+ROWS = {ACC: "acc", KALMAN: "kf"}
+STRETCHES = ("rest", "low", "high")
+
+
+def over_trials(trials: Sequence[Trial], key: str) -> float:
+    """The median of the size of a figure."""
+    return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
+
+
+def servo_page(trials: Sequence[Trial], command: str) -> str:
+    """The page as text; the same trials give the same bytes."""
+    return template("servo_page.html.j2").render(
+        colours=COLOURS,
+        colours_on_dark=ON_DARK,
+        trials=len(trials),
+        seeds=f"{trials[0].seed} to {trials[-1].seed}",
+        minutes=f"{trials[0].series.t_s[-1] / 60:.0f}",
+        printed_drift=f"{PRINTED_DRIFT_DEG:g}",
+        drift=f"{over_trials(trials, 'drift_deg'):.0f}",
+        drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in trials),
+        rows=rows(trials),
+        pictures=_pictures(trials[0]),
+        first_seed=trials[0].seed,
+        command=command,
+        versions=versions(),
+    )
+
+
+def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """Rms error of roll by method: at rest, at the low rate, at the high one (median over the trials, deg)."""
+    return [
+        {
+            "method": method,
+            "colour": COLOUR[method],
+            "cells": [f"{over_trials(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
+        }
+        for method, short in ROWS.items()
+    ]
+
+
+def _pictures(one: Trial) -> list[Picture]:
+    series = one.series
+    low, high = first_swing_s(series, BENCH.low_hz), first_swing_s(series, BENCH.high_hz)
+    middles = [(sum(span) / 2 - SHOWN_S / 2, sum(span) / 2 + SHOWN_S / 2) for span in (low, high)]
+    return [
+        picture(
+            "Sensors at rest",
+            "As the paper's figure 4: gyro and accelerometer for ten seconds of the first rest.",
+            2,
+            150,
+            lambda axes: draw_sensors(axes, series, (20.0, 30.0)),
+        ),
+        picture(
+            "The gyro alone",
+            "As the paper's figure 5: the trapezoidal integral (13) over the first minute of swings, and its error.",
+            2,
+            170,
+            lambda axes: draw_drift(axes, series, low, COLOUR[GYRO]),
+        ),
+        picture(
+            "The accelerometer alone",
+            f"As the paper's figure 6: (14) at {BENCH.low_hz:g} Hz and at {BENCH.high_hz:g} Hz.",
+            2,
+            170,
+            lambda axes: draw_rolls(axes, series, {ACC: COLOUR[ACC]}, middles),
+            time_axis=False,
+        ),
+        picture(
+            "The Kalman filter beside both",
+            "As the paper's last figure: the gyro begins at the left edge with the true angle.",
+            2,
+            190,
+            lambda axes: draw_rolls(axes, series, {m: COLOUR[m] for m in (ACC, GYRO, KALMAN)}, middles),
+            time_axis=False,
+        ),
+    ]

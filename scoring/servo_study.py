@@ -1,0 +1,130 @@
+"""Paper 004's bench, one trial: roll by gyro, by accelerometer and by ``kf-axis`` beside the true one."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+
+from stillpoint.datasets.frames import euler
+from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.servo import BENCH, START_NS
+from stillpoint.filters import estimate
+from stillpoint.scoring.auv_study import difference_deg
+
+GYRO, ACC, KALMAN = "gyro", "accelerometer", "kf-axis"
+PRINTED_DRIFT_DEG = -50.0  # the paper's text to fig 5, after a minute
+MINUTE_S = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One bench over time."""
+
+    t_s: Floats  # (N,) from the start of the motion
+    gyro_b_degps: Floats  # (N, 3)
+    accel_b_g: Floats  # (N, 3)
+    true_roll_deg: Floats  # (N,)
+    roll_deg: dict[str, Floats]  # method -> (N,)
+    rests_s: Floats  # (R, 2)
+    swings_hz: Floats  # (R - 1,)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What the paper says of its figures in words, as numbers of one trial."""
+
+    drift_deg: float  # of the gyro's roll over the first minute of swings
+    worst_drift_deg: float  # of any body axis in a minute, by the biases of this unit
+    acc_rest_deg: float  # rms errors of roll: at rest, at the low rate, at the high one
+    acc_low_deg: float
+    acc_high_deg: float
+    kf_rest_deg: float
+    kf_low_deg: float
+    kf_high_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One simulated bench."""
+
+    seed: int
+    series: Series
+    figures: Figures
+
+
+def trial(seed: int, minutes: float) -> Trial:
+    """Simulate one bench and follow it. Raises :class:`BadParameter` when ``minutes`` leave no room for both rates."""
+    recording = simulate("servo-bench", seed=seed, minutes=minutes)
+    series = _series(recording)
+    bias_b = json.loads(recording.info.extra["sensor_drawn"])["gyro"]["bias"]
+    return Trial(seed, series, _figures(series, float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S))
+
+
+def during(series: Series, rate_hz: float | None) -> NDArray[np.bool_]:
+    """The samples within the swings at this rate; None: those at rest, without the first seconds."""
+    inside = np.zeros(len(series.t_s), dtype=np.bool_)
+    if rate_hz is None:
+        for start, end in series.rests_s:
+            inside |= (series.t_s > max(start, 2.0)) & (series.t_s < end)
+        return inside
+    for k in np.flatnonzero(series.swings_hz == rate_hz):
+        inside |= (series.t_s > series.rests_s[k, 1]) & (series.t_s < series.rests_s[k + 1, 0])
+    return inside
+
+
+def first_swing_s(series: Series, rate_hz: float) -> tuple[float, float]:
+    """Begin and end of the first swing at this rate."""
+    k = int(np.flatnonzero(series.swings_hz == rate_hz)[0])
+    return float(series.rests_s[k, 1]), float(series.rests_s[k + 1, 0])
+
+
+def from_zero(series: Series, method: str, start_s: float) -> Floats:
+    """A method's roll that agrees with the true one at a time, as an integral that begins there would."""
+    off = difference_deg(series.roll_deg[method], series.true_roll_deg)
+    start = int(np.searchsorted(series.t_s, start_s))
+    return np.asarray(series.true_roll_deg + np.unwrap(off, period=360.0) - off[start])
+
+
+def _series(recording: Recording) -> Series:
+    imu, truth = recording.require_imu(), recording.truth
+    assert truth is not None
+    t_s, true_roll_deg = (truth.t_ns - START_NS) / 1e9, _roll_deg(truth.q_nb)
+    estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
+    rolls = {name: _roll_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
+    # The rate of the one axis by (13), as the paper has it: a bias about another axis has no part in it.
+    turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0.0)
+    rolls[GYRO] = true_roll_deg[0] + np.rad2deg(turned_rad)
+    return Series(
+        t_s=t_s,
+        gyro_b_degps=np.rad2deg(imu.gyro_b_radps),
+        accel_b_g=imu.accel_b_mps2 / 9.80665,
+        true_roll_deg=true_roll_deg,
+        roll_deg=rolls,
+        rests_s=np.array(json.loads(recording.info.extra["rests_s"])),
+        swings_hz=np.array(json.loads(recording.info.extra["swings_hz"])),
+    )
+
+
+def _roll_deg(q_nb: Floats) -> Floats:
+    return np.asarray(np.rad2deg(euler(q_nb, "enu")[:, 0]))
+
+
+def _figures(series: Series, worst_drift_deg: float) -> Figures:
+    start, _ = first_swing_s(series, BENCH.low_hz)
+    minute = from_zero(series, GYRO, start) - series.true_roll_deg
+    drift = float(minute[np.searchsorted(series.t_s, start + MINUTE_S) - 1])
+    stretches = {"rest": None, "low": BENCH.low_hz, "high": BENCH.high_hz}
+    rms = {
+        f"{short}_{name}_deg": _rms_deg(series, method, rate)
+        for method, short in ((ACC, "acc"), (KALMAN, "kf"))
+        for name, rate in stretches.items()
+    }
+    return Figures(drift, worst_drift_deg, **rms)
+
+
+def _rms_deg(series: Series, method: str, rate_hz: float | None) -> float:
+    off = difference_deg(series.roll_deg[method], series.true_roll_deg)[during(series, rate_hz)]
+    return float(np.sqrt(np.mean(off**2)))

@@ -1,0 +1,59 @@
+"""``stillpoint experiment servo-bench``: paper 004's figures from the simulator."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillpoint.scoring.servo_study import GYRO, Trial, during, first_swing_s, from_zero, trial
+
+
+@pytest.fixture(scope="module")
+def one() -> Trial:
+    return trial(seed=3, minutes=4.0)
+
+
+def test_the_drift_is_the_bias_of_the_axis_times_a_minute(one: Trial) -> None:
+    rest = one.series.gyro_b_degps[during(one.series, None), 0]
+    # Rests lie before and after the swings, and the bias changes by less than 0.1 deg/s while the device warms up.
+    assert one.figures.drift_deg == pytest.approx(60 * rest.mean(), abs=6)
+    assert abs(one.figures.drift_deg) <= one.figures.worst_drift_deg + 6
+
+
+def test_the_filter_is_better_than_the_accelerometer_while_it_moves(one: Trial) -> None:
+    found = one.figures
+    assert found.kf_low_deg < found.acc_low_deg < found.acc_high_deg
+    assert found.kf_high_deg < 0.3 * found.acc_high_deg
+
+
+def test_an_integral_that_begins_at_a_time_has_the_true_angle_there(one: Trial) -> None:
+    start, _ = first_swing_s(one.series, 0.4)
+    roll = from_zero(one.series, GYRO, start)
+    k = np.searchsorted(one.series.t_s, start)
+    assert roll[k] == pytest.approx(one.series.true_roll_deg[k], abs=1e-9)
+    steps = np.diff(roll) - np.diff(one.series.roll_deg[GYRO])
+    assert np.abs(steps).max() < 1e-9
+
+
+def test_the_page_has_the_papers_number_beside_ours(call: Callable[..., int], tmp_path: Path) -> None:
+    words = ("experiment", "servo-bench", "--minutes", 3.5, "--trials", 2, "--jobs", 1)
+    assert call(*words, "-o", tmp_path / "a", "--json", tmp_path / "a.json") == 0
+    assert call(*words, "-o", tmp_path / "b") == 0
+    page = (tmp_path / "a" / "servo-bench.experiment.html").read_text()
+    assert page == (tmp_path / "b" / "servo-bench.experiment.html").read_text()
+    rows = json.loads((tmp_path / "a.json").read_text())["rows"]
+    assert [row["seed"] for row in rows] == [0, 1]
+    assert "-50 deg after a minute" in page
+    for row in rows:
+        assert f"{row['drift_deg']:+.0f}" in page
+    assert page.count("<svg") == 8  # four figures, each wide and narrow
+
+
+@pytest.mark.parametrize(("words", "says"), [(("--minutes", 2), "3.5"), (("--trials", 0), "1 bench or more")])
+def test_what_makes_no_bench_is_refused(
+    words: tuple[object, ...], says: str, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("experiment", "servo-bench", *words) == 2
+    assert says in capsys.readouterr().err
