@@ -46,7 +46,9 @@ def estimate_roll(
         innovation=track.innovation[:, None] if entry.innovations else None,
         ready=track.ready,
         params=asdict(params),
-        diagnostics=_irregular(spin, by) | met | {"precision": precision, "direction": _direction(by, params)},
+        diagnostics=_irregular(spin, by)
+        | met
+        | {"n_near_zero": _near_zero(track, by), "precision": precision, "direction": _direction(by, params)},
         ns_per_sample=elapsed_ns / len(spin.t_ns),
     )
 
@@ -89,6 +91,11 @@ def _irregular(spin: Spin, by: SpinChannels) -> dict[str, int]:
         "n_lost": int((~np.isfinite(spin.accel_mps2[:, used])).any(axis=1).sum()),
         "n_saturated": int(saturated(spin)[:, used].any(axis=1).sum()),
     }
+
+
+def _near_zero(track: RollTrack, by: SpinChannels) -> int:
+    """Samples whose rate is within the noise of its square, sqrt(sqrt(R)): there the square does not tell the sense."""
+    return int((track.rate_radps**2 < np.sqrt(by.r_rad2ps4)).sum())
 
 
 def _direction(by: SpinChannels, params: RollParams) -> str:

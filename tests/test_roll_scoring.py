@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stillpoint.datasets import BadParameter, BadRecording, Unobservable, write
 from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import sha256
+from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.roll import compare_roll, roll_score_row, score_roll
@@ -138,8 +138,6 @@ def test_the_verb_scores_against_the_truth_of_the_recording(folder, call, capsys
 
 
 def test_the_verb_takes_the_encoder_where_there_is_no_truth(folder, call):
-    from stillpoint.datasets.store import read_recording
-
     recording = read_recording("run.mcap")
     write("bench.mcap", replace(recording, name="bench", roll_truth=None))
     write("bench.roll-obs.estimate.mcap", estimate(read_recording("bench.mcap"), "roll-obs"))
