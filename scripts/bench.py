@@ -36,9 +36,9 @@ def bench(
     ----------
     name
         What to time: filters (every estimator over 720 000 samples, and sample by sample), mcap (writing and reading an
-        hour of a phone's sensors), roll (the graph of a spinning body over 15 000 samples), smoother (200 s beside
-        offlineVQF, then an hour and four hours, once each), start (the help page, and the first estimate after an
-        installation, once each).
+        hour of a phone's sensors), roll (the graph of a spinning body over 15 000 samples), roll-filters (the
+        estimators of roll over 300 000 samples), smoother (200 s beside offlineVQF, then an hour and four hours, once
+        each), start (the help page, and the first estimate after an installation, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     json
