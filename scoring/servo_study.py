@@ -95,7 +95,7 @@ def _series(recording: Recording) -> Series:
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
     rolls = {name: _roll_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
     # The rate of the one axis by (13), as the paper has it: a bias about another axis has no part in it.
-    turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0.0)
+    turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0)
     rolls[GYRO] = true_roll_deg[0] + np.rad2deg(turned_rad)
     return Series(
         t_s=t_s,
