@@ -17,7 +17,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2
+from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, with_bias_prior
 from stillpoint.smoother.field import field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
@@ -51,6 +51,7 @@ def calibrating_graph(recording: Recording, params: GraphParams) -> Reference:
 
 def reference_from(recording: Recording, evidence: Evidence, params: GraphParams) -> Reference:
     """The graph solved; once more with the priors of a raw sensor where the data contradict those of a good one."""
+    params = with_bias_prior(params, evidence)
     raw = raw_sensor(params)
     try:
         pieces, fit = _windows_solved(recording, evidence, params)
@@ -202,6 +203,7 @@ def _piece_of(recording: Recording, evidence: Evidence, solution: Solution, unti
         heading_rad2=accuracy.heading_rad2,
         closing_squares=accuracy.closing_squares,
         calibration=_calibration(solution, int(step[0]), accuracy.calibration),
+        late_sd_s=float(np.sqrt(accuracy.calibration[18, 18])),
         iterations=len(solution.q_steps_rad),
         cost=solution.cost,
     )
@@ -233,8 +235,10 @@ def _reference_of(
             "cost": whole.cost,
             "closing_squares": closing,
             "residuals": fit.squares,
+            "gyro_bias_prior_sd_radps": params.inertial.gyro_bias_sd_radps,
             "gyro_matrix_prior_sd": params.inertial.gyro_matrix_sd,
             "accel_matrix_prior_sd": params.inertial.accel_matrix_sd,
+            "accel_late_sd_s": whole.late_sd_s,
             "calibration_surprise_sd": surprise(whole.calibration, params),
             "field_inlier_share": fit.field_inlier_share,
             "field_misfit_ut": fit.field_misfit_ut,

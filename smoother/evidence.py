@@ -61,6 +61,14 @@ class Evidence:
         return base, tuple(state for state in returns if state in self.keys.states)
 
 
+def with_bias_prior(params: GraphParams, evidence: Evidence) -> GraphParams:
+    """The settings for this evidence: a start value of the gyro's bias that only gravity supports is worth less."""
+    if len(evidence.rests_ns) or evidence.measured is not None or evidence.fixes is not None:
+        return params
+    p = params.inertial
+    return replace(params, inertial=replace(p, gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps)))
+
+
 def gather(recording: Recording, params: GraphParams) -> Evidence:
     """Rests, returns, keys, start value and field measurements of a recording."""
     imu = recording.require_imu()

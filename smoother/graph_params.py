@@ -31,6 +31,7 @@ class InertialNoise(Settings):
     gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate may be larger by this share of the range")
     accel_beyond: float = number(2.0, 0.01, 10.0, "and so may a clipped specific force")
     gyro_bias_sd_radps: float = degrees(1.0, 0.01, 20.0, "the gyro's bias around its start value")
+    free_bias_sd_radps: float = degrees(3.0, 0.01, 20.0, "the same where neither rest nor field nor satellites show it")
     gyro_bias_walk: float = number(2e-4, 1e-7, 0.1, "rad/s per sqrt(s): its random walk")
     accel_bias_sd_mps2: float = number(0.1, 1e-4, 5.0, "the accelerometer's bias")
     accel_bias_walk: float = number(1e-3, 1e-7, 1.0, "m/s^2 per sqrt(s): its random walk")
@@ -38,7 +39,7 @@ class InertialNoise(Settings):
     gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "scale and misalignment of the gyro, relative")
     accel_matrix_sd: float = number(0.005, 1e-5, 0.2, "the same of the accelerometer")
     raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both, tried when the data contradict the two above")
-    accel_late_sd_s: float = number(0.01, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
+    accel_late_sd_s: float = number(0.02, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
     gap_rate_sd_radps: float = degrees(60.0, 0.1, 3000.0, "rate that a gap in the stamps may hide")
 
 
@@ -88,7 +89,7 @@ class GraphParams(Settings):
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
     variance_factor: float = number(0.65, 0.01, 100.0, "on all covariances: calibrated against optical truth")
     prior_returns: float = number(2.0, 0.01, 100.0, "how many returns' worth of trust the noise sizes deserve")
-    iterations: float = number(20.0, 1.0, 200.0, "that the solution may take")
+    iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 
 
 HANDHELD = GraphParams()

@@ -122,6 +122,8 @@ def surprise(calibration: Calibration, params: GraphParams) -> float:
     move. A gyro that turns about one axis only and reads a fifth too much is seen by the magnetometer alone, and moves
     by less than its prior's sd; it is this that gives it away.
     """
+    assert calibration.gyro_matrix is not None
+    assert calibration.gyro_matrix_sd is not None
     prior = params.inertial.gyro_matrix_sd
     moved = (calibration.gyro_matrix - np.eye(3)) / prior
     learnt = np.maximum(1 - (calibration.gyro_matrix_sd / prior) ** 2, LEAST_LEARNT)

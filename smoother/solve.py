@@ -16,6 +16,7 @@ from stillpoint.smoother.graph_params import GraphParams
 
 RETURNS_COUNTED = 6  # at the most, in the factor on the covariances
 STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
+ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps that go the same way; ratio of their lengths that is still trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +50,18 @@ def solve(
     final = measured is None
     # Nested dissection: the way from any state to the root is short, which is what covariances cost.
     ordering: gtsam.Ordering | None = None
+    before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
         system, residual = linearised(graph, values, measured, scale_ut, params)
         ordering = ordering or gtsam.Ordering.MetisGaussianFactorGraph(system)
         step = _step(system, ordering, name)
-        turn = max(float(np.abs(step.at(X(i))[:3]).max()) for i in states)
+        turns = np.array([step.at(X(i))[:3] for i in states])
+        turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise _unobservable(name)
-        if turn > STEP_LIMIT_RAD:
-            step = step.scale(STEP_LIMIT_RAD / turn)
-        values = values.retract(step)
+        farther = 1.0 if not final or before is None else _extrapolation(turns, before)
+        before = turns if farther == 1.0 else None
+        values = values.retract(step.scale(min(farther, STEP_LIMIT_RAD / turn)) if turn > 0 else step)
         steps.append(turn)
         if residual is not None:
             smaller = next_scale(scale_ut, residual, params.magnetic)
@@ -70,6 +73,16 @@ def solve(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
     )
+
+
+def _extrapolation(turns: Floats, before: Floats) -> float:
+    """How many times as far to go when two steps (n, 3) in a row go the same way and shrink slowly (Aitken).
+
+    So they do along what the data hardly fix, as the heading's drift without magnetometer and rest.
+    """
+    along, size = float(np.vdot(turns, before)), float(np.vdot(before, before))
+    ratio, alike = along / size, along / np.sqrt(size * np.vdot(turns, turns))
+    return 1 / (1 - ratio) if alike > ALIKE and ratio < SLOWEST else 1.0
 
 
 def linearised(

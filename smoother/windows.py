@@ -50,6 +50,7 @@ class Piece:
     heading_rad2: float  # variance of the mean heading
     closing_squares: tuple[float, ...]
     calibration: Calibration
+    late_sd_s: float  # of the accelerometer's delay
     iterations: int
     cost: float
 

@@ -1,0 +1,47 @@
+"""``python -m stillpoint.scripts.consistency [SEEDS]``: does the covariance hold where the truth is known exactly?
+
+Each simulated phone with as many seeds as asked for; docs/method.md holds the table.
+"""
+
+import sys
+from functools import partial
+from statistics import mean
+
+from stillpoint.datasets.simulate import simulate
+from stillpoint.scoring import score
+from stillpoint.scoring.score import Score
+from stillpoint.scripts.jobs import run_jobs
+from stillpoint.smoother import reference
+
+MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}
+HEAD = "| | seeds | total, deg | worst total | in 95 % | NEES/3 | of single seeds | refused |"
+
+
+def main(seeds: int = 30) -> None:
+    """Print a Markdown table, one row per kind of phone."""
+    print(f"{HEAD}\n|{'---|' * HEAD.count('| ')}")
+    for kind in MINUTES:
+        outcomes = run_jobs(partial(_scored, kind), list(range(seeds)), None, kind)
+        scores = [outcome.value for outcome in outcomes if outcome.value is not None]
+        print(f"| {kind} | {seeds} | {' | '.join(cells(scores))} | {seeds - len(scores)} |", flush=True)
+
+
+def _scored(kind: str, seed: int) -> Score:
+    recording = simulate(kind, seed=seed, minutes=MINUTES[kind])
+    assert recording.truth is not None
+    return score(reference(recording), recording.truth, "heading")
+
+
+def cells(scores: list[Score]) -> list[str]:
+    """Means over the seeds, and the range of NEES/3."""
+    totals = [s.total_rmse_deg for s in scores]
+    inside = [s.coverage95 for s in scores if s.coverage95 is not None]
+    nees = sorted(s.nees_per_dof for s in scores if s.nees_per_dof is not None)
+    if not nees:
+        return ["–"] * 5
+    spread = f"{nees[0]:.2f} … {nees[-1]:.2f}"
+    return [f"{mean(totals):.2f}", f"{max(totals):.2f}", f"{mean(inside):.2f}", f"{mean(nees):.2f}", spread]
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
