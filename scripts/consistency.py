@@ -8,6 +8,7 @@ from functools import partial
 from statistics import mean
 
 from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.jobs import run_jobs
@@ -29,7 +30,9 @@ def main(seeds: int = 30) -> None:
 def _scored(kind: str, seed: int) -> Score:
     recording = simulate(kind, seed=seed, minutes=MINUTES[kind])
     assert recording.truth is not None
-    return score(reference(recording), recording.truth, "heading")
+    made = reference(recording)
+    assert isinstance(made, Reference)
+    return score(made, recording.truth, "heading")
 
 
 def cells(scores: list[Score]) -> list[str]:

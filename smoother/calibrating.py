@@ -17,7 +17,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, with_bias_prior
+from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, with_bias_prior
 from stillpoint.smoother.field import field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
@@ -230,6 +230,7 @@ def _reference_of(
         returns=verdicts,
         diagnostics={
             "heading": evidence.heading,
+            "sign_of_gravity": sign_of_gravity(recording, evidence),
             "windows": len(pieces),
             "iterations": whole.iterations,
             "cost": whole.cost,

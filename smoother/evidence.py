@@ -120,6 +120,17 @@ def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fi
     return local_declination(recording.info)[1]
 
 
+def sign_of_gravity(recording: Recording, evidence: Evidence) -> str:
+    """What tells up from down: an accelerometer with all its signs flipped is at home in a world upside down."""
+    if recording.base_pose is not None and evidence.base is not None:
+        return "tested against the base pose"
+    if evidence.fixes is not None:
+        return "tested against the satellites' velocities"
+    if evidence.measured is not None and recording.info.place_lat_lon_alt is not None and recording.info.date:
+        return "tested against the field's dip at the place"
+    return "not tested: an accelerometer with all signs flipped would not show; give place and date, or a base pose"
+
+
 def gravity_mps2(info: Info) -> float:
     """Normal gravity at the place of the recording, or the standard value."""
     if info.place_lat_lon_alt is None:

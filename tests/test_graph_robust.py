@@ -177,6 +177,15 @@ def test_a_contradiction_is_refused_and_named(hand, fault):
         reference(SPOILED[fault](replace(hand, base_pose=None)))
 
 
+def test_a_world_upside_down_is_said_to_be_possible(hand):
+    """All signs of the accelerometer flipped: without place, date and base pose nothing contradicts it."""
+    lost = replace(hand, base_pose=None, info=replace(hand.info, place_lat_lon_alt=None, date=""))
+    made = reference(SPOILED["accelerometer flipped"](lost))
+    assert score(made, hand.truth, "heading").inclination_rmse_deg > 90
+    assert made.diagnostics["sign_of_gravity"].startswith("not tested")
+    assert "dip" in reference(replace(hand, base_pose=None)).diagnostics["sign_of_gravity"]
+
+
 @pytest.mark.parametrize(
     "fault", ["gyro z flipped", "gyro flipped", "gyro 20 % too large", "magnetometer x and y swapped"]
 )
