@@ -28,7 +28,8 @@ from stillpoint.scripts.sample_lines import Arrival
 
 ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
 POSES_HZ = 60.0  # of real time: no screen shows more
-OPENING_S = 0.5  # a client asks for one panel's topic after the other
+PATIENCE_S = 0.5  # for a client to ask for all its topics, and for the last messages to leave
+BACKLOG = 16384  # messages that wait for a slow client
 
 
 class _FirstClient(ServerListener):
@@ -57,6 +58,7 @@ def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host
             capabilities=[Capability.Time],
             server_listener=client,
             context=context,
+            message_backlog_size=BACKLOG,
         )
     except Exception as error:  # the package has no class of its own for it
         raise BadParameter(
@@ -66,15 +68,17 @@ def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host
         print(f"stillpoint: waiting for Foxglove to open ws://{host}:{server.port}", file=sys.stderr, flush=True)
         while not client.is_there.wait(0.1):
             pass
-        time.sleep(OPENING_S)
-        return _send(heapq.merge(raw, _samples(recording), key=lambda timed: timed[0]), server, raw, estimates, speed)
+        time.sleep(PATIENCE_S)
+        _send(heapq.merge(raw, _samples(recording), key=lambda timed: timed[0]), server, raw, estimates, speed)
+        time.sleep(PATIENCE_S)
     except KeyboardInterrupt:
-        return estimates.n_samples
+        pass  # the ordinary way to end it early
     finally:
         server.stop()
+    return estimates.n_samples
 
 
-def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float) -> int:
+def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float) -> None:
     """Each message when its time has come."""
     begun, first_ns = time.monotonic(), None
     for t_ns, what in timed:
@@ -87,7 +91,6 @@ def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", sa
             server.broadcast_time(t_ns)
         else:
             raw.send(t_ns, *what)
-    return said.n_samples
 
 
 class _RawMessages:
