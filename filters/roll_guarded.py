@@ -55,6 +55,8 @@ from stillpoint.filters.roll_sample import (
 )
 from stillpoint.filters.roll_start import MEDIAN_VAR, Start, gather, no_start, rate_variance, root
 
+HELD_S = 0.1  # an angular acceleration stands for no longer than that
+
 
 @dataclass(frozen=True)
 class Params(RollParams):
@@ -163,12 +165,12 @@ def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> 
     cross_var = roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov - bias_s * of_angle
     angle_var = roll.angle_var + t * roll.cross_var - half_s * bias_s * bias.angle_cov
     angle_var += t * (roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
-    step_var = t * t * push.var
+    step_var = t * t * push.var  # as of white noise within the interval: the end of a gap does not tell the way there
     moved_roll = Roll(
         turns,
         rest,
         roll.rate_radps + t * accel,
-        angle_var + half_s * half_s * step_var,
+        angle_var + t * t * like(t, 1 / 3) * step_var,
         cross_var + half_s * step_var,
         rate_var + step_var,
     )
@@ -258,7 +260,10 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     if state.start.held < MEDIAN_OF:
         return begin(state, sample, repeats, c)
     window, refusals, innovation = state.window, state.refusals, like(sample.dt_s, np.nan)
-    roll, bias = moved(state.roll, state.bias, state.push, sample.dt_s, c.drift_var)
+    driving = state.push
+    if sample.dt_s > like(sample.dt_s, HELD_S):
+        driving = Push(like(sample.dt_s, 0.0), c.unknown_var, False)
+    roll, bias = moved(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
     push, accels, owed = pushed(state, sample, c)
     roll = Roll(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
     if sample.has_square:

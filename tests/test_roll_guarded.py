@@ -5,11 +5,16 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from spins import CONSTANT, exact, spoilt
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from spins import CONSTANT, VARIABLE, exact, spoilt
 
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
+from stillpoint.filters.roll_guarded import Bias, Push, corrected, moved
+from stillpoint.filters.roll_sample import Roll
 from stillpoint.scoring.roll import RollScore, compare_roll, score_roll
 
 
@@ -148,6 +153,48 @@ def test_a_motor_that_starts_with_a_jerk_is_followed():
     assert found.diagnostics["n_accel_refused"] == 4
     assert np.abs(found.rate_radps[300:] - recording.roll_truth.rate_radps[300:]).max() < 0.5
     assert (np.abs(c.angle_error_rad[1:]) < 3 * c.angle_sd_rad[1:]).all()
+
+
+def as_matrices(roll: Roll, bias: Bias):
+    """State (angle, rate, bias) and its covariance."""
+    state = np.array([roll.rest_rad, roll.rate_radps, bias.accel_radps2])
+    upper = [[roll.angle_var, roll.cross_var, bias.angle_cov], [0, roll.rate_var, bias.rate_cov], [0, 0, bias.var]]
+    return state, np.triu(upper) + np.triu(upper, 1).T
+
+
+@given(arrays(np.float64, (3, 3), elements=st.floats(-2, 2)), st.floats(-1, 1), st.floats(-5, 5))
+def test_prediction_and_correction_are_those_of_the_matrices(root, residual, accel):
+    """F P F' + G q G' and (I - K H) P, element by element."""
+    cov = root @ root.T + 0.1 * np.eye(3)
+    roll = Roll(0, 0.1, 3.0, cov[0, 0], cov[0, 1], cov[1, 1])
+    bias = Bias(0.2, cov[0, 2], cov[1, 2], cov[2, 2])
+    before, t, q, drift = as_matrices(roll, bias)[0], 0.02, 0.5, 0.01
+    f = np.array([[1, t, -t * t / 2], [0, 1, -t], [0, 0, 1]])
+    noise = t * t * q * np.array([[t * t / 3, t / 2, 0], [t / 2, 1, 0], [0, 0, 0]]) + np.diag([0, 0, t * drift])
+    state, found = as_matrices(*moved(roll, bias, Push(accel, q, True), t, drift))
+    assert state == pytest.approx(f @ before + np.array([t * t / 2, t, 0]) * accel, abs=1e-12)
+    assert found == pytest.approx(f @ cov @ f.T + noise, abs=1e-10)
+    h = np.array([0.0, 6.0, 0.0])
+    total = h @ cov @ h + 80.0
+    state, found = as_matrices(*corrected(roll, bias, residual, total))
+    gain = cov @ h / total
+    assert state == pytest.approx(before + gain * residual, abs=1e-12)
+    assert found == pytest.approx((np.eye(3) - np.outer(gain, h)) @ cov, abs=1e-10)
+
+
+def test_over_a_gap_the_sd_grows_and_the_rate_is_found_again():
+    """1.5 s are missing while the motor gains 150 deg/s: the acceleration before the gap says nothing of it."""
+    recording = simulate("spin-variable", seed=0, sensor="white")
+    kept = np.ones(len(recording.spin.t_ns), dtype=bool)
+    kept[3000:3375] = False
+    spin = recording.spin
+    cut = replace(spin, t_ns=spin.t_ns[kept], accel_mps2=spin.accel_mps2[kept], gyro_radps=spin.gyro_radps[kept])
+    found = estimate(replace(recording, spin=cut), "roll-guarded", VARIABLE)
+    c = compare_roll(found, recording.roll_truth)
+    assert found.diagnostics["n_spin_gaps"] == 1
+    assert found.angle_sd_rad[3000] > 1.0 > found.angle_sd_rad[2999]
+    assert np.abs(np.rad2deg(c.rate_error_radps[3020:])).max() < 15
+    assert np.mean(np.abs(c.angle_error_rad[2990:]) < 3 * c.angle_sd_rad[2990:]) > 0.99
 
 
 def test_white_noise_costs_the_guarded_angle_next_to_nothing():
