@@ -231,6 +231,7 @@ def _reference_of(
         diagnostics={
             "heading": evidence.heading,
             "sign_of_gravity": sign_of_gravity(recording, evidence),
+            "n_rests_under_way": evidence.n_rests_under_way,
             "windows": len(pieces),
             "iterations": whole.iterations,
             "cost": whole.cost,

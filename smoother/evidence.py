@@ -13,7 +13,14 @@ from stillpoint.smoother.field import FieldMeasurements, measurements_at, start_
 from stillpoint.smoother.graph_params import GraphParams
 from stillpoint.smoother.keys import Keys, Motion, choose_keys, motion_of
 from stillpoint.smoother.rest import find_rests
-from stillpoint.smoother.satellite import Fixes, fixes_at, heading_of_fixes, path_of_fixes, standing
+from stillpoint.smoother.satellite import (
+    Fixes,
+    fixes_at,
+    heading_of_fixes,
+    not_under_way,
+    path_of_fixes,
+    standing,
+)
 from stillpoint.smoother.start import Start, find_start
 from stillpoint.smoother.strapdown import GyroErrors
 
@@ -30,6 +37,7 @@ class Evidence:
     keys: Keys
     start: Start
     rests_ns: Times
+    n_rests_under_way: int  # left out: the satellites saw the body move
     base: BasePose | None
     returns: Returns | None
     measured: FieldMeasurements | None
@@ -73,7 +81,8 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     """Rests, returns, keys, start value and field measurements of a recording."""
     imu = recording.require_imu()
     seconds = (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
-    rests_ns = find_rests(imu, params.rest)
+    found_ns = find_rests(imu, params.rest)
+    rests_ns = not_under_way(found_ns, recording.gps)
     least_s = SHORTEST_S if len(rests_ns) else SHORTEST_MOTION_S
     if seconds < least_s:
         raise Unobservable(
@@ -97,7 +106,20 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     heading = _heading(recording, measured, fixes)
     place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
     return Evidence(
-        motion, keys, start, rests_ns, base, returns, measured, fixes, heading, q_nb, place, velocity, field_start
+        motion,
+        keys,
+        start,
+        rests_ns,
+        len(found_ns) - len(rests_ns),
+        base,
+        returns,
+        measured,
+        fixes,
+        heading,
+        q_nb,
+        place,
+        velocity,
+        field_start,
     )
 
 

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.earth import enu_m
 from stillpoint.datasets.frames import rotation
-from stillpoint.datasets.recording import Floats, Gps
+from stillpoint.datasets.recording import Floats, Gps, Times
 from stillpoint.smoother.graph_params import GpsParams
 from stillpoint.smoother.keys import Keys, Motion
 
 VERTICAL = 3.0  # a fix is so many times worse in height
 NEAR_S = 0.15  # a fix belongs to a state that is so close in time
+UNDER_WAY_MPS = 0.5  # a receiver at rest shows less
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,23 @@ class Fixes:
         """Those at some of the states."""
         there = (self.state >= states.start) & (self.state < states.stop)
         return Fixes(self.state[there], self.t_s[there], self.position_n_m[there], self.velocity_n_mps[there])
+
+
+def not_under_way(rests_ns: Times, gps: Gps | None) -> Times:
+    """The rests (R, 2) without those of a body under way: one that sails evenly looks to an IMU like one at rest.
+
+    A rest goes when the satellites saw the body move by every fix within it, or, where there is none, by the last fix
+    before and the first after.
+    """
+    if gps is None:
+        return rests_ns
+    known = gps.valid & np.isfinite(gps.speed_mps)
+    t_ns, moves = gps.t_ns[known], gps.speed_mps[known] > UNDER_WAY_MPS
+    keep = np.ones(len(rests_ns), dtype=np.bool_)
+    for k, (first, end) in enumerate(np.searchsorted(t_ns, rests_ns)):
+        seen = moves[first:end] if end > first else moves[max(first - 1, 0) : first + 1]
+        keep[k] = len(seen) == 0 or not seen.all()
+    return rests_ns[keep]
 
 
 def fixes_at(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes | None:

@@ -7,9 +7,11 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Gps, Imu, Info, Recording, Truth
 from stillpoint.datasets.earth import geodetic, normal_gravity_mps2
 from stillpoint.datasets.frames import quaternion
+from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
 from stillpoint.smoother.graph_params import PRESETS
+from stillpoint.smoother.satellite import not_under_way
 
 PLACE = (48.0, 11.0, 500.0)
 RATE_HZ, SECONDS = 50.0, 120.0
@@ -51,3 +53,24 @@ def test_satellites_fix_the_heading_of_a_vehicle(seed: int) -> None:
     assert found.heading_rmse_deg < 1.0
     assert found.inclination_rmse_deg < 0.5
     assert found.coverage95 > 0.9
+
+
+def test_a_body_under_way_does_not_rest() -> None:
+    """What looks like rest on an even course goes; one that a fix confirms stays, and so does one that none denies."""
+    t_s = np.array([0, 1, 2, 10, 11, 12, 13, 30])
+    speed = np.array([2, 2, 2, 2, 0.1, 0.1, 0.1, np.nan])
+    n, zeros = len(t_s), np.zeros(len(t_s))
+    gps = Gps(t_s * 10**9, zeros + 48, zeros + 11, zeros, zeros, speed, np.ones(n, dtype=bool))
+    sailing, between, standing, after = (0.5, 2.5), (4.0, 8.0), (10.5, 12.5), (20.0, 25.0)
+    rests_ns = np.round(np.array([sailing, between, standing, after]) * 1e9).astype(np.int64)
+    np.testing.assert_array_equal(not_under_way(rests_ns, gps), rests_ns[2:])
+    np.testing.assert_array_equal(not_under_way(rests_ns, None), rests_ns)
+
+
+@pytest.mark.parametrize("preset", ["handheld", "vehicle"])
+def test_a_vehicle_that_sails_evenly_for_ten_minutes(preset: str) -> None:
+    """Paper 003's mission: 70 stretches look like rests; taken for such they contradict the fixes by 2 km."""
+    recording = simulate("auv-dolphin", seed=0)
+    made = reference(recording, params=PRESETS[preset])
+    assert made.diagnostics["n_rests_under_way"] > 50
+    assert score(made, recording.truth).total_rmse_deg < 0.4
