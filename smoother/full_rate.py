@@ -1,19 +1,18 @@
 """From states to samples: the calibrated gyro between keys, the remaining difference spread: paper 002 at key scale."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.quaternion import Quaternion, conjugate, exp, log, multiply
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.smoother.keys import Keys
 
 COVARIANCE_STEP_S = 0.3
 
-Quaternion = tuple[float, float, float, float]  # wxyz
 
-
-@numba.njit(cache=True)
+@compiled
 def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
     """Attitude (N, 4) of every sample.
 
@@ -29,51 +28,26 @@ def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: 
         span_s = 0.0
         for k in range(first + 1, last + 1):
             a, b, c = rate_b_radps[k, 0] * dt_s[k], rate_b_radps[k, 1] * dt_s[k], rate_b_radps[k, 2] * dt_s[k]
-            q = _product(q, _exponential(a, b, c))
+            q = multiply(q, exp((a, b, c)))
             _put(q_nb, k, q)
             span_s += dt_s[k]
         end = (key_q_nb[i + 1, 0], key_q_nb[i + 1, 1], key_q_nb[i + 1, 2], key_q_nb[i + 1, 3])
-        a, b, c = _logarithm(_product((q[0], -q[1], -q[2], -q[3]), end))
+        a, b, c = log(multiply(conjugate(q), end))
         elapsed_s = 0.0
         for k in range(first + 1, last + 1):
             elapsed_s += dt_s[k]
             share = elapsed_s / span_s
             q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
-            _put(q_nb, k, _product(q, _exponential(a * share, b * share, c * share)))
+            _put(q_nb, k, multiply(q, exp((a * share, b * share, c * share))))
     _put(q_nb, key_rows[-1], (key_q_nb[-1, 0], key_q_nb[-1, 1], key_q_nb[-1, 2], key_q_nb[-1, 3]))
     return q_nb
 
 
-@numba.njit(inline="always")
+@compiled
 def _put(q_nb: Floats, k: int, q: Quaternion) -> None:
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for axis in range(4):
         q_nb[k, axis] = q[axis] / norm
-
-
-@numba.njit(inline="always")
-def _product(p: Quaternion, q: Quaternion) -> Quaternion:
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
-
-
-@numba.njit(inline="always")
-def _exponential(a: float, b: float, c: float) -> Quaternion:
-    angle = np.sqrt(a * a + b * b + c * c)
-    s = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
-    return (np.cos(angle / 2), a * s, b * s, c * s)
-
-
-@numba.njit(inline="always")
-def _logarithm(q: Quaternion) -> tuple[float, float, float]:
-    sign = 1.0 if q[0] >= 0 else -1.0
-    s = np.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    scale = 2.0 * sign if s < 1e-9 else 2.0 * np.arctan2(s, sign * q[0]) * sign / s
-    return (q[1] * scale, q[2] * scale, q[3] * scale)
 
 
 def states_with_covariance(keys: Keys) -> NDArray[np.int64]:

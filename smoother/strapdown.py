@@ -13,10 +13,11 @@ drift model that only counts seconds does not know that.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.quaternion import exp, multiply
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.times import gaps
@@ -71,25 +72,17 @@ def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Flo
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def integrate(q_start_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
     """Attitude (N, 4) after each of N rates (N, 3) held for ``dt_s`` (N,): q_k = q_{k-1} exp(w_k dt_k)."""
     q_nb = np.empty((len(dt_s), 4))
-    w, x, y, z = q_start_nb
+    q = (q_start_nb[0], q_start_nb[1], q_start_nb[2], q_start_nb[3])
     for k in range(len(dt_s)):
-        a, b, c = rate_b_radps[k] * dt_s[k]
-        angle = np.sqrt(a * a + b * b + c * c)
-        s = 0.5 if angle < 1e-9 else np.sin(angle / 2) / angle
-        d, a, b, c = np.cos(angle / 2), a * s, b * s, c * s
-        w, x, y, z = (
-            w * d - x * a - y * b - z * c,
-            w * a + x * d + y * c - z * b,
-            w * b - x * c + y * d + z * a,
-            w * c + x * b - y * a + z * d,
-        )
+        step = (rate_b_radps[k, 0] * dt_s[k], rate_b_radps[k, 1] * dt_s[k], rate_b_radps[k, 2] * dt_s[k])
+        w, x, y, z = multiply(q, exp(step))
         norm = np.sqrt(w * w + x * x + y * y + z * z)
-        w, x, y, z = w / norm, x / norm, y / norm, z / norm
-        q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3] = w, x, y, z
+        q = (w / norm, x / norm, y / norm, z / norm)
+        q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3] = q
     return q_nb
 
 

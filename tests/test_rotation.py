@@ -1,12 +1,15 @@
 """The compiled quaternion functions against scipy, for all rotations and vectors, in both precisions."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stillpoint.filters import compiled, rotation
+from stillpoint.datasets import compiled
+from stillpoint.filters import rotation
 
 number = st.floats(-10, 10, allow_subnormal=False)
 vectors = st.tuples(number, number, number)
@@ -107,10 +110,10 @@ def test_machine_code_of_other_sources_is_forgotten_once(tmp_path) -> None:
     (tmp_path / compiled.STAMP).write_text("of another version")
     old = tmp_path / "complementary.step-1.py311.nbi"
     old.write_bytes(b"index")
-    compiled.drop_stale(tmp_path)
+    compiled.drop_stale(tmp_path, Path(rotation.__file__).parent)
     assert not old.exists()
     old.write_bytes(b"written by these sources")
-    compiled.drop_stale(tmp_path)
+    compiled.drop_stale(tmp_path, Path(rotation.__file__).parent)
     assert old.exists()
 
 

@@ -1,0 +1,64 @@
+"""Products, exponentials and logarithms of quaternions for hot loops: plain floats in tuples, compiled.
+
+Quaternions are Hamilton, ``(w, x, y, z)``, of length 1; vectors are ``(x, y, z)``. Everything works in the precision of
+its arguments. Whole columns belong to scipy's ``Rotation`` (:mod:`stillpoint.datasets.frames`): here one product takes
+nanoseconds, there it takes microseconds. Not imported by what only reads and writes files: it needs numba.
+"""
+
+from math import atan2, cos, sin, sqrt
+from typing import TypeAlias
+
+from stillpoint.datasets.compiled import compiled, like
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+Vector: TypeAlias = tuple[float, float, float]
+
+# Below this square of an angle (rad^2) the first two terms of the series are exact to 1e-14.
+SERIES_BELOW = 1e-6
+
+
+@compiled
+def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
+    """The rotation ``q`` followed by ``p``."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@compiled
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse rotation."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+@compiled
+def exp(v: Vector) -> Quaternion:
+    """The rotation by ``|v|`` rad about ``v``."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    if square < like(square, SERIES_BELOW):
+        w = like(square, 1.0) - square * like(square, 1 / 8)
+        share = like(square, 0.5) - square * like(square, 1 / 48)
+    else:
+        angle = sqrt(square)
+        half = angle * like(angle, 0.5)
+        w = cos(half)
+        share = sin(half) / angle
+    return w, v[0] * share, v[1] * share, v[2] * share
+
+
+@compiled
+def log(q: Quaternion) -> Vector:
+    """The rotation vector of ``q``, at most pi long: the inverse of :func:`exp` up to whole turns."""
+    sign = like(q[0], 1.0) if q[0] >= 0 else like(q[0], -1.0)
+    w = q[0] * sign
+    square = q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if square < like(square, SERIES_BELOW):
+        share = (like(w, 2.0) - square * like(w, 2 / 3) / (w * w)) / w
+    else:
+        sine = sqrt(square)
+        share = like(w, 2.0) * atan2(sine, w) / sine
+    share *= sign
+    return q[1] * share, q[2] * share, q[3] * share
