@@ -1,6 +1,7 @@
 """``gyro``: the integrated rate, started from the fields and never corrected (paper 002, eq (10); paper 004, eq (13)).
 
-Integrated as a rotation instead of as Euler angles, which is the same without the singular pitch. The first usable
+Integrated as a rotation, which is what the Euler kinematics (1) of the papers come to with short steps, without their
+singular pitch; on request by (1) itself, z-y-x angles with the rates at the beginning of the step. The first usable
 accelerometer sample sets the tilt, the first field the heading; across a gap the rate at its end is held.
 """
 
@@ -11,6 +12,7 @@ from stillpoint.datasets.settings import Settings, choice
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
+from stillpoint.filters.kf_axis import GIMBAL, frame_of, tilting, turned_about_up
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
@@ -22,12 +24,16 @@ class Params(Settings):
     rule: Literal["rectangular", "trapezoidal"] = choice(
         "rectangular", "rate over an interval: of the sample that ends it, or the mean of both ends (paper 004)"
     )
+    kinematics: Literal["rotation", "euler"] = choice(
+        "rotation", "one rotation per interval, or the papers' Euler rates added up"
+    )
 
 
 class Coefficients(NamedTuple):
     """Derived once from the parameters."""
 
     newest: float  # share of the sample that ends the interval
+    euler: bool
     declination_rad: float  # east of true north
 
 
@@ -40,27 +46,52 @@ class State(NamedTuple):
     is_level: bool
     is_headed: bool
     n_gaps: int
+    n_gimbal: int  # steps of Euler angles with x along the vertical, taken as a rotation
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
     """Of these parameters at a place with this declination (east of true north)."""
-    return Coefficients(0.5 if params.rule == "trapezoidal" else 1.0, declination_rad)
+    newest = 0.5 if params.rule == "trapezoidal" else 1.0
+    return Coefficients(newest, params.kinematics == "euler", declination_rad)
 
 
 @compiled
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.newest, 0.0), like(c.newest, 0.5**0.5)
-    return State(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), False, False, 0)
+    return State(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), False, False, 0, 0)
+
+
+@compiled
+def turned(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quaternion:
+    """By one rotation."""
+    return multiply(q_nb, rotation.exp(scale(rate_b_radps, dt_s)))
+
+
+@compiled
+def turned_by_euler(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
+    """Eq (1) of paper 004, each angle by its rate at the beginning; one rotation and True where it is singular."""
+    up, across, cos_pitch = frame_of(q_nb)
+    if cos_pitch < like(cos_pitch, GIMBAL):
+        return turned(q_nb, rate_b_radps, dt_s), True
+    heading = (up[1] * rate_b_radps[1] + up[2] * rate_b_radps[2]) / (cos_pitch * cos_pitch)
+    pitch = across[1] * rate_b_radps[1] + across[2] * rate_b_radps[2]
+    roll = rate_b_radps[0] - up[0] * heading
+    return turned_about_up(multiply(q_nb, tilting(roll * dt_s, pitch * dt_s, across)), heading * dt_s), False
 
 
 @compiled
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Turn by rate times interval."""
-    fields, q_nb, is_level, is_headed, n_gaps = state.fields, state.q_nb, state.is_level, state.is_headed, state.n_gaps
+    fields, q_nb, _, is_level, is_headed, n_gaps, n_gimbal = state
     if is_level:
         rate = blend(sample.gyro_b_radps, state.rate_b_radps, c.newest)
-        q_nb = normalise(multiply(q_nb, rotation.exp(scale(rate, sample.dt_s))))
+        if c.euler:
+            q_nb, is_singular = turned_by_euler(q_nb, rate, sample.dt_s)
+            n_gimbal += is_singular
+        else:
+            q_nb = turned(q_nb, rate, sample.dt_s)
+        q_nb = normalise(q_nb)
     if sample.dt_s > like(sample.dt_s, GAP_S):
         n_gaps += 1
     if not (is_level and is_headed):
@@ -70,7 +101,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         if fresh.mag and is_level:
             turn, is_headed = turn_to_north(rotate(q_nb, fields.mag), c.declination_rad)
             q_nb = multiply(about_up(turn), q_nb) if is_headed else q_nb
-    state = State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps)
+    state = State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps, n_gimbal)
     return state, Output(q_nb, None, None, None, is_level)
 
 
