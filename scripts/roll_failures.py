@@ -1,0 +1,91 @@
+"""``python -m stillpoint.scripts.roll_failures``: what single faults do to each estimator of roll, for docs/roll.md.
+
+A trial of 30 s at constant speed with little radial noise; the filters are told the noise of the experiment, as in
+``stillpoint experiment spin-constant``. Prints a table for the page: largest angle error and RMSE of the rate.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from stillpoint.datasets.recording import Floats, Recording, Spin
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.spin_sensor import noisy
+from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.filters import estimate
+from stillpoint.scoring.roll import score_roll
+from stillpoint.scoring.roll_study import CONSTANT, FILTERS, settings_of
+from stillpoint.smoother import reference
+
+QUIET = noisy("quiet", 0.06, 0.13, 0.12**0.5)
+AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
+
+
+def _nothing(accel: Floats) -> None:
+    """The trial as it is."""
+
+
+def _tangential_bias(accel: Floats) -> None:
+    accel[:, 1] += 0.4
+
+
+def _radial_bias(accel: Floats) -> None:
+    accel[:, 0] += 0.1
+
+
+def _missing(accel: Floats) -> None:
+    accel[AT, 0] = np.nan
+
+
+def _zeros(accel: Floats) -> None:
+    accel[AT : AT + 3] = 0.0
+
+
+def _stuck(accel: Floats) -> None:
+    accel[AT : AT + LONG, 0] = accel[AT, 0]
+
+
+def _bad_start(accel: Floats) -> None:
+    accel[0, 0] += 60.0
+
+
+FAULTS: dict[str, Callable[[Floats], None]] = {
+    "nothing": _nothing,
+    "F5 off by 0.4 m/s² (40 mg)": _tangential_bias,
+    "F4 off by 0.1 m/s² (10 mg)": _radial_bias,
+    "one NaN": _missing,
+    "three samples read zero": _zeros,
+    "F4 stuck for 1 s": _stuck,
+    "the first sample is a glitch": _bad_start,
+}
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"| fault | {' | '.join(FILTERS)} | smoother |")
+    print("|---" * (len(FILTERS) + 2) + "|")
+    for name, spoil in FAULTS.items():
+        recording = _spoilt(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
+        made = [estimate(recording, each, settings_of(CONSTANT, method, False)) for method, each in FILTERS.items()]
+        smoothed = reference(recording)
+        assert isinstance(smoothed, RollReference)
+        print(f"| {name} | {' | '.join(_cell(recording, one) for one in (*made, smoothed))} |")
+
+
+def _spoilt(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
+    spin = recording.spin
+    assert spin is not None
+    accel = spin.accel_mps2.copy()
+    spoil(accel)
+    return replace(recording, spin=Spin(spin.t_ns, accel, spin.gyro_radps, spin.geometry))
+
+
+def _cell(recording: Recording, made: Estimate | RollReference) -> str:
+    assert recording.roll_truth is not None
+    found = score_roll(made, recording.roll_truth)
+    return f"{found.angle_max_deg:.1f}, {found.rate_rmse_degps:.2f}"
+
+
+if __name__ == "__main__":
+    main()
