@@ -63,7 +63,7 @@ def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.name,
-        facts=_facts(material),
+        facts=facts_of_recording(material.recording) if material.recording is not None else {},
         references=[reference_section(reference) for reference in material.references],
         sections=[_section(verdict) for verdict in verdicts],
         shared_gyro=any(isinstance(verdict.truth, Reference) for verdict in verdicts),
@@ -133,17 +133,17 @@ def _band(verdict: Verdict, comparison: Comparison, zero_ns: int) -> Picture:
     )
 
 
-def _facts(material: Material) -> dict[str, str]:
-    """What the recording is, for the head of the page."""
-    facts = {}
-    if material.recording is not None:
-        info = material.recording.info
-        facts["duration"] = f"{material.recording.duration_s:.1f} s"
-        facts["streams"] = ", ".join(f"{name} {rate_hz(t_ns):.4g} Hz" for name, t_ns in material.recording.streams())
-        for title in ("sensor", "source", "date", "licence", "citation"):
-            facts[title] = getattr(info, title)
-        facts["conversions"] = "; ".join(info.conversions)
-        facts["notes"] = "; ".join(info.notes)
+def facts_of_recording(recording: Recording) -> dict[str, str]:
+    """What the recording is, for the head of a page."""
+    info = recording.info
+    facts = {
+        "duration": f"{recording.duration_s:.1f} s",
+        "streams": ", ".join(f"{name} {rate_hz(t_ns):.4g} Hz" for name, t_ns in recording.streams()),
+    }
+    for title in ("sensor", "source", "date", "licence", "citation"):
+        facts[title] = getattr(info, title)
+    facts["conversions"] = "; ".join(info.conversions)
+    facts["notes"] = "; ".join(info.notes)
     return {title: fact for title, fact in facts.items() if fact}
 
 

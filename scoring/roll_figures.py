@@ -45,7 +45,7 @@ def _figure(one: Trial, method: str, metric: str) -> float:
     return float(getattr(one.scores[method], metric)) if method in one.scores else float("nan")
 
 
-def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int]) -> None:
+def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int], against: str = "truth") -> None:
     """On top the rates, the truth over them; below, the error of each method on an axis of its own.
 
     ``methods`` gives each method its colour. All errors share a scale, which a few samples may exceed: glitches.
@@ -53,7 +53,7 @@ def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int])
     truth_degps = np.rad2deg(series.truth_radps)
     for method, k in methods.items():
         _line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
-    _line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label="truth", zorder=4)
+    _line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
     margin = 0.06 * np.ptp(truth_degps) + spread(series, methods)
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")

@@ -75,6 +75,8 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
     rows = [ValidationRow(name, method, align) for method in methods]
     try:
         recording = load()
+        if recording.imu is None:
+            raise Unobservable(f"{recording.name}: is of a spinning body; validate those without others beside them")
         if recording.truth is None:
             raise Unobservable(f"{recording.name}: has no independent truth; validate needs one")
     except StillpointError as error:

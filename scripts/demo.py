@@ -16,7 +16,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import sha256
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES
-from stillpoint.scoring.report import judge, report_html
+from stillpoint.scoring.report import Material, judge, report_html
 from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.report import PAGE, gather
@@ -70,6 +70,7 @@ def demo(
             write(folder / f"{recording.name}.{name}.estimate.mcap", found)
     with _step("scores and report"):
         material = gather(path)
+        assert isinstance(material, Material)
         verdicts = judge(material)
         page = folder / f"{recording.name}{PAGE}"
         write_text(page, report_html(material, verdicts))

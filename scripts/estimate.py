@@ -1,7 +1,8 @@
 """``stillpoint estimate``: run streaming estimators over recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.filters import estimate as run
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
+from stillpoint.filters.table import ROLLS
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
@@ -19,6 +21,7 @@ from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
 from stillpoint.scripts.runs import Run, runs_of
 
+DEFAULT = "cf"  # where there is an IMU
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 
 
@@ -33,7 +36,7 @@ def estimate(
     paths: Inputs,
     /,
     *,
-    estimators: Annotated[str, Parameter(name=["--estimators", "-e"])] = "cf",
+    estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
     out: OutDir = Path(),
     set_: SetFlag = None,
     precision: Precision = "double",
@@ -51,7 +54,8 @@ def estimate(
     paths
         Recordings: MCAP files, folders or globs.
     estimators
-        Names with commas between; all: every one of attitude; roll: every one of a fast spin about one axis.
+        Names with commas between; all: every one of attitude; roll: every one of a fast spin about one axis. By
+        default cf, and roll for recordings of a spinning body.
     out
         Folder to write into; made when it is not there.
     set_
@@ -66,9 +70,9 @@ def estimate(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    run_with = runs_of(estimators, set_, precision, heading)
     sources = inputs.recordings(paths)
-    work = _jobs(sources, run_with, inputs.output_dir(out))
+    runs = _runs_by_source(sources, estimators, partial(runs_of, set_=set_, precision=precision, heading=heading))
+    work = _jobs(runs, inputs.output_dir(out))
     outcomes = run_jobs(_make, work, jobs, "estimate")
     rows = [
         made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
@@ -77,9 +81,23 @@ def estimate(
     return report_made("estimates", COLUMNS, rows, _cells, json)
 
 
-def _jobs(sources: Sequence[Path], runs: Sequence[Run], folder: Path) -> list[_Job]:
+def _runs_by_source(
+    sources: Sequence[Path], estimators: str | None, runs_of_names: Callable[[str], list[Run]]
+) -> Mapping[Path, list[Run]]:
+    """What to run over each recording: what was named, or by default what its streams are for."""
+    if estimators is not None:
+        return dict.fromkeys(sources, runs_of_names(estimators))
+    spins = {source: inputs.is_of_spin(source) for source in sources}
+    wanted = [DEFAULT] * (not all(spins.values())) + list(ROLLS) * any(spins.values())
+    runs = runs_of_names(",".join(wanted))
+    return {source: [run for run in runs if (run.estimator in ROLLS) == spins[source]] for source in sources}
+
+
+def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path) -> list[_Job]:
     work = [
-        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run) for source in sources for run in runs
+        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run)
+        for source, wanted in runs.items()
+        for run in wanted
     ]
     require_distinct(job.target for job in work)
     return work

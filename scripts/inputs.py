@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.store import provenance
+from stillpoint.datasets.topics import TOPICS
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -22,6 +24,16 @@ Thing = TypeVar("Thing")
 def kind_of(path: Path) -> str:
     """``"recording"``, ``"reference"`` or ``"estimate"``, by the name of an MCAP file."""
     return next((kind for kind, suffix in KINDS.items() if path.name.endswith(suffix)), RECORDING)
+
+
+def is_of_spin(path: Path) -> bool:
+    """Whether a recording is of a spinning body and of nothing else; a file that cannot be read is not."""
+    try:
+        topics = provenance(path).topics
+    except StillpointError:
+        return False
+    streams = {topic.stream for topic in TOPICS if topic.kind == RECORDING and topic.name in topics}
+    return "spin" in streams and "imu" not in streams
 
 
 def recordings(paths: Iterable[str | Path]) -> list[Path]:

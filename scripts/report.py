@@ -9,13 +9,18 @@ from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
-from stillpoint.datasets.store import read_estimate, read_recording, read_reference, sha256
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.store import read, read_recording, sha256
+from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
 from stillpoint.scoring import AlignKind
 from stillpoint.scoring.report import Material, judge, report_html
+from stillpoint.scoring.spin_report import SpinMaterial, judge_spin, spin_report_html
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.flags import Inputs, OutDir
+from stillpoint.scripts.inputs import KINDS
+from stillpoint.scripts.score_roll import is_roll, zero_of
 from stillpoint.scripts.text_file import write_text
 
 PAGE = ".report.html"
@@ -34,7 +39,7 @@ def report(
     Finds NAME.reference.mcap and NAME.ESTIMATOR.estimate.mcap in the folder of NAME.mcap, scores the estimates against
     the reference, and both against the recording's truth where it holds one, and writes NAME.report.html: tables,
     pictures and provenance in one file that needs no network. Further references, NAME.METHOD.reference.mcap, are
-    scored beside the estimates.
+    scored beside the estimates. Of a spinning body the page shows angle and rate about its axis.
 
     Parameters
     ----------
@@ -66,42 +71,63 @@ def report(
     return 2 if failed else 0
 
 
-def gather(path: Path) -> Material:
-    """A recording with the references and estimates beside it; raises :class:`BadParameter` when there is none."""
-    name, around = recording_name(path), neighbours(path)
-    hashes = {path.name: sha256(path)}
-    references, estimates = [], []
-    for file in files_of(name, "reference", around):
-        reference = read_reference(file)
-        require_same(file, reference.made_from, path, hashes)
-        references.append((file, reference))
-    for file in files_of(name, "estimate", around):
-        estimate = read_estimate(file)
-        require_same(file, estimate.made_from, path, hashes)
-        estimates.append((file, estimate))
+def gather(path: Path) -> Material | SpinMaterial:
+    """A recording with the references and estimates beside it; raises :class:`BadParameter` when there is none.
+
+    Attitudes, or, of a recording of a spinning body without an IMU, angles and rates about its axis.
+    """
     recording = read_recording(path)
-    if not (references or estimates) or not (references or recording.truth is not None):
-        missing = "reference" if estimates else "reference or estimate"
-        raise BadParameter(
-            f"{path}: no {missing} of it lies beside it; make one in that folder: stillpoint reference {path} "
-            f"-o {path.parent}"
+    of_spin = recording.imu is None
+    hashes = {path.name: sha256(path)}
+    made: list[Reference | RollReference | Estimate] = []
+    around = neighbours(path)
+    for file in (one for kind in KINDS for one in files_of(recording_name(path), kind, around)):
+        thing = read(file)
+        if not isinstance(thing, Reference | RollReference | Estimate):
+            raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
+        require_same(file, thing.made_from, path, hashes)
+        if is_roll(thing) != of_spin:
+            print(f"{file}: left out, {'an attitude' if of_spin else 'an angle about one axis'}", file=sys.stderr)
+            continue
+        made.append(thing)
+        hashes[file.name] = sha256(file)
+    _require_judge(path, recording, made)
+    estimates = tuple(thing for thing in made if isinstance(thing, Estimate))
+    if of_spin:
+        return SpinMaterial(
+            recording, tuple(thing for thing in made if isinstance(thing, RollReference)), estimates, hashes
         )
-    files = {file.name: sha256(file) for file, _ in [*references, *estimates]}
-    return Material(
-        name=recording.name,
-        recording=recording,
-        references=tuple(reference for _, reference in references),
-        estimates=tuple(estimate for _, estimate in estimates),
-        sha256=hashes | files,
-    )
+    references = tuple(thing for thing in made if isinstance(thing, Reference))
+    return Material(recording.name, recording, references, estimates, hashes)
 
 
-def write_report(target: Path, material: Material, align: AlignKind, frame: EulerFrame) -> None:
+def write_report(target: Path, material: Material | SpinMaterial, align: AlignKind, frame: EulerFrame) -> None:
     """Score the material and write its page; raises :class:`BadParameter` when nothing in it can be scored."""
+    name = material.recording.name if material.recording is not None else target.name
+    nothing = BadParameter(f"{name}: nothing to score; make estimates of it: stillpoint estimate")
+    if isinstance(material, SpinMaterial):
+        spun = judge_spin(material, zero_of(align, name))
+        if not spun:
+            raise nothing
+        write_text(target, spin_report_html(material, spun))
+        return
     verdicts = judge(material, align, frame)
     if not verdicts:
-        raise BadParameter(f"{material.name}: nothing to score; make estimates of it: stillpoint estimate")
+        raise nothing
     write_text(target, report_html(material, verdicts))
+
+
+def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | RollReference | Estimate]) -> None:
+    """Raise :class:`BadParameter` when nothing lies beside a recording, or nothing to judge it by."""
+    references = [thing for thing in made if not isinstance(thing, Estimate)]
+    known = recording.truth if recording.imu is not None else recording.roll_truth or recording.encoder
+    if made and (references or known is not None):
+        return
+    missing = "reference" if made else "reference or estimate"
+    raise BadParameter(
+        f"{path}: no {missing} of it lies beside it; make one in that folder: stillpoint reference {path} "
+        f"-o {path.parent}"
+    )
 
 
 def _targets(recordings: Sequence[Path], out: Path) -> list[Path]:

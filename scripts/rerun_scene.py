@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,22 +10,31 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.frames import euler, rotation
-from stillpoint.datasets.recording import Floats, Recording, Times
+from stillpoint.datasets.facts import Kept
+from stillpoint.datasets.frames import euler, rotation, wrap
+from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import inside
-from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 
 TIMELINE = "time"
 AXIS_LENGTH = 0.5
 ANGLES, SD_ABOUT, SD, BIAS = "roll pitch yaw, deg, NWU", "sd about east north up, deg", "sd, deg", "gyro bias, deg/s"
 RATE, FORCE, FIELD, REST = "rate, deg/s", "specific force, m/s2", "field, uT", "at rest"
+SPIN_RATE, SPIN_ANGLE = "spin rate, deg/s", "spin angle within a turn, deg"
+SPIN_RATE_SD, SPIN_ANGLE_SD = "sd of spin rate, deg/s", "sd of spin angle, deg"
+SPIN_FORCE, SPIN_GYRO = "accelerometers, m/s2", "gyros, deg/s"
 QUANTITIES = (ANGLES, SD_ABOUT, SD, BIAS, RATE, FORCE, FIELD, REST)
+SPIN_QUANTITIES = (SPIN_RATE, SPIN_RATE_SD, SPIN_ANGLE, SPIN_ANGLE_SD, SPIN_FORCE, SPIN_GYRO)
 LABELS = {ANGLES: ("roll", "pitch", "yaw"), SD_ABOUT: ("east", "north", "up"), SD: ("",), REST: ("",)}
+LABELS |= dict.fromkeys((SPIN_RATE, SPIN_RATE_SD, SPIN_ANGLE, SPIN_ANGLE_SD), ("",))
 AXES = ("x", "y", "z")
 
 
-def open_scene(save: Path | None) -> rr.RecordingStream:
-    """A stream into a file, or into a window of its own; raises :class:`BadParameter` when neither can be had."""
+def open_scene(save: Path | None, things: Sequence[Kept]) -> rr.RecordingStream:
+    """A stream into a file, or into a window of its own, laid out for these things.
+
+    Raises :class:`BadParameter` when neither can be had.
+    """
     if save is None and sys.platform == "linux" and not ({"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()):
         raise BadParameter("view: there is no screen; write a file: --save NAME.rrd")
     scene = rr.RecordingStream("stillpoint")
@@ -37,7 +47,7 @@ def open_scene(save: Path | None) -> rr.RecordingStream:
     except (OSError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0].rstrip(".")
         raise BadParameter(f"view: {reason}; without a screen, write a file: --save NAME.rrd") from None
-    rr.send_blueprint(_layout(), recording=scene)
+    rr.send_blueprint(_layout(_quantities(things)), recording=scene)
     rr.log("body", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=scene)
     return scene
 
@@ -51,15 +61,17 @@ def finish(scene: rr.RecordingStream) -> None:
         raise BadParameter(f"view: {reason}; write a file instead: --save NAME.rrd") from None
 
 
-def show(scene: rr.RecordingStream, name: str, thing: Recording | Reference | Estimate) -> None:
+def show(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     """Send all columns of a thing to entities that end in its name."""
     if isinstance(thing, Recording):
         _show_recording(scene, name, thing)
         return
-    if thing.q_nb is not None:
-        _attitude(scene, name, thing.t_ns, thing.q_nb)
-        if thing.cov_b_rad2 is not None:
-            _spread(scene, name, thing.t_ns, thing.q_nb, thing.cov_b_rad2)
+    if isinstance(thing, RollReference) or thing.q_nb is None:
+        _show_roll(scene, name, thing)
+        return
+    _attitude(scene, name, thing.t_ns, thing.q_nb)
+    if thing.cov_b_rad2 is not None:
+        _spread(scene, name, thing.t_ns, thing.q_nb, thing.cov_b_rad2)
     if thing.gyro_bias_b_radps is not None:
         _lines(scene, BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
     if isinstance(thing, Reference):
@@ -76,15 +88,44 @@ def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) 
         _lines(scene, FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
     if recording.truth is not None:
         _attitude(scene, f"{name} truth", recording.truth.t_ns, recording.truth.q_nb)
+    spin = recording.spin
+    if spin is not None:
+        _lines(scene, SPIN_FORCE, name, spin.t_ns, spin.accel_mps2)
+        if spin.gyro_radps.shape[1]:
+            _lines(scene, SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
+    for what, shaft in (("truth", recording.roll_truth), ("encoder", recording.encoder)):
+        if shaft is not None:
+            _show_roll(scene, f"{name} {what}", shaft)
+
+
+def _show_roll(scene: rr.RecordingStream, name: str, thing: Encoder | RollReference | Estimate) -> None:
+    """Angle and rate about the spin axis, which is x of the body, with their standard deviations."""
+    columns = {
+        SPIN_ANGLE: None if thing.angle_rad is None else wrap(thing.angle_rad),
+        SPIN_RATE: thing.rate_radps,
+        SPIN_ANGLE_SD: getattr(thing, "angle_sd_rad", None),
+        SPIN_RATE_SD: getattr(thing, "rate_sd_radps", None),
+    }
+    for quantity, values in columns.items():
+        if values is not None:
+            _lines(scene, quantity, name, thing.t_ns, np.rad2deg(values)[:, None])
+    if thing.angle_rad is not None:
+        half, zero = thing.angle_rad / 2, np.zeros(len(thing.t_ns))
+        _body(scene, name, thing.t_ns, np.column_stack([np.cos(half), np.sin(half), zero, zero]))
 
 
 def _attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
-    """The body as three axes that turn, and its angles."""
+    """The body, and its angles."""
+    _body(scene, name, t_ns, q_nb)
+    _lines(scene, ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
+
+
+def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
+    """The body as three axes that turn."""
     entity = _entity("body", name)
     rr.log(entity, rr.TransformAxes3D(AXIS_LENGTH), static=True, recording=scene)
     columns = rr.Transform3D.columns(quaternion=np.roll(q_nb, -1, axis=1))  # rerun writes xyzw
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
-    _lines(scene, ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
 
 
 def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov_b_rad2: Floats) -> None:
@@ -98,7 +139,8 @@ def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov
 def _lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
     """One line per column of (N, k)."""
     entity = _entity(quantity, name)
-    labels = [f"{name} {axis}".strip() for axis in LABELS.get(quantity, AXES)]
+    numbers = tuple(str(k + 1) for k in range(values.shape[1])) if quantity in (SPIN_FORCE, SPIN_GYRO) else AXES
+    labels = [f"{name} {axis}".strip() for axis in LABELS.get(quantity, numbers)]
     rr.log(entity, rr.SeriesLines(names=labels), static=True, recording=scene)
     columns = rr.Scalars.columns(scalars=values.ravel()).partition(np.full(len(t_ns), values.shape[1]))
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
@@ -123,9 +165,20 @@ def _entity(quantity: str, name: str) -> str:
     return rr.new_entity_path([quantity, name])
 
 
-def _layout() -> rrb.Blueprint:
+def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
+    """What there may be a plot of: attitudes, spins, or both."""
+    spins = [
+        isinstance(thing, RollReference)
+        or (isinstance(thing, Estimate) and thing.q_nb is None)
+        or (isinstance(thing, Recording) and thing.imu is None)
+        for thing in things
+    ]
+    return (() if all(spins) else QUANTITIES) + (SPIN_QUANTITIES if any(spins) else ())
+
+
+def _layout(quantities: Sequence[str]) -> rrb.Blueprint:
     """Bodies and returns on the left, then one plot per quantity over the same time."""
-    plots = [rrb.TimeSeriesView(name=one, origin=rr.new_entity_path([one])) for one in QUANTITIES]
+    plots = [rrb.TimeSeriesView(name=one, origin=rr.new_entity_path([one])) for one in quantities]
     left = rrb.Vertical(
         rrb.Spatial3DView(name="bodies", origin="/body"),
         rrb.TextLogView(name="returns", origin="/returns"),

@@ -47,14 +47,20 @@ def is_roll(thing: object) -> bool:
 
 def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path | None, align: AlignKind) -> RollScore:
     """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
-    if align not in ZEROS:
-        raise BadParameter(
-            f"{file}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
-            "(the angle counts from the first sample) or none"
-        )
+    zero = zero_of(align, str(file))
     judge = roll_judge_of(_beside(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
-    return score_roll(thing, judge.truth, ZEROS[align], judge.name)
+    return score_roll(thing, judge.truth, zero, judge.name)
+
+
+def zero_of(align: AlignKind, where: str) -> AngleZero:
+    """What is taken off an angle for ``--align``; raises :class:`BadParameter` for what an angle does not have."""
+    if align not in ZEROS:
+        raise BadParameter(
+            f"{where}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
+            "(the angle counts from the first sample) or none"
+        )
+    return ZEROS[align]
 
 
 def roll_judge_of(path: Path) -> RollJudge:

@@ -107,6 +107,7 @@ def _to_foxglove(
     from stillpoint.scripts.foxglove_live import replay
 
     recording = read_recording(file)
+    recording.require_imu()  # before somebody waits for it
     if declination_deg is None:
         declination_deg = degrees(local_declination(recording.info)[0])
     streams = _streams(runs, declination_deg, None, {})

@@ -15,6 +15,7 @@ from stillpoint.scripts.flags import Inputs, Jobs
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.tables import print_refusals, print_table
+from stillpoint.scripts.validate_roll import validate_roll
 
 COLUMNS = (
     "recording",
@@ -45,7 +46,7 @@ def validate(
 
     Errors are RMSEs over the moving samples of the truth, as in BROAD. "in 95 %" is the share of these whose error lies
     in the 95 % ellipsoid of the stated covariance; NEES/3, the mean square of the error over it, is 1 when it fits.
-    Exit code 2 when nothing could be scored.
+    Exit code 2 when nothing could be scored. Recordings of nothing but spinning bodies are scored by angle and rate.
 
     Parameters
     ----------
@@ -61,8 +62,11 @@ def validate(
     json
         Also write the rows as JSON to this file; - is the standard output.
     """
-    chosen = default_methods() if methods is None else check_methods([name.strip() for name in methods.split(",")])
+    named = None if methods is None else [name.strip() for name in methods.split(",")]
     sources = inputs.recordings(paths)
+    if all(inputs.is_of_spin(source) for source in sources):
+        return validate_roll(sources, named, align, jobs, json)
+    chosen = default_methods() if named is None else check_methods(named)
     outcomes = run_jobs(partial(_validate, methods=chosen, align=align), sources, jobs, "validate")
     rows: list[ValidationRow] = []
     for source, outcome in zip(sources, outcomes, strict=True):

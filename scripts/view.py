@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from stillpoint.datasets import Estimate, Recording, Reference, read
+from stillpoint.datasets import read
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.beside import files_of, neighbours, recording_name
 from stillpoint.scripts.flags import Inputs
@@ -22,7 +22,7 @@ def view(
     save: Annotated[Path | None, Parameter(negative=())] = None,
     alone: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
-    """Look at recordings, references and estimates in rerun: attitudes, measurements, covariance, bias, rests.
+    """Look at recordings, references and estimates in rerun: attitudes, spins, measurements, covariance, bias, rests.
 
     Opens a window, or writes a file that rerun opens. Needs the extra "view": pip install 'stillpoint[view]'.
 
@@ -44,20 +44,13 @@ def view(
     files = mcap_files(paths)
     if not alone:
         files = _with_references(files)
-    things = [_readable(file) for file in files]  # all of them before a file or a window is there
-    scene = open_scene(save)
+    things = [read(file) for file in files]  # all of them before a file or a window is there
+    scene = open_scene(save, things)
     for file, thing in zip(files, things, strict=True):
         show(scene, file.name.removesuffix(".mcap"), thing)
     finish(scene)
     if save is not None:
         print(f"{save}: {len(files)} files; open it with: rerun {save}")
-
-
-def _readable(file: Path) -> Recording | Reference | Estimate:
-    thing = read(file)
-    if not isinstance(thing, Recording | Reference | Estimate):
-        raise BadParameter(f"{file}: is an angle about one axis; view shows recordings, references and estimates")
-    return thing
 
 
 def _with_references(files: list[Path]) -> list[Path]:

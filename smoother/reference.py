@@ -45,7 +45,7 @@ def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     except ImportError as error:
         raise BadParameter(
             f"method roll-graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
-            "use `stillpoint estimate --estimator roll-guarded` here"
+            "use `stillpoint estimate -e roll-guarded` here"
         ) from error
     return roll_graph(recording, params)
 

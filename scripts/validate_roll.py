@@ -1,0 +1,56 @@
+"""What ``stillpoint validate`` does with recordings of a spinning body."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.store import read_recording
+from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.filters import estimate
+from stillpoint.filters.table import ROLLS
+from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll
+from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.score_roll import print_roll_scores, roll_judge_of, zero_of
+from stillpoint.scripts.tables import print_refusals
+from stillpoint.smoother import reference
+from stillpoint.smoother.reference import ROLL_METHODS
+
+
+def validate_roll(
+    sources: Sequence[Path], methods: Sequence[str] | None, align: AlignKind, jobs: int | None, json: JsonFile
+) -> int:
+    """Score angle and rate by each method against the truth, else the encoder, of each recording."""
+    zero_of(align, "validate")
+    chosen = list(dict.fromkeys(methods or ROLL_METHODS))
+    for name in chosen:
+        require_known(name, [*ROLL_METHODS, *ROLLS], "roll reference method or estimator")
+    work = [(source, name) for source in sources for name in chosen]
+    outcomes = run_jobs(partial(_scored, align=align), work, jobs, "validate")
+    refused = [(str(o.error), name) for (_, name), o in zip(work, outcomes, strict=True) if o.value is None]
+    rows: list[dict[str, Any]] = [
+        {"recording": source.stem, "method": name, "error": outcome.error}
+        if outcome.value is None
+        else roll_score_row(outcome.value)
+        for (source, name), outcome in zip(work, outcomes, strict=True)
+    ]
+    write_json(json, rows)
+    if len(refused) == len(work) == 1:
+        raise StillpointError(refused[0][0])
+    if json != STDOUT:
+        print_roll_scores([outcome.value for outcome in outcomes if outcome.value is not None])
+        print_refusals("not scored", refused)
+    return 2 if refused else 0
+
+
+def _scored(job: tuple[Path, str], align: AlignKind) -> RollScore:
+    source, name = job
+    judge = roll_judge_of(source)
+    recording = read_recording(source)
+    made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
+    assert isinstance(made, RollReference | Estimate)
+    return score_roll(made, judge.truth, zero_of(align, source.name), judge.name)
