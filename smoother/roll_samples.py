@@ -14,6 +14,8 @@ from stillpoint.smoother.roll_params import RollNoise
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 ROUNDING = 1e-9  # relative
+RUN = 8  # equal values in a row
+COARSE = 0.3  # share of values that repeat the one before
 LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
 FEWEST = 50  # valid samples of a channel
 LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # of the channel: what stamps, arms and axes that are never exact add
@@ -46,13 +48,15 @@ def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
         raise Unobservable(f"{recording.name}: has no spin stream; method roll-graph needs one")
     by = channels(spin.geometry)
     seen = measure(spin, by)
-    accel = np.where(seen.omega_dot_valid, seen.omega_dot_radps2, 0.0)
-    squared = np.where(seen.omega_squared_valid, seen.omega_squared_radps2, 0.0)
-    for name, valid in (("angular acceleration", seen.omega_dot_valid), ("squared rate", seen.omega_squared_valid)):
+    accel_valid = seen.omega_dot_valid & ~stuck(seen.omega_dot_radps2)
+    squared_valid = seen.omega_squared_valid & ~stuck(seen.omega_squared_radps2)
+    accel = np.where(accel_valid, seen.omega_dot_radps2, 0.0)
+    squared = np.where(squared_valid, seen.omega_squared_radps2, 0.0)
+    for name, valid in (("angular acceleration", accel_valid), ("squared rate", squared_valid)):
         if valid.sum() < FEWEST:
             raise Unobservable(
                 f"{recording.name}: {int(valid.sum())} of {len(valid)} samples give the {name}, {FEWEST} are needed; "
-                "the others are missing or at the range of an accelerometer"
+                "the others are missing, at the range of an accelerometer, or repeat themselves"
             )
     given = params.source == "given"
     return RollSamples(
@@ -60,14 +64,26 @@ def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
         step_s=_steps_s(spin),
         accel_radps2=accel,
         squared_rad2ps2=squared,
-        accel_valid=seen.omega_dot_valid,
-        squared_valid=seen.omega_squared_valid,
-        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, seen.omega_dot_valid, LEAST_ACCEL),
-        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, seen.omega_squared_valid, LEAST_SQUARED),
+        accel_valid=accel_valid,
+        squared_valid=squared_valid,
+        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, accel_valid, LEAST_ACCEL),
+        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, squared_valid, LEAST_SQUARED),
         accel_gravity=_gravity(by, by.omega_dot),
         squared_gravity=_gravity(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
     )
+
+
+def stuck(values: Floats) -> NDArray[np.bool_]:
+    """Where a channel (N,) repeats itself to the last bit for RUN samples and more, as a sensor that hangs does.
+
+    Nowhere in a channel that repeats itself most of the time: its converter is coarser than its noise.
+    """
+    repeats = np.concatenate([[False], np.diff(values) == 0])
+    if repeats.mean() > COARSE:
+        return np.zeros(len(values), dtype=np.bool_)
+    run = np.cumsum(~repeats)  # one number for each run of equal values
+    return np.asarray(np.bincount(run)[run] >= RUN)
 
 
 def sign_of(spin: Spin) -> float | None:

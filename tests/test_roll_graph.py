@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from stillpoint.datasets.simulate import spin as simulated
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT
 from stillpoint.datasets.spin import BENCH
 from stillpoint.scripts.disc_flight import disc_flight
+from stillpoint.scripts.settings_pages import refreshed
 from stillpoint.smoother import reference
 from stillpoint.smoother.roll_chain import angles_of, chain_of
 from stillpoint.smoother.roll_encoder import readings_of, resolution_rad
@@ -245,17 +247,17 @@ def test_stated_accuracy_is_met_where_the_model_is_right():
     """Mean normalised errors squared over seeds, each thinned to samples that are nearly independent.
 
     Biases and arms are drawn as the prior says, so angles on a vertical axis are one draw per recording: chi-squared
-    of 20 of them. Rates with gravity are correlated over about 0.1 s: 300 draws in a recording.
+    of 16 of them. Rates with gravity are correlated over about 0.1 s: 300 draws in a recording.
     """
     vertical, rates = [], []
-    for seed in range(20):
+    for seed in range(16):
         recording = tilted(0.0, seed)
         made = reference(recording)
         end = made.angle_rad[-1] - recording.roll_truth.angle_rad[-1]
         vertical.append((end / made.angle_sd_rad[-1]) ** 2)
-    assert chi2.ppf(0.005, 20) < np.sum(vertical) < chi2.ppf(0.995, 20)
+    assert chi2.ppf(0.005, 16) < np.sum(vertical) < chi2.ppf(0.995, 16)
     angles = []
-    for seed in range(20, 30):
+    for seed in range(20, 26):
         recording = tilted(90.0, seed)
         made = reference(recording)
         rates.append(((made.rate_radps - recording.roll_truth.rate_radps) / made.rate_sd_radps)[::50] ** 2)
@@ -344,13 +346,14 @@ def test_lost_saturated_and_missing_samples_are_left_out_and_counted():
     accel = spin.accel_mps2.copy()
     accel[1000:1005, 0] = -spin.geometry.accel_range_mps2[0]
     accel[2000:2003, 1] = np.nan
+    accel[5000:5250, 0] = accel[5000, 0]  # hangs for a second
     kept = np.delete(np.arange(len(accel)), np.r_[3000:3010])
     spoilt = replace(recording, spin=Spin(spin.t_ns[kept], accel[kept], spin.gyro_radps[kept], spin.geometry))
     made, whole = reference(spoilt), reference(recording)
-    assert made.diagnostics["n_squared_missing"] == 5
+    assert made.diagnostics["n_squared_missing"] == 5 + 250
     assert made.diagnostics["n_accel_missing"] == 3
     assert made.diagnostics["n_gaps"] == 1
-    assert np.abs(made.rate_radps - whole.rate_radps[kept]).max() < 4 * made.rate_sd_radps.max()
+    assert (np.abs(made.rate_radps - whole.rate_radps[kept]) < 4 * made.rate_sd_radps).all()
     assert made.rate_sd_radps[2995:3005].max() > 1.05 * np.median(made.rate_sd_radps)
 
 
@@ -388,3 +391,8 @@ def test_the_disc_spins_as_its_gyro_says(data_dir):
     error = np.rad2deg(flight.reference.rate_radps - flight.gyro_radps)[judged]
     assert np.sqrt(np.mean(error**2)) < 6.0
     assert 0.015 < flight.arm_m[0] < 0.025
+
+
+def test_the_page_has_the_settings_as_they_are():
+    text = (Path(__file__).parents[1] / "docs" / "roll.md").read_text(encoding="utf-8")
+    assert refreshed(text) == text, "run python -m stillpoint.scripts.settings_pages"
