@@ -67,10 +67,13 @@ def main() -> None:
     print("|---" * (len(FILTERS) + 2) + "|")
     for name, spoil in FAULTS.items():
         recording = _spoilt(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
-        made = [estimate(recording, each, settings_of(CONSTANT, method, False)) for method, each in FILTERS.items()]
         smoothed = reference(recording)
         assert isinstance(smoothed, RollReference)
-        print(f"| {name} | {' | '.join(_cell(recording, one) for one in (*made, smoothed))} |")
+        made: list[Estimate | RollReference] = [
+            *(estimate(recording, each, settings_of(CONSTANT, method, False)) for method, each in FILTERS.items()),
+            smoothed,
+        ]
+        print(f"| {name} | {' | '.join(_cell(recording, one) for one in made)} |")
 
 
 def _spoilt(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
