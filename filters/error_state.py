@@ -97,7 +97,7 @@ class ErrorStateParams(Settings):
         0.5, 1e-3, 1e3, "mean horizontal velocity over 1 s (sd, m/s; over T s by sqrt(T) less); 0.001 = no acceleration"
     )
     tilt_sd_rad: float = degrees(10.0, 0.01, 60.0, "sd of the first tilt, by one accelerometer sample, per axis")
-    heading_sd_rad: float = degrees(30.0, 0.01, 100.0, "sd of the first heading, by one window of the field")
+    heading_sd_rad: float = degrees(30.0, 0.01, 100.0, "sd of the first heading, by one sample of the field")
     field_noise_ut_rts: float = number(10.0, 1e-3, 1e4, "error of the mean field over 1 s, also by iron (sd, uT)")
     field_tolerance: float = number(0.1, 1e-3, 1.0, "a known field keeps its size within this share")
     dip_tolerance_rad: float = degrees(10.0, 0.1, 90.0, "and its dip within")
