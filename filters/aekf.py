@@ -27,24 +27,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters import error_state
+from stillpoint.filters import error_model, error_state
 from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import Matrix, widen
-from stillpoint.filters.error_state import (
-    HEADING,
-    VELOCITY,
-    Body,
-    ErrorStateParams,
-    Measurement,
-    corrected,
+from stillpoint.filters.error_model import HEADING, VELOCITY, Body, ErrorStateParams, Measurement
+from stillpoint.filters.error_state import corrected, gather, is_due, output, turn_errors
+from stillpoint.filters.error_updates import (
     due,
-    gather,
     heading_innovation,
     innovation,
-    is_due,
     nothing_new,
-    output,
-    turn_errors,
     update_bias,
     update_heading,
     update_velocity,
@@ -68,7 +60,7 @@ class Params(ErrorStateParams):
 class Coefficients(NamedTuple):
     """Derived once from the parameters."""
 
-    ekf: error_state.Coefficients
+    ekf: error_model.Coefficients
     innovations: int
     fades: bool  # True: lambda by (23)
     largest_alpha: float
@@ -101,7 +93,7 @@ class Trust(NamedTuple):
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
     """Of these parameters at a place with this declination (east of true north)."""
     return Coefficients(
-        error_state.coefficients(params, declination_rad),
+        error_model.coefficients(params, declination_rad),
         round(params.innovations),
         params.mode == "system",
         params.largest_alpha,

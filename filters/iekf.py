@@ -7,26 +7,21 @@ does not depend on the estimate, [g]x, with a right-invariant error. The bias is
 IEKF of A. Barrau's thesis, 2015; R. Hartley et al., Int. J. Robotics Research 39(4), 2020, eqs (48)-(52)); with it the
 attitude's error still follows e' = -R (d + noise), whatever the motion.
 
-Model, prediction and updates are those of :mod:`stillpoint.filters.error_state`, which are in e already. Against
+Model, prediction and updates are those of :mod:`stillpoint.filters.error_model`, which are in e already. Against
 ``ekf`` one thing differs: a correction leaves the covariance of e as it is in n. So what accelerometers cannot know,
 the heading, stays the third axis of P exactly, however large a correction of the tilt is. Everything else is as in
 ``ekf``."""
 
 from dataclasses import dataclass
 
-from stillpoint.filters import error_state
+from stillpoint.filters import error_model, error_state
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.error_state import (
-    Body,
-    Coefficients,
-    ErrorStateParams,
-    corrected,
+from stillpoint.filters.error_model import Body, Coefficients, ErrorStateParams
+from stillpoint.filters.error_state import corrected, gather, is_due, output
+from stillpoint.filters.error_updates import (
     due,
-    gather,
     heading_innovation,
-    is_due,
     nothing_new,
-    output,
     update_bias,
     update_heading,
     update_velocity,
@@ -35,7 +30,7 @@ from stillpoint.filters.error_state import (
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 State = Body
-coefficients = error_state.coefficients
+coefficients = error_model.coefficients
 start = error_state.start
 
 

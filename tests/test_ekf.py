@@ -13,7 +13,8 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.ekf import Params
-from stillpoint.filters.error_state import heading_measurement, transition
+from stillpoint.filters.error_model import transition
+from stillpoint.filters.error_updates import heading_measurement
 from stillpoint.filters.known_field import no_field
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.rotation import multiply

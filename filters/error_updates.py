@@ -1,0 +1,168 @@
+"""The updates of ``ekf``, ``aekf`` and ``iekf``: velocity, bias at rest, heading; see ``error_model``."""
+
+from math import cos, nan, sin, sqrt
+
+import numpy as np
+
+from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.covariance import (
+    Matrix,
+    forget,
+    joseph,
+    times,
+)
+from stillpoint.filters.error_model import (
+    BIAS,
+    HEADING,
+    SIZE,
+    UNKNOWN_RAD2,
+    VELOCITY,
+    Body,
+    Coefficients,
+    Due,
+    Measurement,
+    Status,
+    predict,
+)
+from stillpoint.filters.fields import turn_to_north
+from stillpoint.filters.known_field import KnownField, disturbance_ut2, looks
+from stillpoint.filters.rotation import (
+    Vector,
+    scale,
+)
+from stillpoint.filters.stillness import is_resting, rate_sd, watch
+from stillpoint.filters.window import Turning, Window, means
+
+# How far from 0 the velocity of a resting body is.
+REST_MPS = 0.02
+# One field stands for at most that long: after a pause of the magnetometer a single sample is not taken at its word.
+LONGEST_HOLD_S = 1.0
+
+
+@compiled
+def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
+    """What is seen less what is expected, and its variance by the model."""
+    ph = times(p, m.row)
+    residual, variance = m.seen, m.variance
+    for i in range(SIZE):
+        residual -= m.row[i] * x[i]
+        variance += m.row[i] * ph[i]
+    return residual, variance
+
+
+@compiled_apart
+def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float, gate: float) -> bool:
+    """x and P after a measurement, its innovation's variance times alpha; True when it was beyond the gate."""
+    residual, model = innovation(x, p, m)
+    variance, square = model * alpha, residual * residual
+    is_beyond = square > gate * variance
+    if is_beyond:
+        variance = square / gate
+    gain = times(p, m.row)
+    for i in range(SIZE):
+        gain[i] = gain[i] / variance if moves_tilt or i >= HEADING else like(gate, 0.0)
+        x[i] += gain[i] * residual
+    joseph(p, m.row, gain, variance - (model - m.variance))
+    return is_beyond
+
+
+@compiled
+def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
+    """A measurement of x[i] itself."""
+    row = np.zeros_like(p[0])
+    row[i] = like(variance, 1.0)
+    return Measurement(True, row, seen, variance)
+
+
+@compiled_apart
+def due(body: Body, c: Coefficients) -> Due:
+    """Predict to the end of the window, and say what there is to update with."""
+    length_s, still = body.window.turning.length_s, watch(body.still, means(body.window), c.limits)
+    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
+    predict(body.x, body.p, body.window, c)
+    resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
+    return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
+
+
+@compiled
+def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, float]:
+    """East and north, whitened: of variance 1 and independent if the model is right."""
+    s_east, s_north = p[VELOCITY, VELOCITY] + variance, p[VELOCITY + 1, VELOCITY + 1] + variance
+    shared = p[VELOCITY, VELOCITY + 1] / s_east
+    return -x[VELOCITY] / sqrt(s_east), (shared * x[VELOCITY] - x[VELOCITY + 1]) / sqrt(
+        s_north - shared * shared * s_east
+    )
+
+
+@compiled_apart
+def update_velocity(x: Matrix, p: Matrix, variance: float, alpha: float, gate: float) -> bool:
+    """Tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate."""
+    beyond = False
+    for i in range(VELOCITY, SIZE):
+        beyond = update(x, p, of_one(p, i, like(gate, 0.0), variance), True, alpha, gate) or beyond
+    return beyond
+
+
+@compiled_apart
+def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients) -> None:
+    """At rest the mean rate is the bias."""
+    if not at.is_resting:
+        return
+    slow = rate_sd(at.still)
+    variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
+    for i in range(3):
+        mean = turning.measured_b_rad[i] / turning.length_s
+        update(x, p, of_one(p, BIAS + i, mean, variance), True, like(mean, 1.0), c.gate)
+
+
+@compiled_apart
+def heading_measurement(
+    x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients
+) -> Measurement:
+    """That the mean field of the window points to magnetic north; ``x`` is as it was during the window."""
+    turning, fields = window.turning, window.fields
+    one, half, length_s = like(c.gate, 1.0), like(c.gate, 0.5), turning.length_s
+    field_n = scale(fields.sum_n_ut, one / max(fields.how_many, one))
+    turn, found = turn_to_north(field_n, c.declination_rad)
+    row = np.zeros_like(x)
+    if not found:
+        return Measurement(False, row, turn, one)
+    square = field_n[0] * field_n[0] + field_n[1] * field_n[1]
+    tan_dip = -field_n[2] / sqrt(square)
+    row[0], row[1], row[HEADING] = tan_dip * sin(c.declination_rad), tan_dip * cos(c.declination_rad), one
+    for j in range(3):  # the window's mean error is that at its end, and half of what the bias has done
+        row[BIAS + j] = half * turning.spread_s[j][2]
+        turn += row[BIAS + j] * x[BIAS + j]
+    hold_s = min(since_field_s + length_s, max(length_s, like(square, LONGEST_HOLD_S)))
+    disturbed = c.unseen * disturbance_ut2(field, looks(field_n, length_s))
+    if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
+        flat = field.known.size_ut * cos(field.known.dip_rad)
+        square = max(flat * flat, square * like(square, 0.01))
+    return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square)
+
+
+@compiled
+def nothing_new(c: Coefficients) -> Vector:
+    """The innovations of a sample that ends no window."""
+    none = like(c.gate, nan)
+    return none, none, none
+
+
+@compiled
+def heading_innovation(x: Matrix, p: Matrix, m: Measurement) -> float:
+    """Whitened, given what the updates before have moved; NaN without a field."""
+    if not m.is_there:
+        return like(m.seen, nan)
+    residual, variance = innovation(x, p, m)
+    return residual / sqrt(variance)
+
+
+@compiled_apart
+def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: Status, c: Coefficients) -> bool:
+    """Heading and bias by the field; True beyond the gate."""
+    if not m.is_there:
+        return False
+    if status.heading_doubt_s >= c.heading_patience_s:
+        for i in range(HEADING, BIAS):
+            forget(p, i, like(c.gate, UNKNOWN_RAD2))
+    return update(x, p, m, False, alpha, c.gate)
