@@ -12,6 +12,18 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "experiment_spin:variable",
         "Paper 000, variable speed: roll angle and rate at 1500-2100 deg/s over 60 s, ten trials.",
     ),
+    "phone-1": (
+        "experiment_phone:sliding",
+        "Paper 002, experiment 1: a phone slid over a table, five trials.",
+    ),
+    "phone-2": (
+        "experiment_phone:tripod",
+        "Paper 002, experiment 2: a phone on a tripod and the drift of its gyro, five trials.",
+    ),
+    "phone-3": (
+        "experiment_phone:in_hand",
+        "Paper 002, experiment 3: a phone in the hand, and CF against Kalman filters, five trials.",
+    ),
     "auv-dolphin": (
         "experiment_auv:dolphin",
         "Paper 003: attitude and filter gains of an underwater vehicle, 600 s submerged, five missions.",

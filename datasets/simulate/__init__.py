@@ -48,6 +48,12 @@ SIMULATIONS: dict[str, Simulation] = {
         SENSORS,
         partial(phone.experiment, "phone-3", phone.IN_HAND),
     ),
+    "phone-3-shaken": Simulation(
+        "the same held in one place and shaken evenly, at about 5 Hz",
+        4.0,
+        SENSORS,
+        partial(phone.experiment, "phone-3-shaken", phone.SHAKEN),
+    ),
     "auv-dolphin": Simulation(
         "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (paper 003)",
         15.0,

@@ -1,0 +1,67 @@
+"""Pictures of paper 002's experiments: angles over time, and the errors of what judges them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.scoring.envelope import break_line, envelope
+from stillpoint.scoring.figures import REST_GREY, colour_of
+from stillpoint.scoring.phone_study import AXES, Series
+
+Span = tuple[float, float]
+SMALLEST_ERROR_DEG = 0.01
+
+
+def draw_angles(
+    axes: Sequence[Axes], series: Series, methods: Mapping[str, int], parts: Sequence[str], span: Span
+) -> None:
+    """One angle per axes over the span: the methods in their colours, the benchmark on top."""
+    for ax, part in zip(axes, parts, strict=True):
+        k = AXES.index(part)
+        for name, colour in methods.items():
+            _line(ax, series, series.angles_deg[name][:, k], span, color=colour_of(colour), lw=1.0, label=name)
+        _line(
+            ax,
+            series,
+            series.angles_deg["benchmark"][:, k],
+            span,
+            color=rcParams["text.color"],
+            lw=1.3,
+            label="benchmark",
+        )
+        ax.set_ylabel(f"{part} (deg)")
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        _finish(ax, series, span)
+
+
+def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None:
+    """Total error of the references against the truth, logarithmic."""
+    span = (float(series.t_s[0]), float(series.t_s[-1]))
+    for name, colour in references.items():
+        error = np.maximum(series.error_deg[name], SMALLEST_ERROR_DEG)
+        _line(ax, series, error, span, color=colour_of(colour), lw=1.0, label=name)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.minorticks_off()
+    ax.set_ylabel("deg")
+    _finish(ax, series, span)
+
+
+def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
+    inside = slice(*np.searchsorted(series.t_s, span))
+    columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+    ax.plot(*envelope(*break_line(series.t_s[inside], value[inside], np.inf, 180.0), columns), **style)
+
+
+def _finish(ax: Axes, series: Series, span: Span) -> None:
+    """Limits, and the rests in grey."""
+    for first, last in series.rests_s:
+        if last > span[0] and first < span[1]:
+            ax.axvspan(max(first, span[0]), min(last, span[1]), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
+    ax.set_xlim(*span)
+    ax.xaxis.set_major_locator(MaxNLocator(8))

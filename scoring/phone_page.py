@@ -1,0 +1,192 @@
+"""One self-contained HTML page of one of paper 002's experiments: its tables and figures beside ours."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stillpoint.scoring.figures import COLOURS, ON_DARK
+from stillpoint.scoring.phone_figures import Span, draw_angles, draw_judges
+from stillpoint.scoring.phone_study import (
+    ACC,
+    ACC_MA,
+    AXES,
+    CF,
+    DRIFT_S,
+    FILTERS,
+    GYRO,
+    JUDGES,
+    KALMAN,
+    LEAD_S,
+    LongRun,
+    Scenario,
+    Trial,
+    mean_over,
+    rms_drift_deg,
+)
+from stillpoint.scoring.pictures import Picture, picture
+from stillpoint.scoring.report import dotted, template, versions
+
+COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4}  # places in COLOURS
+OF_JUDGE = {"benchmark": 1, "graph": 0}
+EULER = tuple(f"{axis}_{figure}_deg" for axis in AXES for figure in ("rmse", "maxae"))  # as the paper's tables
+BESIDE = ("inclination_rmse_deg", "heading_rmse_deg")
+
+
+class Shown(NamedTuple):
+    """One of the paper's figures."""
+
+    number: str
+    title: str
+    methods: tuple[str, ...]
+    parts: tuple[str, ...]
+    span: Span | None  # None: the whole recording
+
+
+FIGURES: dict[str, tuple[Shown, ...]] = {
+    "phone-1": (
+        Shown("5", "CF and Acc", (ACC, CF), AXES, None),
+        Shown("6", "Roll, CF and Acc", (ACC, CF), ("roll",), (10.0, 20.0)),
+        Shown("7", "Roll, CF and Acc_MA", (ACC_MA, CF), ("roll",), (10.0, 30.0)),
+        Shown("8", "Yaw by all", (ACC, ACC_MA, CF), ("yaw",), (10.0, 20.0)),
+    ),
+    "phone-2": (
+        Shown("10", "The gyro alone", (GYRO,), AXES, (LEAD_S, LEAD_S + DRIFT_S)),
+        Shown("11", "CF and Acc", (ACC, CF), AXES, None),
+        Shown("12", "Roll, CF and Acc", (ACC, CF), ("roll",), (35.0, 45.0)),
+    ),
+    "phone-3": (
+        Shown("13", "The benchmark", (), AXES, None),
+        Shown("14", "Roll by Acc", (ACC,), ("roll",), (10.0, 30.0)),
+        Shown("15", "Roll by CF", (CF,), ("roll",), (10.0, 30.0)),
+    ),
+}
+
+
+def phone_page(
+    scenario: Scenario,
+    trials: Mapping[str, Sequence[Trial]],
+    long_runs: Sequence[LongRun],
+    minutes: float,
+    command: str,
+) -> str:
+    """The page as text; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``."""
+    first = next(iter(trials.values()))
+    return template("phone_page.html.j2").render(
+        colours=COLOURS,
+        colours_on_dark=ON_DARK,
+        scenario=scenario,
+        facts=_facts(first),
+        rows=method_rows(scenario, trials),
+        judges=judge_rows(trials),
+        drifts=[(hand, *(f"{x:.1f}" for x in rms_drift_deg(some))) for hand, some in trials.items()],
+        found={hand: _found(some) for hand, some in trials.items()},
+        long_runs=long_runs,
+        slower=[run.ns_per_sample / long_runs[0].ns_per_sample for run in long_runs],
+        minutes=minutes,
+        sections=[
+            {"hand": hand, "seed": some[0].seed, "pictures": _pictures(scenario, some[0])}
+            for hand, some in trials.items()
+        ],
+        command=command,
+        parameters={
+            name: "; ".join(f"{key} = {value}" for key, value in dotted("", params))
+            for name, params in first[0].params.items()
+        },
+        versions=versions(),
+    )
+
+
+def method_rows(scenario: Scenario, trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+    """The paper's rows, then each method against each judge: RMSE and largest error of each angle, tilt, heading."""
+    rows = [
+        {"hand": "the paper", "judge": "its benchmark", "method": method, "euler": printed, "beside": (None, None)}
+        for method, printed in scenario.printed.items()
+    ]
+    for hand, some in trials.items():
+        rows += [_row(some, hand, method, judge) for judge in JUDGES for method in FILTERS]
+    return [_marked(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
+
+
+def judge_rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+    """What judges, judged: the benchmark and the graph against the truth, and against each other."""
+    pairs = (("benchmark", "truth"), ("graph", "truth"), ("benchmark", "graph"))
+    rows = []
+    for hand, some in trials.items():
+        for name, judge in pairs:
+            tilt = float(np.mean([one.common_tilt_deg[name] for one in some])) if judge == "truth" else None
+            rows.append(_row(some, hand, name, judge) | {"common_tilt_deg": tilt})
+    return [_marked(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
+
+
+def _row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[str, Any]:
+    return {
+        "hand": hand,
+        "judge": judge,
+        "method": method,
+        "euler": tuple(mean_over(trials, method, judge, figure) for figure in EULER),
+        "beside": tuple(mean_over(trials, method, judge, figure) for figure in BESIDE),
+    }
+
+
+def _marked(row: dict[str, Any], above: dict[str, Any] | None) -> dict[str, Any]:
+    """With its colour, and whether it begins a block."""
+    new = above is None or (row["hand"], row["judge"]) != (above["hand"], above["judge"])
+    return row | {"first": new, "of_paper": row["hand"] == "the paper", "colour": COLOUR.get(row["method"])}
+
+
+def _facts(first: Sequence[Trial]) -> dict[str, str]:
+    series, score = first[0].series, first[0].scores[CF, "truth"]
+    pitched = max(one.scores[CF, "truth"].near_gimbal_share for one in first)
+    return {
+        "trials": f"{len(first)} of {(series.t_s[-1] - series.t_s[0]) / 60:.1f} min, 100 Hz, seeds {first[0].seed} to "
+        f"{first[-1].seed}",
+        "methods": ", ".join(f"{method} ({name})" for method, name in FILTERS.items()),
+        "scored": f"over the moving samples ({100 * score.moving_share:.0f} % of the first run), nothing aligned; "
+        f"Euler angles North-West-Up; {100 * pitched:.1f} % of the samples pitch beyond 80 deg at most",
+        "references": "made from the recording alone, without the base pose that the simulator knows",
+    }
+
+
+def _found(trials: Sequence[Trial]) -> dict[str, str]:
+    """Figures that the text quotes."""
+    quoted = {
+        f"{name}_{part}": (method, judge, f"{part}_rmse_deg")
+        for name, method, judge in (
+            ("cf", CF, "benchmark"),
+            ("cf_true", CF, "truth"),
+            ("acc", ACC, "benchmark"),
+            ("ma", ACC_MA, "benchmark"),
+            ("bench", "benchmark", "truth"),
+            ("graph", "graph", "truth"),
+        )
+        for part in ("roll", "pitch", "yaw", "heading", "inclination")
+    }
+    return {name: f"{mean_over(trials, *place):.2g}" for name, place in quoted.items()}
+
+
+def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
+    series = one.series
+    whole = (0.0, float(series.t_s[-1]))
+    drawn = [_picture(one, shown, whole) for shown in FIGURES[scenario.name]]
+    judges = picture(
+        f"The error of the benchmark ({one.hand})",
+        "Total error of both references against the truth, logarithmic. The paper could not draw this. Rests are grey.",
+        1,
+        200,
+        lambda axes: draw_judges(axes[0], series, OF_JUDGE),
+    )
+    return [*drawn, judges]
+
+
+def _picture(one: Trial, shown: Shown, whole: Span) -> Picture:
+    return picture(
+        f"{shown.title} ({one.hand})",
+        f"As the paper's figure {shown.number}: trial {one.seed}, seconds from {LEAD_S:g} s before the first motion. "
+        "Rests are grey.",
+        len(shown.parts),
+        230 if len(shown.parts) == 1 else 140,
+        lambda axes: draw_angles(
+            axes, one.series, {name: COLOUR[name] for name in shown.methods}, shown.parts, shown.span or whole
+        ),
+    )

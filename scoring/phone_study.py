@@ -1,0 +1,208 @@
+"""Paper 002's three experiments on simulated trials: what to run, what the paper printed, and the scores beside it.
+
+As :mod:`stillpoint.scoring.roll_study`, a study that runs filters and smoother. The paper scores against its own
+benchmark, made from the same phone; a simulated trial has its truth as well, so the benchmark is scored, too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from stillpoint.datasets.frames import euler, quaternion, rotation
+from stillpoint.datasets.recording import Floats, Truth
+from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.filters import estimate
+from stillpoint.scoring.errors import attitude_error, euler_error
+from stillpoint.scoring.score import Score, score
+from stillpoint.smoother import attitude_reference
+
+JudgeName = Literal["benchmark", "graph", "truth"]
+JUDGES: tuple[JudgeName, ...] = get_args(JudgeName)
+REFERENCES = {"benchmark": "redistribution", "graph": "graph"}
+ACC, ACC_MA, GYRO, CF, KALMAN = "Acc", "Acc_MA", "Gyro", "CF", "Kalman"
+FILTERS = {CF: "cf", ACC: "acc", ACC_MA: "acc-ma", GYRO: "gyro", KALMAN: "ekf"}
+AXES = ("roll", "pitch", "yaw")
+DRIFT_S = 60.0  # fig 10 looks at the gyro after about a minute
+LEAD_S = 10.0  # the paper's pictures begin so long before the first motion
+RUNS = 3  # of which the fastest is timed
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One of the three experiments."""
+
+    name: str
+    title: str
+    number: int
+    hands: Mapping[str, str]  # how the phone is moved -> simulation
+    printed: Mapping[str, tuple[float | None, ...]]  # method -> RMSE and MaxAE of roll, pitch, yaw, as printed
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Roll, pitch, yaw (NWU, deg) over time at the IMU's stamps, seconds from LEAD_S before the first motion."""
+
+    t_s: Floats  # (N,)
+    angles_deg: Mapping[str, Floats]  # of each method, reference and the truth, (N, 3)
+    error_deg: Mapping[str, Floats]  # total error (N,) of both references against the truth
+    rests_s: Floats  # (R, 2)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One recording: every method against every judge, the references against each other and the truth."""
+
+    hand: str
+    seed: int
+    scores: Mapping[tuple[str, str], Score]  # (method or reference, judge)
+    common_tilt_deg: Mapping[str, float]  # of a reference: tilt error in the base pose, which all its samples share
+    drift_deg: tuple[float, float, float]  # the gyro's roll, pitch, yaw off the benchmark a minute after the start
+    params: Mapping[str, Mapping[str, Any]]
+    series: Series
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """One filter over a long recording, against the truth."""
+
+    method: str
+    estimator: str
+    tilt_rmse_deg: float
+    heading_rmse_deg: float
+    ns_per_sample: float
+
+
+def trial(scenario: Scenario, hand: str, seed: int) -> Trial:
+    """Simulate one recording, make both references without its true base pose, and score everything."""
+    recording = simulate(scenario.hands[hand], seed=seed)
+    assert recording.truth is not None
+    blind = replace(recording, base_pose=None, truth=None)
+    references = {name: attitude_reference(blind, method) for name, method in REFERENCES.items()}
+    made: dict[str, Estimate] = {method: estimate(blind, name) for method, name in FILTERS.items()}
+    things: dict[str, Estimate | Reference] = {**made, **references}
+    judges: dict[str, Reference | Truth] = {**references, "truth": recording.truth}
+    scores = {
+        (method, judge): score(thing, truth, "none")
+        for judge, truth in judges.items()
+        for method, thing in things.items()
+        if method != judge
+    }
+    benchmark = references["benchmark"]
+    return Trial(
+        hand,
+        seed,
+        scores,
+        {name: _tilt_at_start_deg(reference, recording.truth) for name, reference in references.items()},
+        drift_deg(made[GYRO], benchmark),
+        {name: dict(thing.params) for name, thing in things.items()},
+        _series(recording.truth, benchmark, references, made),
+    )
+
+
+def drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of the gyro less the benchmark's, DRIFT_S after it was set to it when the motion begins."""
+    assert gyro.q_nb is not None
+    start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
+    end = int(np.searchsorted(benchmark.t_ns, benchmark.t_ns[start] + round(DRIFT_S * 1e9), side="right")) - 1
+    restarted = restart(gyro.q_nb, benchmark.q_nb, start)
+    roll, pitch, yaw = np.rad2deg(euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
+    return float(roll), float(pitch), float(yaw)
+
+
+def restart(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
+    """An integration (N, 4) as if it had begun at sample ``at`` with the attitude of another.
+
+    What was integrated until then is taken off in n, which is where an attitude that a gyro starts from comes in.
+    """
+    turn = rotation(other_q_nb[at]) * rotation(q_nb[at]).inv()
+    return quaternion(turn * rotation(q_nb))
+
+
+def long_run(minutes: float, hand: str, methods: Mapping[str, str]) -> list[LongRun]:
+    """Filters over one long recording of the third experiment, each timed as the fastest of RUNS runs."""
+    recording = simulate(EXPERIMENTS["phone-3"].hands[hand], seed=0, minutes=minutes)
+    assert recording.truth is not None
+    found = []
+    for method, name in methods.items():
+        runs = [estimate(recording, name) for _ in range(RUNS)]
+        scored = score(runs[0], recording.truth, "none")
+        ns = min(run.ns_per_sample for run in runs)
+        found.append(LongRun(method, name, scored.inclination_rmse_deg, scored.heading_rmse_deg, ns))
+    return found
+
+
+def mean_over(trials: Sequence[Trial], method: str, judge: str, figure: str) -> float:
+    """Mean of one figure of the scores over the trials."""
+    return float(np.mean([getattr(one.scores[method, judge], figure) for one in trials]))
+
+
+def rms_drift_deg(trials: Sequence[Trial]) -> Floats:
+    """Root mean square over the trials of the gyro's drift in roll, pitch, yaw (3,)."""
+    return np.asarray(np.sqrt(np.mean(np.square([one.drift_deg for one in trials]), axis=0)), dtype=np.float64)
+
+
+def _tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
+    first = attitude_error(reference.q_nb[:1], truth.q_nb[:1])
+    return float(np.rad2deg(first.inclination_rad[0]))
+
+
+def _series(
+    truth: Truth, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
+) -> Series:
+    start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
+    zero_ns = int(benchmark.t_ns[start]) - round(LEAD_S * 1e9)
+    turned: dict[str, Floats] = {name: reference.q_nb for name, reference in references.items()}
+    for method, thing in made.items():
+        assert thing.q_nb is not None
+        turned[method] = restart(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
+    nearest = np.clip(np.searchsorted(truth.t_ns, benchmark.t_ns), 0, len(truth.t_ns) - 1)
+    angles = {name: np.rad2deg(euler(q_nb, "nwu")) for name, q_nb in turned.items()}
+    errors: dict[str, Floats] = {
+        name: np.asarray(np.rad2deg(attitude_error(reference.q_nb, truth.q_nb[nearest]).total_rad))
+        for name, reference in references.items()
+    }
+    return Series(
+        (benchmark.t_ns - zero_ns) / 1e9,
+        angles | {"truth": np.rad2deg(euler(truth.q_nb[nearest], "nwu"))},
+        errors,
+        (benchmark.rests_ns - zero_ns) / 1e9,
+    )
+
+
+HANDS = {"carried": "phone-3", "shaken": "phone-3-shaken"}
+EXPERIMENTS: dict[str, Scenario] = {
+    "phone-1": Scenario(
+        "phone-1",
+        "A phone slid over a table",
+        1,
+        {"sliding": "phone-1"},
+        {
+            CF: (0.2417, 1.0120, 0.2649, 0.9774, 3.6089, 9.0839),
+            ACC: (4.5700, 32.5064, 4.5130, 28.5369, 5.6379, 44.3094),
+            ACC_MA: (0.9217, 2.3942, 0.3157, 0.9730, 9.4104, 44.9745),
+        },
+    ),
+    "phone-2": Scenario(
+        "phone-2",
+        "A phone on a tripod",
+        2,
+        {"tripod": "phone-2"},
+        {
+            CF: (1.3490, 4.0197, 2.0848, 7.6263, 3.9181, 8.5216),
+            ACC: (2.4396, 16.9520, 2.9234, 24.6859, 3.4014, 17.0069),
+        },
+    ),
+    "phone-3": Scenario(
+        "phone-3",
+        "A phone in the hand",
+        3,
+        HANDS,
+        {
+            CF: (1.2830, 9.4319, 1.8562, 8.0824, 4.3108, 11.9128),
+            ACC: (26.5381, 16.9520, 16.1595, 69.6934, 16.3406, 44.9733),
+        },
+    ),
+}
