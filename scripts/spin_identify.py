@@ -89,8 +89,9 @@ def _show_variances(found: Identified) -> None:
         f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)², {found.q_alone_rad2ps4:.3g} by F5 alone"
     )
     print(
-        f"for `stillpoint estimate`: --set ESTIMATOR.radial_var_m2ps4={found.d4_m2ps4:.3g} "
-        f"--set ESTIMATOR.tangential_var_m2ps4={found.d5_alone_m2ps4:.3g}"
+        "for `stillpoint estimate -e roll-guarded` (or another): "
+        f"--set roll-guarded.radial_var_m2ps4={found.d4_m2ps4:.3g} "
+        f"--set roll-guarded.tangential_var_m2ps4={found.d5_alone_m2ps4:.3g}"
     )
 
 

@@ -1,6 +1,7 @@
 """Variances from trials with an encoder: what was planted comes back, whatever the encoder adds."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -122,7 +123,11 @@ def test_the_command_says_it_draws_it_and_writes_it(call, tmp_path, capsys):
         write(tmp_path / f"{seed}.mcap", simulate("spin-constant", seed, minutes=0.1))
     assert call("spin", "identify", tmp_path, "-o", tmp_path / "out") == 0
     text = capsys.readouterr().out
-    assert "--set radial_var_m2ps4=" in text
+    settings = re.findall(r"--set (roll-guarded\.\S+)", text)
+    flags = [part for each in settings for part in ("--set", each)]
+    assert len(settings) == 2
+    assert call("estimate", tmp_path / "0.mcap", "-e", "roll-guarded", *flags, "-o", tmp_path / "out") == 0
+    capsys.readouterr()
     assert (tmp_path / "out" / "spin-identify.png").read_bytes().startswith(b"\x89PNG")
     rows = json.loads((tmp_path / "out" / "spin-identify.json").read_text())["rows"]
     assert [row["recording"] for row in rows][2] == "maximum"
