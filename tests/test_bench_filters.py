@@ -19,7 +19,7 @@ def test_every_estimator_of_ours_has_its_kind_in_ahrs():
 
 
 def test_the_rows_set_every_estimator_beside_vqf_and_its_kind(monkeypatch):
-    monkeypatch.setattr(bench_filters, "MINUTES", 2.0)
+    monkeypatch.setattr(bench_filters, "MINUTES", 1.4)
     monkeypatch.setattr(bench_filters, "STREAMED", 100)
     rows = [row.row() for row in bench_filters.bench_filters(1)]
     peers = [name for name, entry in ESTIMATORS.items() if entry.is_peer]
