@@ -24,10 +24,10 @@ def draw_angles(
     for ax, part in zip(axes, parts, strict=True):
         k = AXES.index(part)
         for name, colour in methods.items():
-            _line(ax, series, series.angles_deg[name][:, k], span, color=colour_of(colour), lw=1.0, label=name)
+            _line(ax, series.t_s, series.angles_deg[name][:, k], span, color=colour_of(colour), lw=1.0, label=name)
         _line(
             ax,
-            series,
+            series.t_s,
             series.angles_deg["benchmark"][:, k],
             span,
             color=rcParams["text.color"],
@@ -43,8 +43,8 @@ def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None
     """Total error of the references against the truth, logarithmic."""
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for name, colour in references.items():
-        error = np.maximum(series.error_deg[name], SMALLEST_ERROR_DEG)
-        _line(ax, series, error, span, color=colour_of(colour), lw=1.0, label=name)
+        t_s, error_deg = series.errors[name]
+        _line(ax, t_s, np.maximum(error_deg, SMALLEST_ERROR_DEG), span, color=colour_of(colour), lw=1.0, label=name)
     ax.set_yscale("log")
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.minorticks_off()
@@ -52,10 +52,10 @@ def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None
     _finish(ax, series, span)
 
 
-def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
-    inside = slice(*np.searchsorted(series.t_s, span))
+def _line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> None:
+    inside = slice(*np.searchsorted(t_s, span))
     columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
-    ax.plot(*envelope(*break_line(series.t_s[inside], value[inside], np.inf, 180.0), columns), **style)
+    ax.plot(*envelope(*break_line(t_s[inside], value[inside], np.inf, 180.0), columns), **style)
 
 
 def _finish(ax: Axes, series: Series, span: Span) -> None:

@@ -157,12 +157,14 @@ def _found(trials: Sequence[Trial]) -> dict[str, str]:
             ("cf_true", CF, "truth"),
             ("acc", ACC, "benchmark"),
             ("ma", ACC_MA, "benchmark"),
+            ("kalman", KALMAN, "benchmark"),
+            ("kalman_true", KALMAN, "truth"),
             ("bench", "benchmark", "truth"),
             ("graph", "graph", "truth"),
         )
         for part in ("roll", "pitch", "yaw", "heading", "inclination")
     }
-    return {name: f"{mean_over(trials, *place):.2g}" for name, place in quoted.items()}
+    return {name: f"{mean_over(trials, *place):.1f}" for name, place in quoted.items()}
 
 
 def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:

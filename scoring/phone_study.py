@@ -15,6 +15,7 @@ from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import estimate
+from stillpoint.scoring.compare import compare
 from stillpoint.scoring.errors import attitude_error, euler_error
 from stillpoint.scoring.score import Score, score
 from stillpoint.smoother import attitude_reference
@@ -46,8 +47,8 @@ class Series:
     """Roll, pitch, yaw (NWU, deg) over time at the IMU's stamps, seconds from LEAD_S before the first motion."""
 
     t_s: Floats  # (N,)
-    angles_deg: Mapping[str, Floats]  # of each method, reference and the truth, (N, 3)
-    error_deg: Mapping[str, Floats]  # total error (N,) of both references against the truth
+    angles_deg: Mapping[str, Floats]  # of each method and reference, (N, 3)
+    errors: Mapping[str, tuple[Floats, Floats]]  # total error of both references: the truth's stamps, deg
     rests_s: Floats  # (R, 2)
 
 
@@ -158,18 +159,18 @@ def _series(
     for method, thing in made.items():
         assert thing.q_nb is not None
         turned[method] = restart(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
-    nearest = np.clip(np.searchsorted(truth.t_ns, benchmark.t_ns), 0, len(truth.t_ns) - 1)
-    angles = {name: np.rad2deg(euler(q_nb, "nwu")) for name, q_nb in turned.items()}
-    errors: dict[str, Floats] = {
-        name: np.asarray(np.rad2deg(attitude_error(reference.q_nb, truth.q_nb[nearest]).total_rad))
-        for name, reference in references.items()
-    }
     return Series(
         (benchmark.t_ns - zero_ns) / 1e9,
-        angles | {"truth": np.rad2deg(euler(truth.q_nb[nearest], "nwu"))},
-        errors,
+        {name: np.rad2deg(euler(q_nb, "nwu")) for name, q_nb in turned.items()},
+        {name: _error_over_time(reference, truth, zero_ns) for name, reference in references.items()},
         (benchmark.rests_ns - zero_ns) / 1e9,
     )
+
+
+def _error_over_time(reference: Reference, truth: Truth, zero_ns: int) -> tuple[Floats, Floats]:
+    c = compare(reference, truth, "none")
+    error_deg = np.asarray(np.rad2deg(attitude_error(c.q_est, c.q_true).total_rad), dtype=np.float64)
+    return np.asarray((c.t_ns - zero_ns) / 1e9, dtype=np.float64), error_deg
 
 
 HANDS = {"carried": "phone-3", "shaken": "phone-3-shaken"}

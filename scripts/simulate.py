@@ -37,10 +37,10 @@ def simulate(
     Parameters
     ----------
     kind
-        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the three experiments
-        of paper 002. spin-constant, spin-variable (a motor's shaft with two accelerometers), spin-flight (five on
-        a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater vehicle): paper 003.
-        servo-bench (swung by +-90 deg): paper 004.
+        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent), phone-3-shaken (in one
+        place): the three experiments of paper 002. spin-constant, spin-variable (a motor's shaft with two
+        accelerometers), spin-flight (five on a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater
+        vehicle): paper 003. servo-bench (swung by +-90 deg): paper 004.
     out
         Folder to write into; made when it is not there.
     seed
@@ -48,8 +48,8 @@ def simulate(
     seeds
         How many recordings, with rising seeds.
     minutes
-        Length of each; by default 2 for phone-1, 4 for phone-2 and phone-3, 0.5 for spin-constant and spin-flight,
-        1 for spin-variable, 15 for auv, 30 for servo-bench.
+        Length of each; by default 2 for phone-1, 4 for the other phones, 0.5 for spin-constant and spin-flight, 1 for
+        spin-variable, 15 for auv, 30 for servo-bench.
     seconds
         The same in seconds.
     rate

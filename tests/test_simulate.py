@@ -13,8 +13,9 @@ from stillpoint.datasets.earth import declination_rad, magnetic_field_n_ut, norm
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, slerp, wrap
 from stillpoint.datasets.simulate import PERFECT, PHONE, SIMULATIONS, simulate
-from stillpoint.datasets.simulate.phone import IN_HAND, SLIDING, TRIPOD, move, protocol
+from stillpoint.datasets.simulate.phone import IN_HAND, SHAKEN, SLIDING, TRIPOD, move, protocol
 
+HANDS = {"phone-1": SLIDING, "phone-2": TRIPOD, "phone-3": IN_HAND, "phone-3-shaken": SHAKEN}
 KINDS = [kind for kind in SIMULATIONS if kind.startswith("phone-")]
 
 
@@ -144,7 +145,7 @@ def test_protocol_of_the_paper(minutes, seed, initial_s):
     assert lengths[-1] <= 6 + 23 + 1e-9  # what is too short for another swing
 
 
-@pytest.mark.parametrize(("kind", "hand"), [("phone-1", SLIDING), ("phone-2", TRIPOD), ("phone-3", IN_HAND)])
+@pytest.mark.parametrize(("kind", "hand"), HANDS.items())
 def test_returns_are_as_good_as_a_hand(kind, hand):
     errors = []
     for seed in range(10):
@@ -169,7 +170,7 @@ def test_sliding_stays_flat_on_the_table(phones):
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(KINDS))
 def test_motion_stays_within_its_box(seed, kind):
-    hand = {"phone-1": SLIDING, "phone-2": TRIPOD, "phone-3": IN_HAND}[kind]
+    hand = HANDS[kind]
     path = move(hand, 120.0, seed, kind)
     t = np.arange(0, 120, 0.01)
     assert (np.abs(np.rad2deg(path.turn_b_rad(t))) <= np.array(hand.turn_deg) + 1.2).all()
@@ -195,7 +196,7 @@ def test_base_pose_is_to_true_north(phones):
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(KINDS))
 def test_every_swing_is_motion(seed, kind):
     """No swing may pass with the phone left in the base pose: half of it is away by 10 deg and more."""
-    path = move({"phone-1": SLIDING, "phone-2": TRIPOD, "phone-3": IN_HAND}[kind], 180.0, seed, kind)
+    path = move(HANDS[kind], 180.0, seed, kind)
     for start, end in zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True):
         turn = np.rad2deg(np.linalg.norm(path.turn_b_rad(np.linspace(start, end, 500)), axis=1))
         assert np.median(turn) > 10
