@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rcParams
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.envelope import break_line, envelope
@@ -14,7 +14,6 @@ from stillpoint.scoring.figures import REST_GREY, colour_of
 from stillpoint.scoring.phone_study import AXES, Series
 
 Span = tuple[float, float]
-SMALLEST_ERROR_DEG = 0.01
 
 
 def draw_angles(
@@ -40,14 +39,12 @@ def draw_angles(
 
 
 def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None:
-    """Total error of the references against the truth, logarithmic."""
+    """Total error of the references against the truth."""
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for name, colour in references.items():
         t_s, error_deg = series.errors[name]
-        _line(ax, t_s, np.maximum(error_deg, SMALLEST_ERROR_DEG), span, color=colour_of(colour), lw=1.0, label=name)
-    ax.set_yscale("log")
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.minorticks_off()
+        _line(ax, t_s, error_deg, span, color=colour_of(colour), lw=1.0, label=name)
+    ax.set_ylim(bottom=0)
     ax.set_ylabel("deg")
     _finish(ax, series, span)
 

@@ -173,7 +173,7 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     drawn = [_picture(one, shown, whole) for shown in FIGURES[scenario.name]]
     judges = picture(
         f"The error of the benchmark ({one.hand})",
-        "Total error of both references against the truth, logarithmic. The paper could not draw this. Rests are grey.",
+        "Total error of both references against the truth, which the paper could not draw. Rests are grey.",
         1,
         200,
         lambda axes: draw_judges(axes[0], series, OF_JUDGE),
