@@ -33,7 +33,7 @@ def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
         zero = like(front_c.guard.gyro_radps, 0.0)
         none = (zero, zero, zero)
         # What is said before the first sample is what is said after nothing.
-        _, output = estimator.step(estimator.start(c), Sample(zero, none, none, none, False, False), c)
+        _, output = estimator.step(estimator.start(c), Sample(zero, none, none, none, False, False, none), c)
         cell = List()
         cell.append((front_c, c, front.start(front_c), estimator.start(c), output))
         return cell

@@ -99,6 +99,13 @@ def forget(p: Matrix, i: int, variance: float) -> None:
     p[i, i] = variance
 
 
+@compiled
+def grown(variance: float, sd: float) -> float:
+    """After an error of this sd that goes the way of the one before: standard deviations add, not variances."""
+    root = sqrt(max(variance, like(variance, 0.0))) + sd
+    return root * root
+
+
 @compiled_apart
 def widen(p: Matrix, i: int, factor: float) -> None:
     """The variance of error i times ``factor``, its correlations as they were."""

@@ -23,6 +23,9 @@ that size and dip of the field show (:mod:`stillpoint.filters.known_field`).
 
 **Rest.** The mean rate is the bias (:mod:`stillpoint.filters.stillness`), and v is 0 to ``REST_MPS``.
 
+**Rates that were clipped or missing** hide a turn. P grows by it, about the body's axes concerned and as one error that
+lasts, and nothing is a rest meanwhile. So what the fields then show goes to the attitude, not to the bias.
+
 Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
 the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever."""
@@ -31,11 +34,15 @@ from dataclasses import dataclass
 from math import pi
 from typing import NamedTuple
 
+import numpy as np
+
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import (
     Matrix,
+    axes_in_n,
     congruence,
+    grown,
     identity,
     round_up,
     widen,
@@ -43,9 +50,10 @@ from stillpoint.filters.covariance import (
 from stillpoint.filters.known_field import KnownField, Tolerance
 from stillpoint.filters.rotation import (
     Quaternion,
+    Vector,
 )
 from stillpoint.filters.stillness import Limits, Stillness
-from stillpoint.filters.window import Turning, Window
+from stillpoint.filters.window import Turning, Window, is_measured
 
 # Where the errors stand in P: attitude 0-2 (2 is the heading), bias 3-5, velocity 6-7.
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
@@ -231,13 +239,32 @@ def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
 
 
 @compiled_apart
-def predict(x: Matrix, p: Matrix, window: Window, c: Coefficients) -> None:
-    """Velocity and covariance at the end of the window."""
+def hide(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
+    """A turn about this axis that the gyro did not tell has entered attitude and, half as long, velocity."""
+    total = like(hidden_rad, 0.0)
+    for i in range(3):
+        total += axis_n[i] * (p[i, 0] * axis_n[0] + p[i, 1] * axis_n[1] + p[i, 2] * axis_n[2])
+    added, lever = grown(total, hidden_rad) - total, like(up_mps, 0.5) * up_mps
+    entry = np.zeros_like(p[0])
+    entry[0], entry[1], entry[2] = axis_n
+    entry[VELOCITY], entry[VELOCITY + 1] = lever * axis_n[1], -lever * axis_n[0]
+    for i in range(SIZE):
+        for j in range(SIZE):
+            p[i, j] += added * (entry[i] * entry[j])
+
+
+@compiled_apart
+def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficients) -> None:
+    """Velocity and covariance at the end of the window, where the attitude is ``q_nb``."""
     push = window.forces.push_n_mps
     x[VELOCITY] += push[0]
     x[VELOCITY + 1] += push[1]
     congruence(transition(window, p), p)
     add_noise(p, window, c)
+    if not is_measured(window.turning):
+        axes, hidden_b_rad = axes_in_n(q_nb), window.turning.hidden_b_rad
+        for i in range(3):
+            hide(p, axes[i], hidden_b_rad[i], push[2])
     round_up(p)
     unknown = like(c.gate, UNKNOWN_RAD2)
     for i in range(BIAS):

@@ -11,6 +11,7 @@ from stillpoint.filters.covariance import (
     axes_in_n,
     congruence,
     forget,
+    grown,
     identity,
     in_body_axes,
 )
@@ -44,7 +45,7 @@ from stillpoint.filters.rotation import (
 )
 from stillpoint.filters.sample import GAP_S, Output, Sample
 from stillpoint.filters.stillness import moving
-from stillpoint.filters.window import Forces, Turning, Window, no_samples, pushed, turned, with_field
+from stillpoint.filters.window import Forces, Turning, Window, is_measured, no_samples, pushed, turned, with_field
 
 # A body whose mean specific force, of at least that size, points that far down (cosine) is not as the estimate says.
 LEAST_FORCE_MPS2 = 5.0
@@ -72,7 +73,7 @@ def start(c: Coefficients) -> Body:
 def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
     """Turn by the rate, and add the sample to the window; or, as long as there is no attitude, begin one."""
     q_nb, x, p, window, still, field, status, met = body
-    dt_s, gyro, accel, mag, has_accel, has_mag = sample
+    dt_s, gyro, accel, mag, has_accel, has_mag, _ = sample
     use_accel = has_accel and dot(accel, accel) >= like(dt_s, FREE_FALL_MPS2**2)
     use_mag = has_mag and dot(mag, mag) > 0
     n_free_fall = met.n_free_fall + (1 if has_accel and not use_accel else 0)
@@ -83,7 +84,7 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
         (turning, forces, fields), before = window, q_nb
         rate = add(gyro, (-x[BIAS], -x[BIAS + 1], -x[BIAS + 2]))
         q_nb = normalise(multiply(q_nb, rotation.exp(scale(rate, dt_s))))
-        turning = turned(turning, gyro, rate, before, q_nb, dt_s)
+        turning = turned(turning, sample, rate, before, q_nb)
         if use_accel:
             forces = pushed(forces, rotate(q_nb, accel), accel, dt_s)
         if use_mag:
@@ -225,4 +226,8 @@ def output(body: Body, innovations: Vector, c: Coefficients) -> Output:
     """The estimate after a sample, with the attitude's covariance there."""
     q_nb, x, p, window, _, _, status, _ = body
     cov_b = in_body_axes(p, window.turning.spread_s, attitude_noise(window.turning, c), q_nb)
+    if not is_measured(window.turning):
+        xx, xy, xz, _, yy, yz, _, _, zz = cov_b
+        x_rad, y_rad, z_rad = window.turning.hidden_b_rad
+        cov_b = grown(xx, x_rad), xy, xz, xy, grown(yy, y_rad), yz, xz, yz, grown(zz, z_rad)
     return Output(q_nb, (x[BIAS], x[BIAS + 1], x[BIAS + 2]), cov_b, innovations, status.is_ready)

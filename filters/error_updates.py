@@ -7,6 +7,7 @@ import numpy as np
 from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import (
     Matrix,
+    axes_in_n,
     forget,
     joseph,
     times,
@@ -30,8 +31,8 @@ from stillpoint.filters.rotation import (
     Vector,
     scale,
 )
-from stillpoint.filters.stillness import is_resting, rate_sd, watch
-from stillpoint.filters.window import Turning, Window, means
+from stillpoint.filters.stillness import is_resting, moving, rate_sd, watch
+from stillpoint.filters.window import Turning, Window, is_measured, means
 
 # How far from 0 the velocity of a resting body is.
 REST_MPS = 0.02
@@ -77,9 +78,15 @@ def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
 @compiled_apart
 def due(body: Body, c: Coefficients) -> Due:
     """Predict to the end of the window, and say what there is to update with."""
-    length_s, still = body.window.turning.length_s, watch(body.still, means(body.window), c.limits)
-    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
-    predict(body.x, body.p, body.window, c)
+    turning = body.window.turning
+    length_s, still = turning.length_s, moving(like(c.gate, 0.0))
+    if is_measured(turning):
+        still = watch(body.still, means(body.window), c.limits)
+    (_, _, up_x), (_, _, up_y), (_, _, up_z) = axes_in_n(body.q_nb)
+    x_rad, y_rad, z_rad = turning.hidden_b_rad
+    hidden_rad = abs(up_x) * x_rad + abs(up_y) * y_rad + abs(up_z) * z_rad
+    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, hidden_rad, c)
+    predict(body.x, body.p, body.window, body.q_nb, c)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
     return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
 
@@ -117,9 +124,12 @@ def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients
 
 @compiled_apart
 def heading_measurement(
-    x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients
+    x: Matrix, window: Window, since_field_s: float, field: KnownField, hidden_rad: float, c: Coefficients
 ) -> Measurement:
-    """That the mean field of the window points to magnetic north; ``x`` is as it was during the window."""
+    """That the mean field of the window points to magnetic north; ``x`` is as it was during the window.
+
+    Of a turn ``hidden_rad`` about up that the gyro did not tell the mean has about half.
+    """
     turning, fields = window.turning, window.fields
     one, half, length_s = like(c.gate, 1.0), like(c.gate, 0.5), turning.length_s
     field_n = scale(fields.sum_n_ut, one / max(fields.how_many, one))
@@ -138,7 +148,8 @@ def heading_measurement(
     if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
         flat = field.known.size_ut * cos(field.known.dip_rad)
         square = max(flat * flat, square * like(square, 0.01))
-    return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square)
+    missed = half * hidden_rad
+    return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square + missed * missed)
 
 
 @compiled

@@ -85,6 +85,7 @@ def run(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
         np.full((n, 3), zero),
         np.full(n, False),
         np.full(n, False),
+        np.full((n, 3), zero),
     )
     for k in range(n):
         state, sample, _ = step(state, raw_at(raw, k), c)
@@ -93,5 +94,6 @@ def run(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
             log.gyro_b_radps[k, i] = sample.gyro_b_radps[i]
             log.accel_b_mps2[k, i] = sample.accel_b_mps2[i]
             log.mag_b_ut[k, i] = sample.mag_b_ut[i]
+            log.hidden_b_radps[k, i] = sample.hidden_b_radps[i]
         log.has_accel[k], log.has_mag[k] = sample.has_accel, sample.has_mag
     return state, log

@@ -17,6 +17,8 @@ from stillpoint.filters.sample import GAP_S, Sample
 LARGEST = 1e6
 # The last good rate stands in for broken ones that long; after it the body is taken to rest.
 HOLD_NS = 1_000_000_000
+# How fast a body may turn otherwise than it did (sd, each axis), where the gyro says nothing.
+UNSEEN_RADPS = 1.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Gyro(NamedTuple):
     last: Vector  # good one
     last_ns: int  # its stamp, -1 before the first
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
-    n_saturated_gyro: int  # used as they are: no better rate is known
+    n_saturated_gyro: int  # used as they are: no better rate is known. The sample says by how much they may be off
     n_same_gyro: int  # bit for bit the one before; used
 
 
@@ -126,16 +128,28 @@ def read(v: Vector, last: Vector, limit: float) -> Reading:
 
 
 @compiled
-def rate_of(gyro: Gyro, reading: Reading, t_ns: int) -> tuple[Gyro, Vector]:
-    """The rate to go by: the one that was read, else the last good one for a while, else rest."""
+def clipped(rate: float, limit: float) -> float:
+    """What a component at the end of its range may hide: as much again."""
+    return limit if abs(rate) >= limit else like(limit, 0.0)
+
+
+@compiled
+def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
+    """The rate to go by: the one that was read, else the last good one for a while, else rest; and what it hides."""
     last, last_ns, n_bad, n_saturated, n_same = gyro
     n_same += 1 if reading.is_same else 0
     n_saturated += 1 if reading.is_saturated else 0
     if reading.is_usable:
-        return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector
-    zero = like(last[0], 0.0)
-    rate = last if last_ns >= 0 and t_ns - last_ns <= HOLD_NS else (zero, zero, zero)
-    return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate
+        x, y, z = reading.vector
+        hidden = clipped(x, limit), clipped(y, limit), clipped(z, limit)
+        return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
+    zero, unseen = like(limit, 0.0), like(limit, UNSEEN_RADPS)
+    rate, hidden = (zero, zero, zero), (unseen, unseen, unseen)
+    if last_ns >= 0 and t_ns - last_ns <= HOLD_NS:
+        rate = last
+    elif last_ns >= 0:  # it may still turn as it did
+        hidden = max(unseen, abs(last[0])), max(unseen, abs(last[1])), max(unseen, abs(last[2]))
+    return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate, hidden
 
 
 @compiled
@@ -158,10 +172,11 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     none = (zero, zero, zero)
     if raw.t_ns <= t_ns:
         guard = Guard(t_ns, gyro, accel, mag, n_gaps, n_out_of_order + 1)
-        return guard, Sample(zero, none, none, none, False, False), False
+        return guard, Sample(zero, none, none, none, False, False, none), False
     dt_s = like(zero, (raw.t_ns - t_ns) / 1e9) if t_ns >= 0 else zero
     n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
-    gyro, rate = rate_of(gyro, read(raw.gyro_b_radps, gyro.last, c.gyro_radps), raw.t_ns)
+    reading = read(raw.gyro_b_radps, gyro.last, c.gyro_radps)
+    gyro, rate, hidden = rate_of(gyro, reading, raw.t_ns, c.gyro_radps)
     force = read(raw.accel_b_mps2, accel.last, c.accel_mps2)
     n_bad, n_saturated, n_same = counted(force)
     last = force.vector if force.is_usable else accel.last
@@ -172,7 +187,6 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
         last = field.vector if field.is_usable else mag.last
         mag = Mag(last, mag.n_bad_mag + n_bad, mag.n_saturated_mag + n_saturated, mag.n_same_mag + n_same)
     has_accel, has_mag = not left_out(force), raw.has_mag and not left_out(field)
-    sample = Sample(
-        dt_s, rate, force.vector if has_accel else none, field.vector if has_mag else none, has_accel, has_mag
-    )
+    accel_b, mag_b = force.vector if has_accel else none, field.vector if has_mag else none
+    sample = Sample(dt_s, rate, accel_b, mag_b, has_accel, has_mag, hidden)
     return Guard(raw.t_ns, gyro, accel, mag, n_gaps, n_out_of_order), sample, True

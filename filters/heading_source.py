@@ -188,7 +188,7 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients)
     """The sample that the estimator gets in place of this one."""
     if not c.is_on:
         return state, sample
-    dt_s, gyro, accel, mag, has_accel, has_mag = sample
+    dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
     attitude, (since_s, n_in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
     since_s += dt_s
     if since_s > c.longest_age_s or dt_s > like(dt_s, GAP_S):
@@ -215,4 +215,4 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients)
     if c.removes_bias:
         gyro = add(gyro, scale(attitude.bias_b_radps, like(dt_s, -1.0)))
     state = State(attitude, courses, calibration, since_mag_s, n_by_course, n_corrected)
-    return state, Sample(dt_s, gyro, accel, mag, has_accel, has_mag)
+    return state, Sample(dt_s, gyro, accel, mag, has_accel, has_mag, hidden)

@@ -13,6 +13,9 @@ is constant; seen along the axis about which an angle turns it is that angle's. 
 rotation, exactly, and an innovation is one arc tangent of the measured against the predicted angle: nothing wraps,
 nothing is averaged across +-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it
 the accelerometer is left out and the gyro alone turns the estimate (``n_gimbal``).
+
+A rate that was clipped or missing hides a turn: P of the angles grows by it, so that the next measurements move the
+angles and not the biases.
 """
 
 from dataclasses import dataclass
@@ -169,6 +172,23 @@ def correct(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float
 
 
 @compiled
+def widened(axis: Axis, turn: float) -> Axis:
+    """P after a turn that the gyro did not tell (sd), which goes on as it began: standard deviations add."""
+    root = sqrt(axis.p_angle) + turn
+    return Axis(max(axis.p_angle, min(root * root, like(turn, ANY_HEADING_RAD2))), axis.p_cross, axis.p_bias)
+
+
+@compiled
+def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
+    """The most that turns about the body's axes, of either sign, make of roll, pitch and heading: (1)."""
+    up, (_, across_y, across_z), cos_pitch = frame_of(q_nb)
+    x, y, z = hidden_b_rad
+    least = like(x, GIMBAL)
+    heading = (abs(up[1]) * y + abs(up[2]) * z) / max(cos_pitch * cos_pitch, least * least)
+    return x + abs(up[0]) * heading, abs(across_y) * y + abs(across_z) * z, heading
+
+
+@compiled
 def renewed(p_angle: float, p_bias: float) -> Axis:
     """A P whose angle and bias have nothing to do with each other."""
     return Axis(p_angle, like(p_angle, 0.0), p_bias)
@@ -301,6 +321,9 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         is_level, is_headed, age_s, n_gaps = False, False, zero, n_gaps + 1
     age_s, since_reset_s = min(age_s + dt_s, like(dt_s, START_S)), since_reset_s + dt_s
     roll, pitch, heading = predict(roll, dt_s, c), predict(pitch, dt_s, c), predict(heading, dt_s, c)
+    if dot(sample.hidden_b_radps, sample.hidden_b_radps) > 0:
+        by_roll, by_pitch, by_heading = hidden_turns(q_nb, scale(sample.hidden_b_radps, dt_s))
+        roll, pitch, heading = widened(roll, by_roll), widened(pitch, by_pitch), widened(heading, by_heading)
     if c.reset_s > 0 and since_reset_s >= c.reset_s:
         since_reset_s = zero
         roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)

@@ -36,6 +36,7 @@ class Sample(NamedTuple):
     mag_b_ut: Vector
     has_accel: bool  # False: this sample's accelerometer is to be left out
     has_mag: bool
+    hidden_b_radps: Vector  # by how much the rate may be off as it was clipped or missing (sd); 0: it was measured
 
 
 class Output(NamedTuple):
@@ -57,6 +58,7 @@ class Log(NamedTuple):
     mag_b_ut: Floats  # (N, 3)
     has_accel: NDArray[np.bool_]  # (N,)
     has_mag: NDArray[np.bool_]  # (N,)
+    hidden_b_radps: Floats  # (N, 3)
 
 
 class Track(NamedTuple):
@@ -72,7 +74,7 @@ class Track(NamedTuple):
 @compiled
 def sample_at(log: Log, k: int) -> Sample:
     """Sample ``k`` of the columns."""
-    gyro, accel, mag = log.gyro_b_radps, log.accel_b_mps2, log.mag_b_ut
+    gyro, accel, mag, hidden = log.gyro_b_radps, log.accel_b_mps2, log.mag_b_ut, log.hidden_b_radps
     return Sample(
         log.dt_s[k],
         (gyro[k, 0], gyro[k, 1], gyro[k, 2]),
@@ -80,6 +82,7 @@ def sample_at(log: Log, k: int) -> Sample:
         (mag[k, 0], mag[k, 1], mag[k, 2]),
         log.has_accel[k],
         log.has_mag[k],
+        (hidden[k, 0], hidden[k, 1], hidden[k, 2]),
     )
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.covariance import Axes, axes_in_n
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
+from stillpoint.filters.sample import Sample
 from stillpoint.filters.stillness import Means
 
 
@@ -21,6 +22,7 @@ class Turning(NamedTuple):
     turned_rad: float  # of the size of the rate, less its bias
     measured_b_rad: Vector  # of the measured rate
     measured_square: float  # of its square, rad^2/s
+    hidden_b_rad: Vector  # of what the rate may be off, clipped or missing: one error lasts, so its sd adds up
 
 
 class Forces(NamedTuple):
@@ -52,18 +54,17 @@ class Window(NamedTuple):
 def no_samples(zero: float) -> Window:
     """An empty window."""
     none = (zero, zero, zero)
-    turning = Turning(zero, (none, none, none), zero, none, zero)
+    turning = Turning(zero, (none, none, none), zero, none, zero, none)
     return Window(turning, Forces(none, none, zero, zero), FieldSum(none, none, zero))
 
 
 @compiled
-def turned(
-    sums: Turning, measured_b: Vector, rate_b: Vector, q_from: Quaternion, q_to: Quaternion, dt_s: float
-) -> Turning:
-    """After one interval with this measured rate, and without its bias.
+def turned(sums: Turning, sample: Sample, rate_b: Vector, q_from: Quaternion, q_to: Quaternion) -> Turning:
+    """After one interval with this rate, which is the measured one without its bias.
 
     The mean of R over the interval is that of its middle but for 1/24 of the square of the turn.
     """
+    measured_b, dt_s = sample.gyro_b_radps, sample.dt_s
     middle = (q_from[0] + q_to[0], q_from[1] + q_to[1], q_from[2] + q_to[2], q_from[3] + q_to[3])
     first, second, third = axes_in_n(normalise(middle))
     spread = sums.spread_s
@@ -77,7 +78,14 @@ def turned(
         sums.turned_rad + norm(rate_b) * dt_s,
         add(sums.measured_b_rad, scale(measured_b, dt_s)),
         sums.measured_square + dot(measured_b, measured_b) * dt_s,
+        add(sums.hidden_b_rad, scale(sample.hidden_b_radps, dt_s)),
     )
+
+
+@compiled
+def is_measured(turning: Turning) -> bool:
+    """Whether the gyro has told the turn, all of it."""
+    return dot(turning.hidden_b_rad, turning.hidden_b_rad) == 0
 
 
 @compiled

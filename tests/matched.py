@@ -69,6 +69,7 @@ def columns(recording: Recording) -> Log:
         mag_b_ut=np.zeros((n, 3)) if mag is None else np.array(mag.mag_b_ut),
         has_accel=np.ones(n, dtype=np.bool_),
         has_mag=np.full(n, mag is not None),
+        hidden_b_radps=np.zeros((n, 3)),
     )
 
 

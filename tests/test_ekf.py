@@ -18,7 +18,7 @@ from stillpoint.filters.error_updates import heading_measurement
 from stillpoint.filters.known_field import no_field
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.rotation import multiply
-from stillpoint.filters.sample import Log
+from stillpoint.filters.sample import Log, sample_at
 from stillpoint.filters.window import Window, no_samples, pushed, turned, with_field
 from stillpoint.scoring import score
 
@@ -57,7 +57,7 @@ def window_of(log: Log, start: Rotation, bias: np.ndarray, first: int, last: int
         dt_s, gyro, accel, mag = log.dt_s[k], log.gyro_b_radps[k], log.accel_b_mps2[k], log.mag_b_ut[k]
         rot = rotation(q) * Rotation.from_rotvec((gyro - bias) * dt_s)
         q_to = quaternion(rot) * np.sign(quaternion(rot) @ q)
-        turning = turned(turning, tuple(gyro), tuple(gyro - bias), tuple(q), tuple(q_to), dt_s)
+        turning = turned(turning, sample_at(log, k), tuple(gyro - bias), tuple(q), tuple(q_to))
         forces = pushed(forces, tuple(rot.apply(accel)), tuple(accel), dt_s)
         window = Window(turning, forces, with_field(fields, tuple(rot.apply(mag)), tuple(mag)))
         q = q_to
@@ -110,7 +110,7 @@ def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
             turning, forces, fields = window
             field = tuple(wrong[k].apply(log.mag_b_ut[k]))
             window = Window(turning._replace(length_s=0.26), forces, with_field(fields, field, tuple(log.mag_b_ut[k])))
-        m = heading_measurement(np.zeros(8), window, 0.0, no_field(0.0), coefficients)
+        m = heading_measurement(np.zeros(8), window, 0.0, no_field(0.0), 0.0, coefficients)
         rows.append(m.row)
         return m.seen
 
@@ -142,6 +142,7 @@ def long_log(hours: float, rate_hz: float = 20.0) -> Log:
         mag_b_ut=true.inv().apply(FIELD_N) + draw.normal(0, 0.3, (n, 3)),
         has_accel=minute % 11 != 10,
         has_mag=minute % 7 < 4,
+        hidden_b_radps=np.zeros((n, 3)),
     )
 
 
