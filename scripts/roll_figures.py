@@ -1,7 +1,7 @@
 """``python -m stillpoint.scripts.roll_figures [DISC.csv]``: the pictures of docs/roll.md, and the disc's numbers.
 
-Geometry and graph are drawings; the errors are of simulated trials, by the graph with its defaults; the flight is that
-of the log given, which is left out without one.
+Geometry and graph are drawings; the errors are of simulated trials, by the graph told of a calibrated rig; the flight
+is that of the log given, which is left out without one.
 """
 
 import sys
@@ -24,7 +24,8 @@ from stillpoint.smoother import reference
 
 FOLDER = Path("docs/figures")
 DPI = 80
-ERRORS = {"bias_mg": 10.0, "arm_error": 1e-3}  # sd of what is drawn for each trial, as the graph's prior has it
+ERRORS = {"bias_mg": 10.0, "arm_error": 1e-3}  # sd of what is drawn for each trial: a calibrated rig
+RIG = {"calibration.accel_bias_sd_mps2": 0.1, "calibration.lever_arm_sd": 1e-3}  # the same as the graph's prior
 BAND_SD = 2.0
 
 
@@ -111,7 +112,11 @@ def _graph() -> Figure:
     ax.text(keys[2] + 0.85, -0.45, "a block of 24 samples: acceleration, squared rate, encoder;\n"
             "the 23 rates inside are taken out exactly", ha="center", va="top", fontsize=9)  # fmt: skip
     ax.text(
-        8.9, 1.9, "K: angle, rate\nC: biases, lever arms,\ngravity, encoder's\nzero and delay", va="center", fontsize=9
+        8.9,
+        1.9,
+        "K: angle, rate\nC: biases, lever arms,\ngravity, vibration,\nencoder's zero, delay",
+        va="center",
+        fontsize=9,
     )
     ax.set(xlim=(-1.8, 11.2), ylim=(-1.3, 2.5), aspect="equal")
     ax.axis("off")
@@ -124,7 +129,7 @@ def _errors() -> Figure:
     axes = figure.subplots(2, 2, sharex=True)
     for column, tilt_deg in zip(axes.T, (0.0, 90.0), strict=True):
         recording = simulate("spin-constant", seed=1, sensor=_wrong(CONSTANT["white"], tilt_deg))
-        made, truth = reference(recording), recording.roll_truth
+        made, truth = reference(recording, params=RIG), recording.roll_truth
         assert isinstance(made, RollReference)
         assert truth is not None
         _band(column[0], made, made.angle_rad - truth.angle_rad, made.angle_sd_rad)

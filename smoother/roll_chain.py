@@ -35,6 +35,7 @@ class Chain:
     accel_seen: NDArray[np.bool_]  # (B, m) where a sample shows it
     squared_valid: NDArray[np.bool_]  # (B, m)
     readings: EncoderReadings | None
+    shaken: Floats | None = None  # (2, B, m) cos and sin along which a vibration is fitted; it does not count the turns
 
     @property
     def blocks(self) -> int:

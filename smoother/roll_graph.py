@@ -1,7 +1,7 @@
 """The graph of a spinning body: angle and rate at every sample, with all that is not known of its sensors.
 
-    K angle and rate at a key, every few samples        C biases, errors of the lever arms, gravity, the encoder's
-                                                          offset and latency: a step every 10 s
+    K angle and rate at a key, every few samples        C biases, errors of the lever arms, gravity, vibration,
+                                                          the encoder's offset and latency: a step every 10 s
           C0 ---------------- C1
         / |  |              |
       K0 ---- K1 ---- K2 ---- K3 ...      each line K-K is one block: its samples of acceleration and squared rate,
@@ -24,15 +24,29 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.roll_blocks import Condensed, condense, inside_of, variances_of
 from stillpoint.smoother.roll_chain import Chain, angles_of
+from stillpoint.smoother.roll_line import Line
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import RollFit, Roots, jacobian
 from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_start import Harmonic
-from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, CONSTANTS, LATENCY, OFFSET, RollState, in_blocks
+from stillpoint.smoother.roll_state import (
+    AMPLITUDE,
+    ARM_A,
+    ARM_S,
+    CONSTANTS,
+    COS_A,
+    COS_S,
+    LATENCY,
+    OFFSET,
+    SIN_A,
+    SIN_S,
+    RollState,
+    in_blocks,
+)
 
 HELD = 1e-4  # sd of a constant that is not estimated: as good as none, and no strain on the numbers
 ZERO_SD_RAD = 1e-4  # of the first angle where nothing else says where zero is
 CONSTANT = 1e-3  # of its sd may a constant change from step to step, for the same reason
+CHANGING = 0.3  # of its sd may a vibration
 UNTOLD = 0.9  # of the prior's sd: a constant whose sd is still larger is held
 FREE_SD_RAD = 10.0  # of an angle that the data has to fix
 
@@ -43,40 +57,62 @@ class Prior:
 
     angle_rad: float
     angle_sd_rad: float
-    mean: Floats  # (7,)
-    cov: Floats  # (7, 7)
-    walk_cov: Floats  # (7, 7) from step to step
+    mean: Floats  # (11,)
+    cov: Floats  # (11, 11)
+    walk_cov: Floats  # (11, 11) from step to step
 
 
 def prior_of(
-    samples: RollSamples, harmonic: Harmonic | None, encoder: bool, angle_rad: float, params: RollGraphParams
+    samples: RollSamples, line: Line | None, encoder: bool, angle_rad: float, params: RollGraphParams
 ) -> Prior:
     """Constants that nothing can tell about are held."""
     p = params.calibration
     sizes, steps = np.full((2, len(CONSTANTS)), HELD)
+    mean = np.zeros(len(CONSTANTS))
     free = {ARM_S: p.lever_arm_sd, ARM_A: p.lever_arm_sd}
-    if harmonic is not None:
+    gravity = line is not None and line.is_gravity
+    if line is not None and line.is_gravity:
         free[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
+        mean[AMPLITUDE] = line.gravity_mps2
     if encoder:
         free[LATENCY] = params.encoder.latency_sd_s
-    if encoder and harmonic is not None:
+    if encoder and gravity:
         free[OFFSET] = FREE_SD_RAD
     for constant, sd in free.items():
         sizes[constant], steps[constant] = sd, CONSTANT * sd
+    if line is not None and line.is_vibration:
+        shaken = [COS_S, SIN_S, COS_A, SIN_A]
+        mean[shaken], sizes[shaken] = vibration_of(samples, line, params)
+        steps[shaken] = CHANGING * sizes[shaken]
     cov, walk = np.diag(sizes**2), np.diag(steps**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
     cov[:2, :2] = p.accel_bias_sd_mps2**2 * bias
     walk[:2, :2] = p.accel_bias_walk**2 * p.step_s * bias
-    mean = np.zeros(len(CONSTANTS))
-    mean[AMPLITUDE] = 0.0 if harmonic is None else harmonic.amplitude_mps2
-    fixed = harmonic is not None or encoder
-    return Prior(angle_rad, FREE_SD_RAD if fixed else ZERO_SD_RAD, mean, cov, walk)
+    return Prior(angle_rad, FREE_SD_RAD if gravity or encoder else ZERO_SD_RAD, mean, cov, walk)
+
+
+def vibration_of(samples: RollSamples, line: Line, params: RollGraphParams) -> tuple[Floats, Floats]:
+    """Means and sd (4,) of the vibration, cos and sin in the squared rate, then in the acceleration.
+
+    Each accelerometer may be shaken by any amount, so that the line tells nothing of the rate; the true ripple is then
+    what is usual, and the vibration of the squared rate is the line less such a ripple.
+    """
+    mean = np.array([line.squared.real, -line.squared.imag, line.accel.real, -line.accel.imag])
+    ripple = 2 * line.rate_radps**2 * params.harmonic.ripple
+    free = params.harmonic.amplitude_sd_mps2 * float(np.linalg.norm(samples.bias_per_accel[1]))
+    return mean, np.array([ripple, ripple, free, free])
 
 
 def untold(linear: "Linear", prior: Prior) -> NDArray[np.bool_]:
-    """Which constants (7,) the samples say next to nothing about: their sd is still that of the prior."""
+    """Which constants (11,) the samples say next to nothing about: their sd is still that of the prior.
+
+    A vibration of the squared rate is always among them: what the samples seem to say of it comes from the angle that
+    both vibrations are fitted along, which is not exact.
+    """
     found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
-    return np.asarray(found > UNTOLD * np.sqrt(np.diag(prior.cov)))
+    held = found > UNTOLD * np.sqrt(np.diag(prior.cov))
+    held[[COS_S, SIN_S]] = True
+    return np.asarray(held)
 
 
 def holding(prior: Prior, held: NDArray[np.bool_]) -> Prior:
@@ -154,7 +190,7 @@ class Accuracy:
 
     angle_sd_rad: Floats  # (N,)
     rate_sd_radps: Floats  # (N,)
-    constants_sd: Floats  # (7,) in the first step
+    constants_sd: Floats  # (11,) in the first step
 
 
 def accuracy_of(chain: Chain, linear: Linear, name: str) -> Accuracy:

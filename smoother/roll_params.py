@@ -19,22 +19,31 @@ class RollNoise(Settings):
 
 @dataclass(frozen=True)
 class RollCalibration(Settings):
-    """What is not known of the sensors: sd around zero, of constants unless said otherwise."""
+    """What is not known of the sensors: sd around zero, of constants unless said otherwise.
 
-    accel_bias_sd_mps2: float = number(0.1, 1e-6, 10.0, "bias of each accelerometer")
+    The defaults are those of a part as its data sheet has it, on arms measured with a calliper.
+    """
+
+    accel_bias_sd_mps2: float = number(0.4, 1e-6, 10.0, "bias of each accelerometer")
     accel_bias_walk: float = number(1e-4, 1e-7, 0.1, "m/s^2 per sqrt(s): its random walk")
-    lever_arm_sd: float = number(1e-3, 1e-7, 1.0, "error of a lever arm, relative")
+    lever_arm_sd: float = number(5e-3, 1e-7, 1.0, "error of a lever arm, and of its accelerometer's scale, relative")
     step_s: float = number(10.0, 0.1, 600.0, "a bias is constant for so long")
 
 
 @dataclass(frozen=True)
 class HarmonicParams(Settings):
-    """Gravity at the spin frequency, on an axis that is not vertical."""
+    """What turns with the shaft: gravity on an axis that is not vertical, or a vibration."""
 
-    search: Literal["auto", "off"] = choice("auto", "look for it, and use it when it is there")
+    search: Literal["auto", "gravity", "off"] = choice(
+        "auto", "test what it is; take it for gravity without a test; or do not look for it"
+    )
     window_s: float = number(2.0, 0.1, 60.0, "over which its phase is followed to begin with")
-    significance: float = number(8.0, 2.0, 100.0, "sd by which its amplitude must differ from zero")
+    significance: float = number(8.0, 2.0, 100.0, "sd by which it must differ from zero")
+    agreement: float = number(0.2, 0.01, 1.0, "part of gravity by which both channels may disagree on it")
     amplitude_sd_mps2: float = number(10.0, 0.1, 100.0, "of its amplitude around the start value")
+    ripple: float = number(
+        5e-4, 1e-6, 0.1, "true ripple of the rate, once per turn, sd, relative; where a vibration hides it"
+    )
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,18 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.roll_chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
-from stillpoint.smoother.roll_encoder import EncoderReadings, readings_of
+from stillpoint.smoother.roll_encoder import readings_of
 from stillpoint.smoother.roll_graph import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
+from stillpoint.smoother.roll_line import Line, find_line, followed
 from stillpoint.smoother.roll_optimum import RollSolution, improved, no_optimum
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import roots_of
 from stillpoint.smoother.roll_samples import samples_of, sign_of
-from stillpoint.smoother.roll_start import Harmonic, find_harmonic, start_rates
-from stillpoint.smoother.roll_state import AMPLITUDE, ARM_S, CONSTANTS, OFFSET, RollState
+from stillpoint.smoother.roll_start import start_of, with_gravity, with_vibration
+from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
 
 ROUGH = 3  # iterations before gravity is looked for
+VIBRATION_ROUNDS = 2  # the rates before the first one follow the vibration, and so does the angle it is fitted along
 GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
 
 
@@ -41,13 +43,17 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     state = start_of(chain, readings, known or (1.0 if params.direction == "positive" else -1.0))
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
     rough = improved(chain, state, prior, recording.name, params, ROUGH)
-    harmonic = None
-    if params.harmonic.search == "auto":
-        harmonic = find_harmonic(chain, rough.at.state, params.harmonic)
-    if harmonic is not None:
-        state = with_harmonic(chain, rough.at.state, harmonic, readings)
-        prior = prior_of(samples, harmonic, readings is not None, float(angles_of(chain, state)[0]), params)
+    line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
+    if line is not None and line.is_gravity:
+        state = with_gravity(chain, rough.at.state, line)
+        prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
         rough = improved(chain, state, prior, recording.name, params, ROUGH)
+    if line is not None and line.is_vibration:
+        for _ in range(VIBRATION_ROUNDS):
+            line = followed(chain, rough.at.state, line, params.harmonic)
+            chain, state = with_vibration(chain, rough.at.state, line)
+            prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
+            rough = improved(chain, state, prior, recording.name, params, ROUGH)
     # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
     # counts in the covariance all the same.
     held = untold(_linear(chain, rough, prior, recording.name), prior)
@@ -65,7 +71,7 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
         method="roll-graph",
         name=recording.name,
         diagnostics={
-            **_diagnostics(chain, solution, accuracy, harmonic),
+            **_diagnostics(chain, solution, accuracy, line),
             "not_told": [name for name, one in zip(CONSTANTS[:AMPLITUDE], held, strict=False) if one],
             "direction": "as a sensor shows it" if known or readings else f"taken as {params.direction}",
         },
@@ -76,36 +82,11 @@ def _linear(chain: Chain, solution: RollSolution, prior: Prior, name: str) -> Li
     return eliminated(chain, solution.at, roots_of(chain, solution.at, solution.sizes), prior, name)
 
 
-def start_of(chain: Chain, readings: EncoderReadings | None, sign: float) -> RollState:
-    """Rates from the squared rate; the angle is 0 at the first sample. With an encoder, its sign, scale and angle."""
-    rates = start_rates(chain.samples, sign)
-    constants = np.zeros((int(chain.constants_of[-1]) + 1, len(CONSTANTS)))
-    if readings is None:
-        return RollState(-float(rates[0] * chain.step_s[0]), rates, constants)
-    scale = float(np.median(readings.rate_radps)) / float(np.median(rates[readings.k]))
-    constants[:, ARM_S] = 1 / scale**2 - 1
-    state = RollState(0.0, scale * rates, constants)
-    first = float(np.median(readings.angle_rad - angles_of(chain, state)[readings.k]))
-    return replace(state, start_angle_rad=first)
-
-
-def with_harmonic(chain: Chain, state: RollState, harmonic: Harmonic, readings: EncoderReadings | None) -> RollState:
-    """The state turned so that gravity's phase is 0 all along."""
-    turned = np.diff(harmonic.phase_rad, prepend=harmonic.phase_rad[0]) / chain.step_s[:-1]
-    rates = state.mean_rate_radps + np.append(turned, 0.0)
-    constants = state.constants.copy()
-    constants[:, AMPLITUDE] = harmonic.amplitude_mps2
-    moved = RollState(state.start_angle_rad + float(harmonic.phase_rad[0]), rates, constants)
-    if readings is not None:
-        constants[:, OFFSET] = np.median(readings.angle_rad - angles_of(chain, moved)[readings.k])
-    return moved
-
-
-def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, harmonic: Harmonic | None) -> dict[str, Any]:
+def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, line: Line | None) -> dict[str, Any]:
     samples, sizes, n = chain.samples, solution.sizes, len(chain.samples)
     roots = roots_of(chain, solution.at, sizes)
     facts = {
-        "angle": _zero(chain, harmonic),
+        "angle": _zero(chain, line),
         "iterations": len(solution.steps_radps),
         "accel_sd_radps2": sizes.accel_radps2,
         "squared_sd_rad2ps2": sizes.squared_rad2ps2,
@@ -116,11 +97,14 @@ def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, harmo
         "n_gaps": int((chain.step_s > LONG_STEP * np.median(chain.step_s)).sum()),
         **_found(solution, accuracy, CONSTANTS[:AMPLITUDE]),
     }
-    if harmonic is not None:
+    if line is not None:
+        facts |= _turning(line)
+    if line is not None and line.is_gravity:
         facts |= _found(solution, accuracy, CONSTANTS[AMPLITUDE : AMPLITUDE + 1])
-        facts["gravity_significance_sd"] = harmonic.significance
+    if line is not None and line.is_vibration:
+        facts |= _found(solution, accuracy, CONSTANTS[COS_S:])
     if chain.readings is not None and roots.encoder is not None:
-        facts |= _found(solution, accuracy, CONSTANTS[OFFSET:])
+        facts |= _found(solution, accuracy, CONSTANTS[OFFSET:COS_S])
         facts["encoder_resolution_rad"] = chain.readings.resolution_rad
         facts["encoder_sd_rad"] = sizes.encoder_rad
         facts["n_encoder_outside"] = chain.readings.outside
@@ -128,12 +112,26 @@ def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, harmo
     return facts
 
 
-def _zero(chain: Chain, harmonic: Harmonic | None) -> str:
-    if harmonic is not None:
+def _turning(line: Line) -> dict[str, Any]:
+    """What turns with the shaft, and gravity as each channel shows it by itself."""
+    return {
+        "once_per_turn": line.verdict,
+        "once_per_turn_why": line.why,
+        "once_per_turn_significance_sd": line.significance,
+        "gravity_by_squared_mps2": line.by_squared_mps2,
+        "gravity_by_accel_mps2": line.by_accel_mps2,
+    }
+
+
+def _zero(chain: Chain, line: Line | None) -> str:
+    if line is not None and line.is_gravity:
         return "from gravity: 0 where the z axis points up most"
     if chain.readings is not None:
         return "the encoder's"
-    return "from 0 at the first sample; nothing fixes it after: the rate is a reference, the angle drifts"
+    drifts = "from 0 at the first sample; nothing fixes it after: the rate is a reference, the angle drifts"
+    if line is not None and line.is_vibration:
+        return f"{drifts}; once per turn there is something that was not taken for gravity: see once_per_turn_why"
+    return drifts
 
 
 def _found(solution: RollSolution, accuracy: Accuracy, names: Sequence[str]) -> dict[str, list[float]]:

@@ -5,7 +5,9 @@ A sample measures, with errors e of the lever arms, biases b, gravity's amplitud
     acceleration:  (1 + e_a) (x_{k+1} - x_k) / h_k + b_a + g (c_a cos angle_k + s_a sin angle_k)
     squared rate:  (1 + e_s) rate_k^2              + b_s + g (c_s cos angle_k + s_s sin angle_k)
 
-and an encoder angle(t - latency) + offset. x, h and rate are those of roll_chain.py; the columns those of ``Layout``.
+and an encoder angle(t - latency) + offset. Where a vibration turns with the shaft each channel has it besides, v_c cos
++ v_s sin of an angle that was found beforehand. x, h and rate are those of roll_chain.py; the columns those of
+``Layout``.
 """
 
 from dataclasses import dataclass
@@ -17,7 +19,19 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
 from stillpoint.smoother.roll_encoder import encoder_rows, residuals_of
 from stillpoint.smoother.roll_params import RollNoise
-from stillpoint.smoother.roll_state import AMPLITUDE, ARM_A, ARM_S, BIAS_A, BIAS_S, RollState, in_blocks
+from stillpoint.smoother.roll_state import (
+    AMPLITUDE,
+    ARM_A,
+    ARM_S,
+    BIAS_A,
+    BIAS_S,
+    COS_A,
+    COS_S,
+    SIN_A,
+    SIN_S,
+    RollState,
+    in_blocks,
+)
 
 LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: so small that it is exact, large enough to factorise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
@@ -50,9 +64,12 @@ def fit(chain: Chain, state: RollState) -> RollFit:
     rate = in_blocks(rates_of(chain, state), m, 0.0)
     change = in_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
     accel = chain.accel_radps2 - ((1 + c[:, ARM_A]) * change + c[:, BIAS_A] + c[:, AMPLITUDE] * gravity_a)
-    accel.ravel()[n:] = 0.0
     squared = in_blocks(samples.squared_rad2ps2, m, 0.0)
     squared -= (1 + c[:, ARM_S]) * rate**2 + c[:, BIAS_S] + c[:, AMPLITUDE] * gravity_s
+    if chain.shaken is not None:
+        accel -= c[:, COS_A] * chain.shaken[0] + c[:, SIN_A] * chain.shaken[1]
+        squared -= c[:, COS_S] * chain.shaken[0] + c[:, SIN_S] * chain.shaken[1]
+    accel.ravel()[n:] = 0.0
     return RollFit(
         state=state,
         rate_radps=rate,
@@ -168,6 +185,10 @@ def jacobian(chain: Chain, at: RollFit, roots: Roots) -> Floats:
     a[:, squared, constants[ARM_S]] = roots.squared * at.rate_radps**2
     a[:, accel, constants[AMPLITUDE]] = roots.accel * at.gravity_accel
     a[:, squared, constants[AMPLITUDE]] = roots.squared * at.gravity_squared
+    if chain.shaken is not None:
+        for part, of_accel, of_squared in zip(chain.shaken, (COS_A, SIN_A), (COS_S, SIN_S), strict=True):
+            a[:, accel, constants[of_accel]] = roots.accel * part
+            a[:, squared, constants[of_squared]] = roots.squared * part
     a[:, accel, -1], a[:, squared, -1] = roots.accel * at.accel_residual, roots.squared * at.squared_residual
     if chain.readings is None or at.encoder_residual is None or roots.encoder is None:
         return a

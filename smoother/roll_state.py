@@ -15,8 +15,12 @@ CONSTANTS = (
     "gravity_mps2",
     "encoder_offset_rad",
     "encoder_latency_s",
-)  # biases of the channels, relative errors of their lever arms, gravity at the spin frequency, the encoder
-BIAS_S, BIAS_A, ARM_S, ARM_A, AMPLITUDE, OFFSET, LATENCY = range(len(CONSTANTS))
+    "vibration_squared_cos_rad2ps2",
+    "vibration_squared_sin_rad2ps2",
+    "vibration_accel_cos_radps2",
+    "vibration_accel_sin_radps2",
+)  # biases of the channels, relative errors of their lever arms, gravity at the spin frequency, encoder, vibration
+BIAS_S, BIAS_A, ARM_S, ARM_A, AMPLITUDE, OFFSET, LATENCY, COS_S, SIN_S, COS_A, SIN_A = range(len(CONSTANTS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +29,7 @@ class RollState:
 
     start_angle_rad: float
     mean_rate_radps: Floats  # (N + 1,) x_0 .. x_N
-    constants: Floats  # (S, 7) CONSTANTS
+    constants: Floats  # (S, 11) CONSTANTS
 
 
 @dataclass(frozen=True)

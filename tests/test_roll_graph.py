@@ -20,13 +20,14 @@ from stillpoint.smoother import reference
 from stillpoint.smoother.roll_chain import angles_of, chain_of
 from stillpoint.smoother.roll_encoder import readings_of, resolution_rad
 from stillpoint.smoother.roll_graph import accuracy_of, eliminated, prior_of, step_of
+from stillpoint.smoother.roll_line import Line
 from stillpoint.smoother.roll_params import RollCalibration, RollGraphParams, RollNoise
 from stillpoint.smoother.roll_rows import fit, mean_weight, roots_of, sizes_of
 from stillpoint.smoother.roll_samples import samples_of
-from stillpoint.smoother.roll_start import Harmonic
-from stillpoint.smoother.roll_state import CONSTANTS, RollState
+from stillpoint.smoother.roll_state import CONSTANTS, COS_A, COS_S, SIN_A, SIN_S, RollState, in_blocks
 
 GIVEN = RollNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
+RIG = RollGraphParams(calibration=RollCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
 X, Y, Z = np.eye(3)
 SQUARE = SpinGeometry(np.array([0.1 * Z, 0.5 * Z]), np.array([Z, -Y]), np.empty((0, 3)), None, fixed_axis=True)
 
@@ -38,7 +39,7 @@ def calibrated(noise):
 
 
 def tilted(tilt_deg, seed, geometry=BENCH):
-    """The constant bench on a tilted shaft, with errors as the prior of the graph says, one draw per recording."""
+    """The constant bench on a tilted shaft, with errors as the prior of RIG says, one draw per recording."""
     white = CONSTANT["white"]
     wrong = {"bias_mg": 0.1 / 9.80665e-3, "arm_error": 1e-3}
     sensor = replace(
@@ -92,11 +93,20 @@ def problem():
     n = len(samples)
     truth = np.interp(samples.t_ns, recording.roll_truth.t_ns, recording.roll_truth.angle_rad)
     rates = np.diff(truth, prepend=truth[0] - 0.141) / samples.step_s
-    constants = np.tile([0.3, -0.1, 1e-3, -2e-3, 5.0, 0.02, 6e-4], (int(chain.constants_of[-1]) + 1, 1))
+    constants = np.tile(
+        [0.3, -0.1, 1e-3, -2e-3, 5.0, 0.02, 6e-4, 1.0, -0.5, 0.2, 0.3], (int(chain.constants_of[-1]) + 1, 1)
+    )
     constants += 1e-4 * rng.standard_normal(constants.shape)
     state = RollState(-0.14, np.append(rates, rates[-1]) + 0.05 * rng.standard_normal(n + 1), constants)
-    harmonic = Harmonic(5.0, 100.0, np.zeros(n))
-    prior = prior_of(samples, harmonic, True, 0.01, params)
+    line = Line("gravity", "", 0j, 0j, 100.0, 5.0, 5.0, 5.0, 35.0, np.zeros(n))
+    prior = prior_of(samples, line, True, 0.01, params)
+    # A vibration beside gravity, along an angle of its own: all columns of the Jacobian are in use.
+    shaken = [COS_S, SIN_S, COS_A, SIN_A]
+    free = np.zeros(len(CONSTANTS))
+    free[shaken] = [2.0, 2.0, 0.5, 0.5]
+    prior = replace(prior, cov=prior.cov + np.diag(free**2), walk_cov=prior.walk_cov + np.diag((0.3 * free) ** 2))
+    slow = np.linspace(0.0, 30.0, n)
+    chain = replace(chain, shaken=np.stack([in_blocks(part, 16, 0.0) for part in (np.cos(slow), np.sin(slow))]))
     return chain, state, prior, params
 
 
@@ -246,20 +256,20 @@ def test_gravity_makes_the_angle_absolute(tilt_deg, geometry, limit_deg):
 def test_stated_accuracy_is_met_where_the_model_is_right():
     """Mean normalised errors squared over seeds, each thinned to samples that are nearly independent.
 
-    Biases and arms are drawn as the prior says, so angles on a vertical axis are one draw per recording: chi-squared
-    of 16 of them. Rates with gravity are correlated over about 0.1 s: 300 draws in a recording.
+    Biases and arms are drawn as the prior of RIG says, so angles on a vertical axis are one draw per recording:
+    chi-squared of 16 of them. Rates with gravity are correlated over about 0.1 s: 300 draws in a recording.
     """
     vertical, rates = [], []
     for seed in range(16):
         recording = tilted(0.0, seed)
-        made = reference(recording)
+        made = reference(recording, params=RIG)
         end = made.angle_rad[-1] - recording.roll_truth.angle_rad[-1]
         vertical.append((end / made.angle_sd_rad[-1]) ** 2)
     assert chi2.ppf(0.005, 16) < np.sum(vertical) < chi2.ppf(0.995, 16)
     angles = []
     for seed in range(20, 26):
         recording = tilted(90.0, seed)
-        made = reference(recording)
+        made = reference(recording, params=RIG)
         rates.append(((made.rate_radps - recording.roll_truth.rate_radps) / made.rate_sd_radps)[::50] ** 2)
         angles.append((absolute_error(made, recording) / made.angle_sd_rad)[::750] ** 2)
     for squares in (np.concatenate(rates), np.concatenate(angles)):
@@ -268,21 +278,36 @@ def test_stated_accuracy_is_met_where_the_model_is_right():
 
 def test_what_the_samples_do_not_tell_is_held_and_said():
     """On a vertical axis nothing tells a lever arm or the radial bias; on a horizontal one gravity counts the turns."""
-    vertical, horizontal = (reference(tilted(tilt, 0)).diagnostics for tilt in (0.0, 90.0))
+    vertical, horizontal = (reference(tilted(tilt, 0), params=RIG).diagnostics for tilt in (0.0, 90.0))
     assert vertical["not_told"] == ["bias_squared_rad2ps2", "arm_squared", "arm_accel"]
     assert vertical["arm_squared"][0] == pytest.approx(0.0, abs=1e-9)
     assert vertical["arm_squared"][1] == pytest.approx(1e-3, rel=0.01)
     assert horizontal["not_told"] == ["arm_accel"]
 
 
-def test_on_a_vertical_axis_the_angle_is_said_to_drift():
-    """An unknown lever arm of 0.1 % and bias of 10 mg are 1.3 deg/s: the sd of the angle grows by that each second."""
-    made = reference(simulate("spin-constant", seed=0, sensor="white"))
+@pytest.mark.parametrize(
+    ("params", "bias_mps2", "arm", "degps"), [(RIG, 0.1, 1e-3, 1.3), (RollGraphParams(), 0.4, 5e-3, 6.0)]
+)
+def test_on_a_vertical_axis_the_angle_is_said_to_drift(params, bias_mps2, arm, degps):
+    """By what an unknown lever arm and bias are worth: the sd of the angle grows by that each second."""
+    made = reference(simulate("spin-constant", seed=0, sensor="white"), params=params)
     assert "the angle drifts" in made.diagnostics["angle"]
     growth_degps = np.rad2deg(made.angle_sd_rad[-1]) / 30
-    arm = 1e-3 / 2 * 2020
-    bias = np.rad2deg(0.1 / 0.1 / (2 * np.deg2rad(2020)))
-    assert growth_degps == pytest.approx(np.hypot(arm, bias), rel=0.05)
+    of_bias = np.rad2deg(bias_mps2 / 0.1 / (2 * np.deg2rad(2020)))
+    assert growth_degps == pytest.approx(np.hypot(arm / 2 * 2020, of_bias), rel=0.05)
+    assert growth_degps == pytest.approx(degps, abs=0.05)
+
+
+def test_defaults_cover_a_board_as_it_comes():
+    """40 mg, 0.5 % of scale and 0.1 % of the arms, drawn once per trial: chi-squared of the angles at the end."""
+    squares = []
+    for seed in range(16):
+        recording = simulate("spin-constant", seed=seed, sensor="adxl345")
+        made, truth = reference(recording), recording.roll_truth
+        assert "the angle drifts" in made.diagnostics["angle"]
+        end = made.angle_rad[-1] - np.interp(made.t_ns[-1], truth.t_ns, truth.angle_rad)
+        squares.append((end / made.angle_sd_rad[-1]) ** 2)
+    assert chi2.ppf(0.005, 16) < np.sum(squares) < chi2.ppf(0.995, 16)
 
 
 def test_in_flight_there_is_no_harmonic_to_find():

@@ -1,0 +1,236 @@
+"""What turns with the shaft: gravity, a true ripple of the rate, or a vibration.
+
+Written as Re(L exp(i angle)), the channels hold once per turn
+
+    squared rate:  L_s = 2 w a + G k_s + n_s
+    acceleration:  L_a = i w a + G k_a + n_a
+
+with a ripple a of the rate w, gravity G = g sin(tilt) exp(i phase) times what each channel feels of it, k = c - i s,
+and vibrations n. Z = L_s + 2i L_a is free of the ripple. Gravity and a ripple together explain any L_s and L_a, so that
+they do is no sign of gravity; that both channels by themselves, L_s / k_s and L_a / k_a, show the same gravity is one.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.spin import G_MPS2
+from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
+from stillpoint.smoother.roll_params import HarmonicParams
+from stillpoint.smoother.roll_samples import RollSamples
+from stillpoint.smoother.roll_state import RollState
+
+FEWEST_IN_WINDOW = 48  # valid samples of each channel
+LEAST_TURNS = 2.0  # of the body in a window
+ROBUST_ROUNDS = 4
+ROBUST = 5.0  # sd
+MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
+RIPPLE_SD = 4.0  # of Z, as :func:`excess` has it: below, a ripple of the rate explains both channels
+APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
+MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
+NOTHING = 1e-6  # relative: a channel that feels less of gravity feels none
+
+Complexes = NDArray[np.complex128]
+Verdict = Literal["ripple", "gravity", "vibration"]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """The line at the spin frequency, followed through the recording, and what it is taken for.
+
+    ``phase_rad`` is by which the angle is to be increased so that L_s and L_a are those stated and, for gravity, that 0
+    is where z points up.
+    """
+
+    verdict: Verdict
+    why: str
+    squared: complex  # L_s, rad^2/s^2
+    accel: complex  # L_a, rad/s^2
+    significance: float  # sd by which Z differs from nothing, all windows together
+    by_squared_mps2: float | None  # gravity as the squared rate alone shows it; None where it feels none
+    by_accel_mps2: float | None
+    gravity_mps2: float  # as both show it together, a ripple aside; 0 unless taken for gravity
+    rate_radps: float  # w, median
+    phase_rad: Floats  # (N,)
+
+    @property
+    def is_gravity(self) -> bool:
+        """Whether the angle counts from it."""
+        return self.verdict == "gravity"
+
+    @property
+    def is_vibration(self) -> bool:
+        """Whether it is nothing that the body does."""
+        return self.verdict == "vibration"
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """L_s and L_a in W windows, with the variances of their real and imaginary parts."""
+
+    middle_s: Floats  # (W,)
+    squared: Complexes  # (W,)
+    accel: Complexes  # (W,)
+    squared_var: Floats  # (W,)
+    accel_var: Floats  # (W,)
+
+    def phase(self) -> tuple[Floats, float]:
+        """Phases (W,) by the channel that shows the line best, and by how many sd it does."""
+        channels = ((self.squared, self.squared_var), (self.accel, self.accel_var))
+        clear = [excess(np.abs(line) ** 2 / var) for line, var in channels]
+        best = int(np.argmax(clear))
+        return np.unwrap(np.angle(channels[best][0])), clear[best]
+
+    def turned(self, phase_rad: Floats) -> tuple[complex, complex, float, float]:
+        """Means of L_s and L_a with the phases (W,) taken out, and their variances."""
+        back = np.exp(-1j * phase_rad)
+        by_squared, by_accel = 1 / self.squared_var, 1 / self.accel_var
+        squared = np.sum(by_squared * self.squared * back) / by_squared.sum()
+        accel = np.sum(by_accel * self.accel * back) / by_accel.sum()
+        return complex(squared), complex(accel), float(1 / by_squared.sum()), float(1 / by_accel.sum())
+
+
+def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | None:
+    """The line along a trajectory that knows nothing of it; None where there is none."""
+    samples = chain.samples
+    windows = windows_of(chain, state, params.window_s)
+    if windows is None:
+        return None
+    phase, clear = windows.phase()
+    if clear < params.significance:
+        return None
+    squared, accel, squared_var, accel_var = windows.turned(phase)
+    free = windows.squared + 2j * windows.accel
+    significance = excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
+    k_s, k_a = felt(samples.squared_gravity), felt(samples.accel_gravity)
+    sd = np.sqrt(sum(var / abs(k) ** 2 for var, k in ((squared_var, k_s), (accel_var, k_a)) if k))
+    verdict, why = judged(squared, accel, k_s, k_a, float(sd), significance, params)
+    gravity = (squared + 2j * accel) / (k_s + 2j * k_a) if verdict == "gravity" else 0j
+    if verdict == "gravity":
+        phase = np.unwrap(np.angle(free / (k_s + 2j * k_a)))
+        squared, accel, _, _ = windows.turned(phase)
+    return Line(
+        verdict=verdict,
+        why=why,
+        squared=squared,
+        accel=accel,
+        significance=significance,
+        by_squared_mps2=abs(squared / k_s) if k_s else None,
+        by_accel_mps2=abs(accel / k_a) if k_a else None,
+        gravity_mps2=abs(gravity),
+        rate_radps=float(np.median(rates_of(chain, state))),
+        phase_rad=np.interp(seconds_of(samples), windows.middle_s, phase),
+    )
+
+
+def followed(chain: Chain, state: RollState, line: Line, params: HarmonicParams) -> Line:
+    """The same line along another trajectory."""
+    windows = windows_of(chain, state, params.window_s)
+    if windows is None:
+        return line
+    phase, _ = windows.phase()
+    squared, accel, _, _ = windows.turned(phase)
+    phase = np.interp(seconds_of(chain.samples), windows.middle_s, phase)
+    return replace(line, squared=squared, accel=accel, phase_rad=phase)
+
+
+def excess(squares: Floats) -> float:
+    """By how many sd the sum of chi-squared numbers (W,) of 2 degrees each is above what noise makes it."""
+    count = len(squares)
+    return float((squares.sum() - 2 * count) / np.sqrt(4 * count))
+
+
+def felt(gravity: Floats) -> complex:
+    """k of a channel, 1/m."""
+    return complex(gravity[0], -gravity[1])
+
+
+def judged(
+    squared: complex,
+    accel: complex,
+    k_s: complex,
+    k_a: complex,
+    apart_sd: float,
+    significance: float,
+    p: HarmonicParams,
+) -> tuple[Verdict, str]:
+    """What a line is, and why. ``apart_sd`` is of the difference of both channels' gravity."""
+    if significance < RIPPLE_SD:
+        return "ripple", "a ripple of the rate explains both channels"
+    together = k_s + 2j * k_a
+    if not (k_s or k_a):
+        return "vibration", "neither channel feels gravity"
+    if abs(together) <= NOTHING * (abs(k_s) + 2 * abs(k_a)):
+        return "vibration", "by this geometry gravity looks like a ripple of the rate; taken for a vibration"
+    if p.search == "gravity":
+        return "gravity", "taken for gravity as told, without a test"
+    if not (k_s and k_a):
+        return "vibration", (
+            f"only the {'squared rate' if k_s else 'acceleration'} feels gravity, so it cannot be tested; taken for a "
+            "vibration: if the axis is known not to be vertical, set harmonic.search=gravity"
+        )
+    by_squared, by_accel = squared / k_s, accel / k_a
+    shown = (
+        f"gravity by the squared rate {abs(by_squared):.3f} m/s^2, by the acceleration {abs(by_accel):.3f}, "
+        f"{abs(np.rad2deg(np.angle(by_squared / by_accel))):.0f} deg apart"
+    )
+    if abs(by_squared - by_accel) > p.agreement * min(abs(by_squared), abs(by_accel)) + APART_SD * apart_sd:
+        return "vibration", f"{shown}: they contradict each other"
+    if abs((squared + 2j * accel) / together) > MOST_GRAVITY * G_MPS2:
+        return "vibration", f"{shown}: more than g"
+    if significance < p.significance:
+        return "vibration", f"{shown}: too little to be sure"
+    return "gravity", f"{shown}: they agree"
+
+
+def seconds_of(samples: RollSamples) -> Floats:
+    """Time (N,) from the first sample."""
+    return np.asarray((samples.t_ns - samples.t_ns[0]) / 1e9)
+
+
+def windows_of(chain: Chain, state: RollState, window_s: float) -> Windows | None:
+    """The line along a trajectory, in each window that is long enough; None without any."""
+    samples, angle_rad = chain.samples, angles_of(chain, state)
+    t_s = seconds_of(samples)
+    edges = np.searchsorted(t_s, np.arange(0.0, t_s[-1] + window_s, window_s))
+    found = []
+    for first, last in pairwise(edges):
+        rows = slice(first, last)
+        valid_s, valid_a = samples.squared_valid[rows], samples.accel_valid[rows]
+        if min(valid_s.sum(), valid_a.sum()) < FEWEST_IN_WINDOW:
+            continue
+        if abs(angle_rad[last - 1] - angle_rad[first]) < LEAST_TURNS * 2 * np.pi:
+            continue
+        squared = _fit(samples.squared_rad2ps2[rows][valid_s], angle_rad[rows][valid_s], samples.squared_sd)
+        accel = _fit(samples.accel_radps2[rows][valid_a], angle_rad[rows][valid_a], samples.accel_sd)
+        found.append((float(t_s[rows].mean()), squared, accel))
+    if not found:
+        return None
+    return Windows(
+        middle_s=np.array([middle for middle, _, _ in found]),
+        squared=np.array([line for _, (line, _), _ in found]),
+        accel=np.array([line for _, _, (line, _) in found]),
+        squared_var=np.array([var for _, (_, var), _ in found]),
+        accel_var=np.array([var for _, _, (_, var) in found]),
+    )
+
+
+def _fit(values: Floats, angle_rad: Floats, least_sd: float) -> tuple[complex, float]:
+    """L of a channel beside a parabola, robustly, and the variance of its parts. The noise is at least ``least_sd``."""
+    line = np.linspace(-1, 1, len(values))
+    design = np.column_stack([np.cos(angle_rad), np.sin(angle_rad), np.ones(len(values)), line, line**2])
+    root = np.ones(len(values))
+    solution: Floats = np.zeros(design.shape[1])
+    sd = least_sd
+    for _ in range(ROBUST_ROUNDS):
+        solution = np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0])
+        left = values - design @ solution
+        sd = max(least_sd, MEDIAN_TO_SD * float(np.median(np.abs(left))))
+        root = 1 / (1 + (left / (ROBUST * sd)) ** 2)
+    white = design * root[:, None]
+    covariance = np.linalg.pinv(white.T @ white) * sd**2
+    return complex(solution[0], -solution[1]), float(np.trace(covariance[:2, :2]) / 2)
