@@ -12,7 +12,7 @@ from stillpoint.filters import ESTIMATORS, guard, heading_source
 from stillpoint.filters.table import find
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
-PAGES = (Path("docs/estimators.md"), Path("docs/method.md"), Path("docs/streaming.md"))
+PAGES = (Path("docs/estimators.md"), Path("docs/method.md"), Path("docs/roll.md"), Path("docs/streaming.md"))
 BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
 TABLE_OF_ALL = "<!-- estimators -->"
 LAST_SECTIONS = "## How accurate they are"  # new ones come before
