@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring.figures import draw_angles, draw_scores, view_of
 from stillpoint.scoring.report import Material, Verdict, judge
-from stillpoint.scripts.demo import KIND
+from stillpoint.scripts.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
 
 TARGET = Path("docs/figures/demo.png")
@@ -28,9 +27,9 @@ STYLE: dict[Any, Any] = {
 
 
 def main(target: Path = TARGET) -> None:
-    """Simulate, make the reference, run all estimators, and draw angles in close-up beside their scores."""
+    """Simulate, make the reference, run the demo's estimators, and draw angles in close-up beside their scores."""
     recording = simulate(KIND)
-    estimates = tuple(estimate(recording, name) for name in ATTITUDES)
+    estimates = tuple(estimate(recording, name) for name in SHOWN)
     material = Material(recording.name, recording, (attitude_reference(recording),), estimates)
     target.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):

@@ -6,8 +6,8 @@ import shutil
 import pytest
 
 from stillpoint.datasets.store import read_estimate, write
-from stillpoint.filters.table import ATTITUDES
 from stillpoint.scripts.beside import files_of, recording_name
+from stillpoint.scripts.demo import SHOWN
 
 NAME = "phone-3-seed0"
 
@@ -34,14 +34,14 @@ def rows_of(call, capsys, *arguments):
 
 def test_demo_leaves_the_files_of_every_step(made):
     expected = {f"{NAME}.mcap", f"{NAME}.reference.mcap", f"{NAME}.report.html"}
-    expected |= {f"{NAME}.{name}.estimate.mcap" for name in ATTITUDES} | {f"{NAME}.redistribution.reference.mcap"}
+    expected |= {f"{NAME}.{name}.estimate.mcap" for name in SHOWN} | {f"{NAME}.redistribution.reference.mcap"}
     assert {path.name for path in made.iterdir()} == expected
 
 
 def test_score_takes_the_reference_beside_the_estimates(call, made, capsys):
     code, rows = rows_of(call, capsys, made)
     assert code == 0
-    assert sorted(row["method"] for row in rows) == sorted(ATTITUDES)
+    assert sorted(row["method"] for row in rows) == sorted(SHOWN)
     assert {row["against"] for row in rows} == {"reference (graph)"}
     assert all(row["total_rmse_deg"] > 0 and row["reference_sd_deg"] > 0 and row["error"] is None for row in rows)
     assert set(rows[0]["found"]) == {"heading_deg", "mounting_deg", "mounting_rotvec_deg", "time_s"}
@@ -64,7 +64,7 @@ def test_table_has_a_row_per_estimate(call, made, capsys):
     capsys.readouterr()
     assert call("score", made, "--align", "heading+mounting", "--frame", "ned") == 0
     out = capsys.readouterr().out
-    assert all(f" {name} " in out for name in ATTITUDES)
+    assert all(f" {name} " in out for name in SHOWN)
     assert "largest absolute error in NED" in out
     assert "mounting" in out
     assert "the reference's own sd is" in out
