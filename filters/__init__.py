@@ -4,7 +4,8 @@
 sample; ``ESTIMATORS`` lists them.
 """
 
-from stillpoint.filters.roll_stream import RollAnswer, RollStream, SavedRoll
+from stillpoint.filters.roll_advance import RollAnswer
+from stillpoint.filters.roll_stream import RollStream, SavedRoll
 from stillpoint.filters.run import estimate
 from stillpoint.filters.stream import Saved, Stream
 from stillpoint.filters.table import ESTIMATORS

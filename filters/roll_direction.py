@@ -8,9 +8,8 @@ w_x w_y * w_y has the sign of w_x. The paper's five accelerometers and its bench
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stillpoint.datasets.recording import Floats, Spin
+from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.spin import SpinChannels
 from stillpoint.filters.compiled import compiled
 
@@ -24,11 +23,6 @@ class Evidence(NamedTuple):
 
     total: float  # of what has the sign of the rate
     var: float
-
-
-def no_evidence() -> Evidence:
-    """Before the first sample."""
-    return Evidence(0.0, 0.0)
 
 
 def says_direction(by: SpinChannels) -> str:
@@ -49,31 +43,17 @@ def axial_weights(by: SpinChannels) -> Floats:
     return weights if abs(weights @ axes[:, 0] - 1.0) < 1e-9 else np.zeros(len(axes))
 
 
-def directions(spin: Spin, by: SpinChannels, evidence: Evidence) -> tuple[NDArray[np.int64], Evidence]:
-    """+1, -1 or 0 (N,) for each sample of ``spin`` by those up to it, and what to go on with."""
-    gyro = np.where(np.isfinite(spin.gyro_radps), spin.gyro_radps, 0.0)
-    axial = (gyro * axial_weights(by)).sum(axis=1)
-    shown = np.zeros(len(axial))
-    var = np.zeros(len(axial))
-    rates = (gyro[:, None, :] * by.transverse).sum(axis=2)
-    for channel, rate in ((by.omega_xy, rates[:, 0]), (by.omega_xz, rates[:, 1])):
-        if channel is not None:
-            product = channel.value(spin.accel_mps2, rates)
-            known = np.isfinite(product)
-            shown += np.where(known, product * rate, 0.0)
-            var += np.where(known, channel.variance * rate * rate, 0.0)
-    found = np.zeros(len(axial), dtype=np.int64)
-    return found, summed(axial, shown, var, evidence, found)
-
-
 @compiled
-def summed(axial: Floats, shown: Floats, var: Floats, evidence: Evidence, found: NDArray[np.int64]) -> Evidence:
-    """Fill ``found`` sample by sample."""
-    total, total_var = evidence
-    for k in range(len(axial)):
-        total, total_var = FORGETTING * total + shown[k], FORGETTING**2 * total_var + var[k]
-        if abs(axial[k]) > LEAST_GYRO_RADPS:
-            found[k] = 1 if axial[k] > 0.0 else -1
-        elif total * total > SIGNIFICANT**2 * total_var:
-            found[k] = 1 if total > 0.0 else -1
-    return Evidence(total, total_var)
+def facing(evidence: Evidence, axial_radps: float, shown: float, var: float) -> tuple[Evidence, int]:
+    """+1, -1 or 0 by all samples so far and one more, and what to go on with.
+
+    ``axial_radps`` is the rate about x by a gyro (0 where there is none), ``shown`` what has the rate's sign, with its
+    variance.
+    """
+    total, total_var = FORGETTING * evidence.total + shown, FORGETTING**2 * evidence.var + var
+    direction = 0
+    if abs(axial_radps) > LEAST_GYRO_RADPS:
+        direction = 1 if axial_radps > 0.0 else -1
+    elif total * total > SIGNIFICANT**2 * total_var:
+        direction = 1 if total > 0.0 else -1
+    return Evidence(total, total_var), direction

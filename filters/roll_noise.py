@@ -1,6 +1,6 @@
 """What the estimators of roll are told about noise and sense, and what a geometry makes of it (paper 000, eq (25))."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -48,10 +48,7 @@ def spin_channels(params: RollParams, geometry: SpinGeometry) -> SpinChannels:
 
     Raises :class:`Unobservable` where it does not fix rate and angular acceleration.
     """
-    by = channels(geometry, accel_variances(params, geometry))
-    if params.saturated == "use":
-        return replace(by, geometry=replace(geometry, accel_range_mps2=None))
-    return by
+    return channels(geometry, accel_variances(params, geometry))
 
 
 def noise(params: RollParams, geometry: SpinGeometry) -> Noise:

@@ -1,20 +1,21 @@
 """An estimator of roll over a whole recording."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from time import perf_counter_ns
 
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, BadRecording
-from stillpoint.datasets.recording import Floats, Recording, Spin, SpinGeometry
+from stillpoint.datasets.recording import Recording, Spin, SpinGeometry
 from stillpoint.datasets.settings import Settings
-from stillpoint.datasets.spin import SpinChannels, measure, saturated
+from stillpoint.datasets.spin import SpinChannels
 from stillpoint.datasets.trajectory import Estimate
+from stillpoint.filters import roll_front
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.roll_direction import Evidence, directions, no_evidence, says_direction
+from stillpoint.filters.roll_direction import says_direction
 from stillpoint.filters.roll_noise import RollParams, spin_channels
 from stillpoint.filters.roll_sample import RollLog, RollTrack, empty_track
-from stillpoint.filters.sample import GAP_S, counts
+from stillpoint.filters.sample import counts
 from stillpoint.filters.table import RollEstimator
 
 
@@ -31,7 +32,8 @@ def estimate_roll(
     assert isinstance(params, RollParams)
     spin = recording.spin
     by = spin_channels(params, spin.geometry)
-    log, _ = as_roll_log(spin, by, np.diff(spin.t_ns, prepend=spin.t_ns[0]) / 1e9, no_evidence())
+    front_c = roll_front.coefficients(by, params, precision)
+    passed, log = roll_front.run(spin.t_ns, spin.accel_mps2, spin.gyro_radps, roll_front.start(), front_c)
     track, met, elapsed_ns = _run(entry, log, params, spin.geometry, precision)
     if met.get("n_variance_not_positive"):
         raise BadParameter(_lost_variance(name, met["n_variance_not_positive"], spin, track))
@@ -46,27 +48,11 @@ def estimate_roll(
         innovation=track.innovation[:, None] if entry.innovations else None,
         ready=track.ready,
         params=asdict(params),
-        diagnostics=_irregular(spin, by)
+        diagnostics=counts(passed)
         | met
         | {"n_near_zero": _near_zero(track, by), "precision": precision, "direction": _direction(by, params)},
         ns_per_sample=elapsed_ns / len(spin.t_ns),
     )
-
-
-def as_roll_log(spin: Spin, by: SpinChannels, dt_s: Floats, evidence: Evidence) -> tuple[RollLog, Evidence]:
-    """The samples as the estimators take them, after an evidence of the direction, and that to go on with."""
-    spin = replace(spin, geometry=by.geometry)  # without a range, where saturated samples are to be used
-    seen = measure(spin, by)
-    direction, evidence = directions(spin, by, evidence)
-    log = RollLog(
-        dt_s,
-        seen.omega_dot_radps2,
-        seen.omega_squared_radps2,
-        seen.omega_dot_valid,
-        seen.omega_squared_valid,
-        direction,
-    )
-    return log, evidence
 
 
 def _run(
@@ -74,23 +60,12 @@ def _run(
 ) -> tuple[RollTrack, dict[str, int], int]:
     """Columns, counts, and the time of the compiled run in ns."""
     c = in_precision(entry.coefficients(params, geometry), precision)
-    log = in_precision(log, precision)
     track = empty_track(len(log.dt_s))
     entry.run(log._replace(dt_s=log.dt_s[:0]), in_precision(entry.start(c), precision), c, track)  # compiles
     begin = in_precision(entry.start(c), precision)
     begun = perf_counter_ns()
     state = entry.run(log, begin, c, track)
     return track, counts(state), perf_counter_ns() - begun
-
-
-def _irregular(spin: Spin, by: SpinChannels) -> dict[str, int]:
-    """Counts of what is irregular in the samples."""
-    used = (by.omega_dot.accel != 0) | (by.omega_squared.accel != 0)
-    return {
-        "n_spin_gaps": int((np.diff(spin.t_ns) > GAP_S * 1e9).sum()),
-        "n_lost": int((~np.isfinite(spin.accel_mps2[:, used])).any(axis=1).sum()),
-        "n_saturated": int(saturated(spin)[:, used].any(axis=1).sum()),
-    }
 
 
 def _near_zero(track: RollTrack, by: SpinChannels) -> int:

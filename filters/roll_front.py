@@ -1,0 +1,206 @@
+"""What stands between the sensors of a spin and every estimator of roll: the two observations, and what may be used.
+
+One compiled step for a stream and for the loop over a recording, so both give an estimator the same samples. The
+arithmetic is that of :func:`stillpoint.datasets.spin.measure`, row by row and in double precision.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stillpoint.datasets.recording import Floats, Times
+from stillpoint.datasets.spin import SATURATED, Channel, SpinChannels
+from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.roll_direction import Evidence, axial_weights, facing
+from stillpoint.filters.roll_noise import RollParams
+from stillpoint.filters.roll_sample import RollLog, RollSample
+from stillpoint.filters.sample import GAP_S
+
+LARGEST = 1e9  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
+
+
+class Weights(NamedTuple):
+    """A :class:`stillpoint.datasets.spin.Channel`."""
+
+    accel: Floats  # (k,)
+    products: tuple[float, float, float]
+    variance: float
+
+
+class Coefficients(NamedTuple):
+    """Of a geometry."""
+
+    omega_dot: Weights
+    omega_squared: Weights
+    omega_xy: Weights  # all 0 where it is not seen
+    omega_xz: Weights
+    transverse: Floats  # (2, m)
+    axial: Floats  # (m,)
+    limits_mps2: Floats  # (k,) from here on a value is saturated; infinite where the range is not known
+    skips_saturated: bool
+    zero: float  # in the precision of the estimator
+
+
+class State(NamedTuple):
+    """What is remembered."""
+
+    t_ns: int  # of the last sample; -1 before the first
+    evidence: Evidence
+    n_out_of_order: int
+    n_spin_gaps: int
+    n_lost: int  # samples without a value of an accelerometer that is used
+    n_saturated: int  # samples with one at its range
+
+
+class Reading(NamedTuple):
+    """A channel at one sample."""
+
+    value: float
+    is_lost: bool
+    is_saturated: bool
+    needs_gyro: bool
+
+
+def coefficients(by: SpinChannels, params: RollParams, precision: Precision) -> Coefficients:
+    """Of a geometry for an estimator with these parameters in this precision."""
+    limits = by.geometry.accel_range_mps2
+    k = len(by.geometry.accel_r_b_m)
+    return Coefficients(
+        _weights(by.omega_dot, k),
+        _weights(by.omega_squared, k),
+        _weights(by.omega_xy, k),
+        _weights(by.omega_xz, k),
+        np.array(by.transverse),
+        np.array(axial_weights(by)),
+        np.full(k, np.inf) if limits is None else SATURATED * limits,
+        params.saturated == "skip",
+        in_precision(0.0, precision),
+    )
+
+
+def _weights(channel: Channel | None, k: int) -> Weights:
+    if channel is None:
+        return Weights(np.zeros(k), (0.0, 0.0, 0.0), 0.0)
+    y, z, yz = channel.products.tolist()
+    return Weights(np.array(channel.accel), (y, z, yz), channel.variance)
+
+
+@compiled
+def start() -> State:
+    """Before the first sample."""
+    return State(-1, Evidence(0.0, 0.0), 0, 0, 0, 0)
+
+
+@compiled
+def usable(value: float, otherwise: float) -> float:
+    """What is no number or none that a sensor gives, replaced."""
+    return value if abs(value) < LARGEST else otherwise
+
+
+@compiled
+def rate_about(weights: Floats, gyro_radps: Floats, k: int) -> float:
+    """A rate by the gyros (N, m) of row ``k``; one that is lost counts as 0."""
+    total = 0.0
+    for i in range(len(weights)):
+        total += weights[i] * usable(gyro_radps[k, i], 0.0)
+    return total
+
+
+@compiled
+def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
+    """Whether a gyro that gives the rates about y and z is lost."""
+    for i in range(c.transverse.shape[1]):
+        if (c.transverse[0, i] != 0.0 or c.transverse[1, i] != 0.0) and not abs(gyro_radps[k, i]) < LARGEST:
+            return True
+    return False
+
+
+@compiled
+def read(weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, limits_mps2: Floats) -> Reading:
+    """A channel by the accelerometers (N, k) of row ``k`` and the rates about y and z."""
+    total, is_lost, is_saturated = 0.0, False, False
+    for i in range(len(weights.accel)):
+        if weights.accel[i] != 0.0:
+            value = usable(accel_mps2[k, i], np.nan)
+            total += weights.accel[i] * value
+            is_lost |= not abs(value) < LARGEST
+            is_saturated |= abs(value) >= limits_mps2[i]
+    of_yy, of_zz, of_yz = weights.products
+    if of_yy != 0.0:
+        total += of_yy * (rate_y * rate_y)
+    if of_zz != 0.0:
+        total += of_zz * (rate_z * rate_z)
+    if of_yz != 0.0:
+        total += of_yz * (rate_y * rate_z)
+    return Reading(total, is_lost, is_saturated, of_yy != 0.0 or of_zz != 0.0 or of_yz != 0.0)
+
+
+@compiled
+def step(
+    state: State, t_ns: int, accel_mps2: Floats, gyro_radps: Floats, k: int, c: Coefficients
+) -> tuple[State, RollSample, bool]:
+    """The sample for the estimator, of row ``k`` of (N, k) and (N, m); False: none, as time has not risen."""
+    zero = c.zero
+    if t_ns <= state.t_ns:
+        late = state.n_out_of_order + 1
+        kept = State(state.t_ns, state.evidence, late, state.n_spin_gaps, state.n_lost, state.n_saturated)
+        return kept, RollSample(zero, zero, zero, False, False, 0), False
+    dt_s = (t_ns - state.t_ns) / 1e9 if state.t_ns >= 0 else 0.0
+    rate_y, rate_z = rate_about(c.transverse[0], gyro_radps, k), rate_about(c.transverse[1], gyro_radps, k)
+    dot = read(c.omega_dot, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
+    square = read(c.omega_squared, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
+    shown, var = 0.0, 0.0
+    for weights, rate in ((c.omega_xy, rate_y), (c.omega_xz, rate_z)):
+        product = read(weights, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
+        if not product.is_lost:
+            shown, var = shown + product.value * rate, var + weights.variance * rate * rate
+    evidence, direction = facing(state.evidence, rate_about(c.axial, gyro_radps, k), shown, var)
+    no_gyro = lacks_gyro(gyro_radps, k, c)
+    sample = RollSample(
+        like(zero, dt_s),
+        like(zero, dot.value),
+        like(zero, square.value),
+        is_good(dot, no_gyro, c.skips_saturated),
+        is_good(square, no_gyro, c.skips_saturated),
+        direction,
+    )
+    after = State(
+        t_ns,
+        evidence,
+        state.n_out_of_order,
+        state.n_spin_gaps + (1 if dt_s > GAP_S else 0),
+        state.n_lost + (1 if dot.is_lost or square.is_lost else 0),
+        state.n_saturated + (1 if dot.is_saturated or square.is_saturated else 0),
+    )
+    return after, sample, True
+
+
+@compiled
+def is_good(reading: Reading, no_gyro: bool, skips_saturated: bool) -> bool:
+    """Whether a channel may be used."""
+    return not (reading.is_lost or (reading.is_saturated and skips_saturated) or (reading.needs_gyro and no_gyro))
+
+
+@compiled
+def run(t_ns: Times, accel_mps2: Floats, gyro_radps: Floats, state: State, c: Coefficients) -> tuple[State, RollLog]:
+    """Every sample of a recording, whose time rises: what the estimator gets."""
+    n, zero = len(t_ns), c.zero
+    log = RollLog(
+        np.full(n, zero),
+        np.full(n, zero),
+        np.full(n, zero),
+        np.full(n, False),
+        np.full(n, False),
+        np.zeros(n, dtype=np.int64),
+    )
+    for k in range(n):
+        state, sample, _ = step(state, t_ns[k], accel_mps2, gyro_radps, k, c)
+        log.dt_s[k], log.accel_radps2[k], log.square_rad2ps2[k] = (
+            sample.dt_s,
+            sample.accel_radps2,
+            sample.square_rad2ps2,
+        )
+        log.has_accel[k], log.has_square[k] = sample.has_accel, sample.has_square
+        log.direction[k] = sample.direction
+    return state, log
