@@ -60,8 +60,10 @@ def solve(
         if not np.isfinite(turn):
             raise _unobservable(name)
         farther = 1.0 if not final or before is None else _extrapolation(turns, before)
-        before = turns if farther == 1.0 else None
-        values = values.retract(step.scale(min(farther, STEP_LIMIT_RAD / turn)) if turn > 0 else step)
+        before = turns if farther == 1.0 else None  # after a longer step the next one tells nothing of the rate
+        if turn * farther > STEP_LIMIT_RAD:
+            farther = STEP_LIMIT_RAD / turn
+        values = values.retract(step if farther == 1.0 else step.scale(farther))
         steps.append(turn)
         if residual is not None:
             smaller = next_scale(scale_ut, residual, params.magnetic)
