@@ -54,6 +54,7 @@ class Line:
     by_squared_mps2: float | None  # gravity as the squared rate alone shows it; None where it feels none
     by_accel_mps2: float | None
     gravity_mps2: float  # as both show it together, a ripple aside; 0 unless taken for gravity
+    ripple_radps: float | None  # amplitude of the ripple that is then left; None for a vibration, which hides it
     rate_radps: float  # w, median
     phase_rad: Floats  # (N,)
 
@@ -109,10 +110,11 @@ def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | 
     k_s, k_a = felt(samples.squared_gravity), felt(samples.accel_gravity)
     sd = np.sqrt(sum(var / abs(k) ** 2 for var, k in ((squared_var, k_s), (accel_var, k_a)) if k))
     verdict, why = judged(squared, accel, k_s, k_a, float(sd), significance, params)
-    gravity = (squared + 2j * accel) / (k_s + 2j * k_a) if verdict == "gravity" else 0j
+    gravity, rate = 0j, float(np.median(rates_of(chain, state)))
     if verdict == "gravity":
         phase = np.unwrap(np.angle(free / (k_s + 2j * k_a)))
         squared, accel, _, _ = windows.turned(phase)
+        gravity = (squared + 2j * accel) / (k_s + 2j * k_a)
     return Line(
         verdict=verdict,
         why=why,
@@ -122,7 +124,8 @@ def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | 
         by_squared_mps2=abs(squared / k_s) if k_s else None,
         by_accel_mps2=abs(accel / k_a) if k_a else None,
         gravity_mps2=abs(gravity),
-        rate_radps=float(np.median(rates_of(chain, state))),
+        ripple_radps=abs(squared - gravity * k_s) / abs(2 * rate) if verdict != "vibration" else None,
+        rate_radps=rate,
         phase_rad=np.interp(seconds_of(samples), windows.middle_s, phase),
     )
 

@@ -120,6 +120,7 @@ def _turning(line: Line) -> dict[str, Any]:
         "once_per_turn_significance_sd": line.significance,
         "gravity_by_squared_mps2": line.by_squared_mps2,
         "gravity_by_accel_mps2": line.by_accel_mps2,
+        "ripple_radps": line.ripple_radps,
     }
 
 

@@ -98,7 +98,7 @@ def problem():
     )
     constants += 1e-4 * rng.standard_normal(constants.shape)
     state = RollState(-0.14, np.append(rates, rates[-1]) + 0.05 * rng.standard_normal(n + 1), constants)
-    line = Line("gravity", "", 0j, 0j, 100.0, 5.0, 5.0, 5.0, 35.0, np.zeros(n))
+    line = Line("gravity", "", 0j, 0j, 100.0, 5.0, 5.0, 5.0, 0.0, 35.0, np.zeros(n))
     prior = prior_of(samples, line, True, 0.01, params)
     # A vibration beside gravity, along an angle of its own: all columns of the Jacobian are in use.
     shaken = [COS_S, SIN_S, COS_A, SIN_A]
