@@ -1,11 +1,14 @@
 """A saved stream as plain lists and numbers, for JSON, and back."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.filters.roll_stream import SavedRoll
 from stillpoint.filters.stream import Saved
+
+AnySaved = TypeVar("AnySaved", Saved, SavedRoll)
 
 
 def plain(tree: Any) -> Any:
@@ -19,7 +22,7 @@ def plain(tree: Any) -> Any:
     return tree
 
 
-def rebuilt(kept: Any, like: Saved) -> Saved:
+def rebuilt(kept: Any, like: AnySaved) -> AnySaved:
     """What :func:`plain` was made of; ``like`` is a saved stream of the same kind.
 
     Raises :class:`BadParameter` when it is of another one, or of another version of the estimator.
@@ -28,7 +31,7 @@ def rebuilt(kept: Any, like: Saved) -> Saved:
         saved = _rebuilt(kept, like)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadParameter(f"the saved state is not one of {like.name} as it is now ({error}); start anew") from None
-    assert isinstance(saved, Saved)
+    assert isinstance(saved, type(like))
     return saved
 
 

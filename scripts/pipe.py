@@ -12,10 +12,11 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any, BinaryIO, TextIO
 
-from stillpoint.filters import Stream
+from stillpoint.filters import RollAnswer
 from stillpoint.filters.sample import Output
 from stillpoint.scripts.latency import Latency
-from stillpoint.scripts.sample_lines import Arrival, Lines, Malformed
+from stillpoint.scripts.live import Live
+from stillpoint.scripts.sample_lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
 
 SHOWN = 20  # malformed lines said one by one; the others are counted
 
@@ -32,12 +33,12 @@ class Passed:
     ended_by: str = "end of input"
 
 
-def pipe(streams: Mapping[str, Stream], source: BinaryIO, target: TextIO) -> Passed:
+def pipe(streams: Mapping[str, Live], source: BinaryIO, target: TextIO, layout: Layout = ATTITUDE) -> Passed:
     """Feed every sample to every stream and write what they say, until the input ends, or the output is closed.
 
     SIGINT and SIGTERM end it between two samples. Raises :class:`BadParameter` for a first line that names no samples.
     """
-    passed, lines = Passed(), Lines()
+    passed, lines = Passed(), Lines(layout)
     with _signals_end(passed) as read:
         for raw in iter(lambda: read(source), b""):
             begun_ns = perf_counter_ns()
@@ -66,20 +67,23 @@ def pipe(streams: Mapping[str, Stream], source: BinaryIO, target: TextIO) -> Pas
     return passed
 
 
-def _update(streams: Mapping[str, Stream], sample: Arrival, passed: Passed) -> str:
+def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: Passed) -> str:
     begun_ns = perf_counter_ns()
-    outputs = [stream.update(*sample) for stream in streams.values()]
+    parts: tuple[Any, ...] = sample
+    outputs = [stream.update(*parts) for stream in streams.values()]
     passed.update.add(perf_counter_ns() - begun_ns)
     passed.n_samples += 1
     return "".join(line(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
 
 
-def line(t_ns: int, name: str, output: Output) -> str:
+def line(t_ns: int, name: str, output: Output | RollAnswer) -> str:
     """One estimate as NDJSON; a number that is not finite is null, what is not estimated is not there."""
     facts: dict[str, Any] = {"t_ns": t_ns, "estimator": name}
     for field_name, value in output._asdict().items():
         if isinstance(value, tuple):
             facts[field_name] = [each if math.isfinite(each) else None for each in value]
+        elif isinstance(value, float) and not math.isfinite(value):
+            facts[field_name] = None
         elif value is not None:
             facts[field_name] = value
     return json.dumps(facts, separators=(",", ":")) + "\n"

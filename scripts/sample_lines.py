@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
@@ -10,10 +11,7 @@ NAN = float("nan")
 IMU = ("gx", "gy", "gz", "ax", "ay", "az")
 MAG = ("mx", "my", "mz")
 FIX = ("course_rad", "speed_mps")
-KNOWN = ("t_ns", "t_s", *IMU, *MAG, *FIX)
-FORMAT = (
-    "t_ns or t_s, gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps"
-)
+TIME = ("t_ns", "t_s")
 
 Vector = tuple[float, ...]
 
@@ -28,6 +26,24 @@ class Arrival(NamedTuple):
     course: tuple[float, float] | None
 
 
+class SpinArrival(NamedTuple):
+    """One line: what :meth:`stillpoint.filters.RollStream.update` takes."""
+
+    t_ns: int
+    accel_mps2: Vector
+    gyro_radps: Vector
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which fields a line has, and what they make."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+    says: str  # the fields with their units, for who gave others
+    arrival: Callable[[Mapping[str, Any]], Arrival | SpinArrival]
+
+
 class Malformed(ValueError):
     """A line that is no sample, and why."""
 
@@ -38,11 +54,12 @@ class Lines:
     Raises :class:`BadParameter` when the first line names no samples, :class:`Malformed` for any other bad line.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout | None = None) -> None:
         self.ignored: tuple[str, ...] = ()
+        self._layout = ATTITUDE if layout is None else layout
         self._values: Callable[[str], Mapping[str, Any]] | None = None
 
-    def read(self, raw: bytes) -> Arrival | None:
+    def read(self, raw: bytes) -> Arrival | SpinArrival | None:
         """The sample of a line; None for an empty one and for the header."""
         try:
             text = raw.decode("utf-8-sig" if self._values is None else "utf-8").strip()
@@ -52,14 +69,14 @@ class Lines:
             return None
         if self._values is None:
             return self._begin(text)
-        return arrival(self._values(text))
+        return self._layout.arrival(self._values(text))
 
-    def _begin(self, text: str) -> Arrival | None:
+    def _begin(self, text: str) -> Arrival | SpinArrival | None:
         if text.startswith("{"):
             values = _object(text)
             self._require(list(values))
             self._values = _object
-            return arrival(values)
+            return self._layout.arrival(values)
         names = [name.strip() for name in text.split(",")]
         self._require(names)
 
@@ -73,13 +90,16 @@ class Lines:
         return None
 
     def _require(self, names: list[str]) -> None:
-        missing = [name for name in IMU if name not in names]
-        if not {"t_ns", "t_s"} & set(names):
+        missing = [name for name in self._layout.required if name not in names]
+        if not set(TIME) & set(names):
             missing.insert(0, "t_ns")
         if missing:
             given = ", ".join(names)[:100]
-            raise BadParameter(f"the first line names {given}, but not {', '.join(missing)}; give {FORMAT}")
-        self.ignored = tuple(name for name in names if name not in KNOWN)
+            raise BadParameter(
+                f"the first line names {given}, but not {', '.join(missing)}; give t_ns or t_s, {self._layout.says}"
+            )
+        known = {*TIME, *self._layout.required, *self._layout.optional}
+        self.ignored = tuple(name for name in names if name not in known)
 
 
 def arrival(values: Mapping[str, Any]) -> Arrival:
@@ -92,6 +112,26 @@ def arrival(values: Mapping[str, Any]) -> Arrival:
         mag if _any(values, MAG) else None,
         (fix[0], fix[1]) if _any(values, FIX) else None,
     )
+
+
+ATTITUDE = Layout(
+    IMU,
+    (*MAG, *FIX),
+    "gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps",
+    arrival,
+)
+
+
+def spin_layout(n_accels: int, n_gyros: int) -> Layout:
+    """Of a spinning body: one field per accelerometer and gyro, in the order of its geometry."""
+    accels, gyros = (tuple(f"{letter}{i + 1}" for i in range(n)) for letter, n in (("a", n_accels), ("g", n_gyros)))
+
+    def spin_arrival(values: Mapping[str, Any]) -> SpinArrival:
+        accel, gyro = (tuple(_number(values, name) for name in names) for names in (accels, gyros))
+        return SpinArrival(_stamp(values), accel, gyro)
+
+    units = [f"{', '.join(names)} ({unit})" for names, unit in ((accels, "m/s^2"), (gyros, "rad/s")) if names]
+    return Layout((*accels, *gyros), (), ", ".join(units), spin_arrival)
 
 
 def _object(text: str) -> Mapping[str, Any]:

@@ -1,27 +1,32 @@
 """``stillpoint stream``: estimates while the samples come."""
 
 import importlib.util
-import json as json_text
 import sys
-from collections.abc import Sequence
-from math import degrees, radians
+from collections.abc import Mapping, Sequence
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.importers.spin_csv import SpinOptions, geometry_of
+from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.store import read_recording
-from stillpoint.filters import Stream
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.saved import plain, rebuilt
+from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.flags import SetFlag, Whole
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.live import Live, attitude, keep, kind_of, live, roll
 from stillpoint.scripts.pipe import Passed, pipe
 from stillpoint.scripts.runs import Run, runs_of
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.sample_lines import ATTITUDE, spin_layout
+
+SPIN = Group("Estimators of roll", sort_key=1)
+SpinText = Annotated[str, Parameter(group=SPIN)]
+SpinSize = Annotated[float | None, Parameter(group=SPIN)]
 
 
 def stream(
@@ -38,6 +43,10 @@ def stream(
     foxglove: Annotated[Whole | None, Parameter(negative=())] = None,
     host: str = "127.0.0.1",
     speed: float = 1.0,
+    geometry: SpinText = "bench",
+    d1_m: SpinSize = None,
+    d2_m: SpinSize = None,
+    range_g: SpinSize = None,
     json: JsonFile = None,
 ) -> None:
     """Estimates while the samples come: NDJSON or CSV on the standard input, NDJSON on the standard output.
@@ -51,7 +60,7 @@ def stream(
     file
         A recording to replay with --foxglove.
     estimators
-        Names with commas between: those of attitude that are stillpoint's own.
+        Names with commas between: those of attitude that are stillpoint's own, or those of roll.
     set_
         A parameter, ESTIMATOR.NAME=VALUE, heading.NAME=VALUE or range.NAME=VALUE; can be given several times.
     declination
@@ -71,23 +80,38 @@ def stream(
         Address to listen on for Foxglove; by default this computer alone can connect.
     speed
         How much faster than it was recorded to replay.
+    geometry
+        Where the accelerometers sit, for the estimators of roll: bench, five, or a .toml file as import spin takes it.
+    d1_m
+        Lever arm of the radial accelerometer in m, 0.10 unless given.
+    d2_m
+        Lever arm of the tangential one in m, 0.50 unless given.
+    range_g
+        Range of the accelerometers, 16 unless given.
     json
         Also write the counts and latencies of the end to this file.
     """
     if json == STDOUT:
         raise BadParameter("--json -: the standard output is for the estimates; name a file")
     runs = runs_of(estimators, set_, precision, heading)
+    spin = _geometry_of(runs, SpinOptions(geometry=geometry, d1_m=d1_m, d2_m=d2_m, range_g=range_g), declination)
     if foxglove is not None:
+        if spin is not None:
+            raise BadParameter(f"--foxglove: replays attitudes; for {estimators} use stillpoint estimate and view")
         _to_foxglove(file, runs, declination, host, foxglove, speed)
         return
     if file is not None:
         raise BadParameter(f"{file}: a recording is replayed with --foxglove PORT; samples come on the standard input")
-    kind = {"runs": [vars(run) for run in runs], "declination_deg": declination}
-    streams = _streams(runs, declination, resume, kind)
-    passed = pipe(streams, sys.stdin.buffer, sys.stdout)
+    kind = kind_of(runs, declination, spin)
+    if spin is None:
+        layout = ATTITUDE
+        streams = live({run.estimator: attitude(run, declination) for run in runs}, resume, kind)
+    else:
+        layout = spin_layout(len(spin.accel_axis_b), len(spin.gyro_axis_b))
+        streams = live({run.estimator: roll(run, spin) for run in runs}, resume, kind)
+    passed = pipe(streams, sys.stdin.buffer, sys.stdout, layout)
     if save is not None:
-        kept = {name: plain(one.save()) for name, one in streams.items()}
-        write_text(save, json_text.dumps({"kind": kind, "states": kept}) + "\n")
+        keep(save, streams, kind)
     _say(passed, streams)
     write_json(json, [_facts(passed, name, one) for name, one in streams.items()])
 
@@ -110,48 +134,28 @@ def _to_foxglove(
     recording.require_imu()  # before somebody waits for it
     if declination_deg is None:
         declination_deg = degrees(local_declination(recording.info)[0])
-    streams = _streams(runs, declination_deg, None, {})
+    streams = {run.estimator: attitude(run, declination_deg)() for run in runs}
     n_samples = replay(file, recording, streams, host, port, speed)
     print(f"stillpoint: {n_samples} samples replayed", file=sys.stderr)
 
 
-def _streams(
-    runs: Sequence[Run], declination_deg: float | None, resume: Path | None, kind: dict[str, Any]
-) -> dict[str, Stream]:
-    """One per run, new or gone on with. Raises :class:`BadParameter` for a file of another kind of run."""
-    kept = None if resume is None else _kept(resume, kind)
-    streams = {}
-    for run in runs:
-        options: dict[str, Any] = {
-            "declination_rad": None if declination_deg is None else radians(declination_deg),
-            "precision": run.precision,
-            "heading": run.heading,
-            "heading_params": run.heading_params,
-            "ranges": run.ranges,
-        }
-        new = Stream(run.estimator, run.params, **options)
-        if kept is not None:
-            new = Stream(run.estimator, run.params, **options, saved=rebuilt(kept[run.estimator], new.save()))
-        streams[run.estimator] = new
-    return streams
-
-
-def _kept(resume: Path, kind: dict[str, Any]) -> dict[str, Any]:
-    try:
-        kept = json_text.loads(resume.read_text(encoding="utf-8"))
-        states, kept_kind = kept["states"], kept["kind"]
-    except OSError as error:
-        raise BadParameter(f"--resume {resume}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError):
-        raise BadParameter(f"--resume {resume}: is no file of stream --save; start without it") from None
-    if kept_kind != json_text.loads(json_text.dumps(kind)):
+def _geometry_of(runs: Sequence[Run], options: SpinOptions, declination_deg: float | None) -> SpinGeometry | None:
+    """Of the spinning body; None where attitudes are estimated. Raises :class:`BadParameter` for what does not go."""
+    spins, names = [run.estimator for run in runs if run.estimator in ROLLS], ", ".join(ROLLS)
+    if not spins:
+        if options != SpinOptions():
+            raise BadParameter(f"--geometry, --d1-m, --d2-m, --range-g: are for {names}; leave them out")
+        return None
+    if len(spins) < len(runs):
+        raise BadParameter(f"{', '.join(spins)}: reads other samples than those of attitude; run {names} by themselves")
+    if declination_deg is not None or runs[0].ranges:
         raise BadParameter(
-            f"--resume {resume}: was saved with other options ({json_text.dumps(kept_kind)}); give these"
+            f"--declination, --set range: {spins[0]} follows a spin, which has no heading; leave them out"
         )
-    return dict(states)
+    return geometry_of(options)
 
 
-def _say(passed: Passed, streams: dict[str, Stream]) -> None:
+def _say(passed: Passed, streams: Mapping[str, Live]) -> None:
     """The summary, on stderr."""
     said = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
     for what, latency in (("estimators", passed.update), ("line to line", passed.whole)):
@@ -164,7 +168,7 @@ def _say(passed: Passed, streams: dict[str, Stream]) -> None:
         print(f"stillpoint: {text}", file=sys.stderr)
 
 
-def _facts(passed: Passed, name: str, one: Stream) -> dict[str, Any]:
+def _facts(passed: Passed, name: str, one: Live) -> dict[str, Any]:
     return {
         "estimator": name,
         "n_samples": passed.n_samples,

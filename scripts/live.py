@@ -1,0 +1,73 @@
+"""The streams behind ``stillpoint stream``: new, or gone on with from a file of ``--save``."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from math import radians
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.recording import SpinGeometry
+from stillpoint.filters import RollStream, Saved, SavedRoll, Stream
+from stillpoint.filters.saved import plain, rebuilt
+from stillpoint.scripts.runs import Run
+from stillpoint.scripts.text_file import write_text
+
+Live = Stream | RollStream
+Make = Callable[..., Any]  # of a stream
+
+
+def attitude(run: Run, declination_deg: float | None) -> Callable[..., Stream]:
+    """What makes a stream of attitude, of a saved state or anew."""
+    return partial(
+        Stream,
+        run.estimator,
+        run.params,
+        declination_rad=None if declination_deg is None else radians(declination_deg),
+        precision=run.precision,
+        heading=run.heading,
+        heading_params=run.heading_params,
+        ranges=run.ranges,
+    )
+
+
+def roll(run: Run, geometry: SpinGeometry) -> Callable[..., RollStream]:
+    """What makes a stream of roll, of a saved state or anew."""
+    return partial(RollStream, run.estimator, geometry, run.params, run.precision)
+
+
+def kind_of(runs: Sequence[Run], declination_deg: float | None, geometry: SpinGeometry | None) -> dict[str, Any]:
+    """What has to be the same to go on."""
+    kind: dict[str, Any] = {"runs": [vars(run) for run in runs], "declination_deg": declination_deg}
+    if geometry is not None:
+        kind["geometry"] = {name: plain(value) for name, value in vars(geometry).items()}
+    return kind
+
+
+def live(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]) -> dict[str, Live]:
+    """One stream each, new or gone on with. Raises :class:`BadParameter` for a file of another kind of run."""
+    if resume is None:
+        return {name: make() for name, make in makes.items()}
+    kept = _kept(resume, kind)
+    return {name: make(saved=rebuilt(kept[name], make().save())) for name, make in makes.items()}
+
+
+def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
+    """Write the file that :func:`live` goes on from."""
+    states: dict[str, Saved | SavedRoll] = {name: one.save() for name, one in streams.items()}
+    kept = {name: plain(state) for name, state in states.items()}
+    write_text(save, json.dumps({"kind": kind, "states": kept}) + "\n")
+
+
+def _kept(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        kept = json.loads(resume.read_text(encoding="utf-8"))
+        states, kept_kind = kept["states"], kept["kind"]
+    except OSError as error:
+        raise BadParameter(f"--resume {resume}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError):
+        raise BadParameter(f"--resume {resume}: is no file of stream --save; start without it") from None
+    if kept_kind != json.loads(json.dumps(kind)):
+        raise BadParameter(f"--resume {resume}: was saved with other options ({json.dumps(kept_kind)}); give these")
+    return dict(states)
