@@ -74,6 +74,10 @@ def prior_of(
     if line is not None and line.is_gravity:
         free[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
         mean[AMPLITUDE] = line.gravity_mps2
+        # Each channel sees gravity by its own scale and axis, of which the same is known as of the lever arms.
+        squared, accel = (np.linalg.norm(k) for k in (samples.squared_gravity, samples.accel_gravity))
+        for constant, felt in ((COS_S, squared), (SIN_S, squared), (COS_A, accel), (SIN_A, accel)):
+            free[constant] = max(HELD, p.lever_arm_sd * line.gravity_mps2 * float(felt))
     if encoder:
         free[LATENCY] = params.encoder.latency_sd_s
     if encoder and gravity:

@@ -45,7 +45,7 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     rough = improved(chain, state, prior, recording.name, params, ROUGH)
     line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
     if line is not None and line.is_gravity:
-        state = with_gravity(chain, rough.at.state, line)
+        chain, state = with_gravity(chain, rough.at.state, line)
         prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
         rough = improved(chain, state, prior, recording.name, params, ROUGH)
     if line is not None and line.is_vibration:

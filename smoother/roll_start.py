@@ -48,23 +48,27 @@ def start_of(chain: Chain, readings: EncoderReadings | None, sign: float) -> Rol
     return replace(state, start_angle_rad=first)
 
 
-def with_gravity(chain: Chain, state: RollState, line: Line) -> RollState:
-    """The state turned so that gravity's phase is 0 all along."""
+def with_gravity(chain: Chain, state: RollState, line: Line) -> tuple[Chain, RollState]:
+    """The state turned so that gravity's phase is 0 all along; what the scales make of gravity has the same angle."""
     turned = np.diff(line.phase_rad, prepend=line.phase_rad[0]) / chain.step_s[:-1]
     rates = state.mean_rate_radps + np.append(turned, 0.0)
     constants = state.constants.copy()
     constants[:, AMPLITUDE] = line.gravity_mps2
     moved = RollState(state.start_angle_rad + float(line.phase_rad[0]), rates, constants)
+    angle = angles_of(chain, moved)
     if chain.readings is not None:
-        constants[:, OFFSET] = np.median(chain.readings.angle_rad - angles_of(chain, moved)[chain.readings.k])
-    return moved
+        constants[:, OFFSET] = np.median(chain.readings.angle_rad - angle[chain.readings.k])
+    return _along(chain, angle), moved
 
 
 def with_vibration(chain: Chain, state: RollState, line: Line) -> tuple[Chain, RollState]:
     """Chain and state with a vibration along the line's own angle, which stays: it does not count the turns."""
-    angle = angles_of(chain, state) + line.phase_rad
-    shaken = np.stack([in_blocks(part, chain.layout.m, 0.0) for part in (np.cos(angle), np.sin(angle))])
     constants = state.constants.copy()
     constants[:, [COS_S, SIN_S]] = line.squared.real, -line.squared.imag
     constants[:, [COS_A, SIN_A]] = line.accel.real, -line.accel.imag
-    return replace(chain, shaken=shaken), replace(state, constants=constants)
+    return _along(chain, angles_of(chain, state) + line.phase_rad), replace(state, constants=constants)
+
+
+def _along(chain: Chain, angle_rad: Floats) -> Chain:
+    parts = [in_blocks(part, chain.layout.m, 0.0) for part in (np.cos(angle_rad), np.sin(angle_rad))]
+    return replace(chain, shaken=np.stack(parts))
