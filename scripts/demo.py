@@ -25,13 +25,8 @@ from stillpoint.smoother import DEFAULT_METHOD, attitude_reference, find_rests
 
 KIND = "phone-3"
 COMPARED = "redistribution"  # the method of the literature, scored beside ours
-SHOWN = (
-    "cf",
-    "ekf",
-    "vqf",
-    "offline-vqf",
-    "madgwick",
-)  # few enough to tell their lines apart, and to compile in seconds
+# Few enough to tell their lines apart.
+SHOWN = ("cf", "ekf", "vqf", "offline-vqf", "madgwick")
 
 
 def demo(
