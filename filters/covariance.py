@@ -99,11 +99,18 @@ def forget(p: Matrix, i: int, variance: float) -> None:
     p[i, i] = variance
 
 
-@compiled
+@compiled_apart
 def grown(variance: float, sd: float) -> float:
     """After an error of this sd that goes the way of the one before: standard deviations add, not variances."""
     root = sqrt(max(variance, like(variance, 0.0))) + sd
     return root * root
+
+
+@compiled_apart
+def grown_along(cov: Nine, sd: Vector) -> Nine:
+    """A 3 x 3 after such errors along its axes."""
+    xx, xy, xz, _, yy, yz, _, _, zz = cov
+    return grown(xx, sd[0]), xy, xz, xy, grown(yy, sd[1]), yz, xz, yz, grown(zz, sd[2])
 
 
 @compiled_apart

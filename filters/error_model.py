@@ -262,9 +262,10 @@ def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficie
     congruence(transition(window, p), p)
     add_noise(p, window, c)
     if not is_measured(window.turning):
-        axes, hidden_b_rad = axes_in_n(q_nb), window.turning.hidden_b_rad
-        for i in range(3):
-            hide(p, axes[i], hidden_b_rad[i], push[2])
+        (x, y, z), (x_rad, y_rad, z_rad) = axes_in_n(q_nb), window.turning.hidden_b_rad
+        hide(p, x, x_rad, push[2])
+        hide(p, y, y_rad, push[2])
+        hide(p, z, z_rad, push[2])
     round_up(p)
     unknown = like(c.gate, UNKNOWN_RAD2)
     for i in range(BIAS):

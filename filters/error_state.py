@@ -11,7 +11,7 @@ from stillpoint.filters.covariance import (
     axes_in_n,
     congruence,
     forget,
-    grown,
+    grown_along,
     identity,
     in_body_axes,
 )
@@ -227,7 +227,5 @@ def output(body: Body, innovations: Vector, c: Coefficients) -> Output:
     q_nb, x, p, window, _, _, status, _ = body
     cov_b = in_body_axes(p, window.turning.spread_s, attitude_noise(window.turning, c), q_nb)
     if not is_measured(window.turning):
-        xx, xy, xz, _, yy, yz, _, _, zz = cov_b
-        x_rad, y_rad, z_rad = window.turning.hidden_b_rad
-        cov_b = grown(xx, x_rad), xy, xz, xy, grown(yy, y_rad), yz, xz, yz, grown(zz, z_rad)
+        cov_b = grown_along(cov_b, window.turning.hidden_b_rad)
     return Output(q_nb, (x[BIAS], x[BIAS + 1], x[BIAS + 2]), cov_b, innovations, status.is_ready)

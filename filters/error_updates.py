@@ -7,7 +7,6 @@ import numpy as np
 from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import (
     Matrix,
-    axes_in_n,
     forget,
     joseph,
     times,
@@ -29,6 +28,7 @@ from stillpoint.filters.fields import turn_to_north
 from stillpoint.filters.known_field import KnownField, disturbance_ut2, looks
 from stillpoint.filters.rotation import (
     Vector,
+    norm,
     scale,
 )
 from stillpoint.filters.stillness import is_resting, moving, rate_sd, watch
@@ -82,10 +82,7 @@ def due(body: Body, c: Coefficients) -> Due:
     length_s, still = turning.length_s, moving(like(c.gate, 0.0))
     if is_measured(turning):
         still = watch(body.still, means(body.window), c.limits)
-    (_, _, up_x), (_, _, up_y), (_, _, up_z) = axes_in_n(body.q_nb)
-    x_rad, y_rad, z_rad = turning.hidden_b_rad
-    hidden_rad = abs(up_x) * x_rad + abs(up_y) * y_rad + abs(up_z) * z_rad
-    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, hidden_rad, c)
+    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
     predict(body.x, body.p, body.window, body.q_nb, c)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
     return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
@@ -124,11 +121,11 @@ def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients
 
 @compiled_apart
 def heading_measurement(
-    x: Matrix, window: Window, since_field_s: float, field: KnownField, hidden_rad: float, c: Coefficients
+    x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients
 ) -> Measurement:
     """That the mean field of the window points to magnetic north; ``x`` is as it was during the window.
 
-    Of a turn ``hidden_rad`` about up that the gyro did not tell the mean has about half.
+    It has about half of a turn that the gyro did not tell, which is about up at most.
     """
     turning, fields = window.turning, window.fields
     one, half, length_s = like(c.gate, 1.0), like(c.gate, 0.5), turning.length_s
@@ -148,7 +145,7 @@ def heading_measurement(
     if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
         flat = field.known.size_ut * cos(field.known.dip_rad)
         square = max(flat * flat, square * like(square, 0.01))
-    missed = half * hidden_rad
+    missed = half * norm(turning.hidden_b_rad)
     return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square + missed * missed)
 
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
+from stillpoint.filters.precision import Precision
 from stillpoint.filters.saved import plain
 from stillpoint.filters.table import Estimator
 
@@ -114,8 +115,9 @@ def test_half_a_second_of_a_fault_is_counted_and_overcome(name: str, fault: str)
         assert left_deg < 3
 
 
+@pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", FILTERS)
-def test_a_recording_with_such_samples_gives_what_a_stream_gives(name: str) -> None:
+def test_a_recording_with_such_samples_gives_what_a_stream_gives(name: str, precision: Precision) -> None:
     """Of those that a recording can hold: saturated, absurd, repeated, zero, free fall, and gaps."""
     clean = record(gentle, np.concatenate([regular(10.0), regular(5.0) + 12.5]))
     imu, mag = clean.require_imu(), clean.mag
@@ -124,8 +126,8 @@ def test_a_recording_with_such_samples_gives_what_a_stream_gives(name: str) -> N
     accel[420:430], gyro[500:520], accel[500:520] = 2e6, gyro[500], accel[500]
     field[600:640, 0], field[700:720], field[800:830] = 300.0, 0.0, field[800]
     broken = Recording("broken", Imu(imu.t_ns, gyro, accel), mag=Mag(mag.t_ns, field), info=Info(units_unchecked=True))
-    batch = estimate(broken, name, ranges=RANGES)
-    stream = Stream(name, ranges=RANGES)
+    batch = estimate(broken, name, precision=precision, ranges=RANGES)
+    stream = Stream(name, precision=precision, ranges=RANGES)
     assert (feed(stream, broken) == batch.q_nb).all()
     for what, count in stream.counts.items():
         assert batch.diagnostics[what] == count
@@ -155,6 +157,25 @@ def test_the_last_good_rate_stands_in_for_one_second_and_then_rest() -> None:
     turned_deg = np.rad2deg(2 * np.arctan2(out.q_nb[3], out.q_nb[0]))
     assert turned_deg == pytest.approx(30.0 * 1.99, abs=1e-6)  # good until 0.99 s, held until 1.99 s
     assert stream.counts["n_bad_gyro"] == 300
+
+
+@pytest.mark.parametrize("name", [name for name in FILTERS if ESTIMATORS[name].gives_cov])
+def test_a_rate_that_is_clipped_or_missing_makes_the_covariance_grow_about_that_axis(name: str) -> None:
+    """In 0.1 s by 0.12 rad, added to the sd as one error, whatever the window; a missing rate about all axes."""
+    recording = record(resting(Rotation.identity()), regular(8.1))
+    imu, mag = recording.require_imu(), recording.mag
+    sd_rad = {}
+    for what, rate in {"good": (0.0, 0.0, -1.199), "clipped": (0.0, 0.0, -1.2), "missing": (NAN, 0.0, 0.0)}.items():
+        stream = Stream(name, ranges=RANGES)
+        for k, t_ns in enumerate(imu.t_ns):
+            now = t_ns >= 8_000_000_000
+            out = stream.update(
+                int(t_ns), rate if now else (0.0, 0.0, 0.0), imu.accel_b_mps2[k], None if now else mag.mag_b_ut[k]
+            )
+        sd_rad[what] = np.sqrt(np.diag(np.reshape(out.cov_b_rad2, (3, 3))))
+    assert sd_rad["clipped"] - sd_rad["good"] == pytest.approx([0.0, 0.0, 0.12], abs=1e-3)
+    assert (sd_rad["missing"] - sd_rad["good"])[2] == pytest.approx(0.1, abs=1e-3)
+    assert (sd_rad["missing"] > 1.5 * sd_rad["good"]).all()
 
 
 @pytest.mark.parametrize("name", FILTERS)

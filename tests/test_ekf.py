@@ -110,7 +110,7 @@ def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
             turning, forces, fields = window
             field = tuple(wrong[k].apply(log.mag_b_ut[k]))
             window = Window(turning._replace(length_s=0.26), forces, with_field(fields, field, tuple(log.mag_b_ut[k])))
-        m = heading_measurement(np.zeros(8), window, 0.0, no_field(0.0), 0.0, coefficients)
+        m = heading_measurement(np.zeros(8), window, 0.0, no_field(0.0), coefficients)
         rows.append(m.row)
         return m.seen
 
