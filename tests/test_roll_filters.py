@@ -286,6 +286,20 @@ def test_no_value_whatever_poisons_a_stream(name, precision, value):
         assert np.isfinite(said[:4]).all()
 
 
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("name", ROLLS)
+def test_within_the_range_and_gaps_of_a_second_every_answer_is_finite(name, precision):
+    rng = np.random.default_rng(0)
+    values = [0.0, 1e-300, 1.0, -124.0, 156.0, -156.0, 1e4, -9e8, 1e300, np.nan, np.inf]
+    for geometry in (BENCH, FIVE_ACCELEROMETERS) * 10:
+        stream, t_ns = RollStream(name, geometry, None, precision), 0
+        for _ in range(60):
+            t_ns += int(rng.choice([1, 4_000_000, 1_000_000_000], p=[0.05, 0.9, 0.05]))
+            accel = rng.choice(values, len(geometry.accel_axis_b))
+            said = stream.update(t_ns, accel, rng.choice([0.0, 35.0, -35.0, np.nan], len(geometry.gyro_axis_b)))
+            assert np.isfinite(said[:4]).all()
+
+
 def test_another_number_of_values_is_refused_in_one_line():
     stream = RollStream("roll-ekf", BENCH, CONSTANT)
     with pytest.raises(BadParameter, match="3 accelerometers and 0 gyros: the geometry has 2 and 0"):
