@@ -262,10 +262,10 @@ def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficie
     congruence(transition(window, p), p)
     add_noise(p, window, c)
     if not is_measured(window.turning):
-        (x, y, z), (x_rad, y_rad, z_rad) = axes_in_n(q_nb), window.turning.hidden_b_rad
-        hide(p, x, x_rad, push[2])
-        hide(p, y, y_rad, push[2])
-        hide(p, z, z_rad, push[2])
+        (x_n, y_n, z_n), (x_rad, y_rad, z_rad) = axes_in_n(q_nb), window.turning.hidden_b_rad
+        hide(p, x_n, x_rad, push[2])
+        hide(p, y_n, y_rad, push[2])
+        hide(p, z_n, z_rad, push[2])
     round_up(p)
     unknown = like(c.gate, UNKNOWN_RAD2)
     for i in range(BIAS):
