@@ -107,7 +107,7 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         total = h * var * h + r
         gain = var * h / total
         residual = sample.square_rad2ps2 - rate * rate
-        left = like(dt_s, 1.0) - gain * h
+        left = r / total  # 1 - K H, and never below 0 by rounding
         rate, var = rate + gain * residual, left * var
         innovation = residual / sqrt(total)
     roll, is_turned_over = faced(integrated(state.roll, rate, left, var, dt_s), sample.direction)
