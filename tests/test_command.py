@@ -144,7 +144,8 @@ def test_every_verb_explains_itself_and_its_options(call, verb: str, capsys: pyt
     assert f"Usage: stillpoint {verb}" in page
     rows = [line for line in page.splitlines() if line.startswith("│")]
     of_commands = f"Usage: stillpoint {verb} COMMAND" in page
-    assert rows and (of_commands or any("--" in row for row in rows)), "no --help worth reading"
+    assert rows, "an empty page"
+    assert of_commands or any("--" in row for row in rows), "no option is explained"
 
 
 def test_a_defect_is_a_traceback_and_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
