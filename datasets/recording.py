@@ -30,6 +30,8 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
         raise BadRecording(f"{owner}.t_ns: is {t.dtype} of shape {t.shape}; give int64 nanoseconds of shape (N,)")
     if len(t) == 0:
         raise BadRecording(f"{owner}: has no sample; leave the stream out instead")
+    if t.min() < 0 or t.max() > LAST_T_NS:  # first: differences of stamps that far apart overflow
+        raise BadRecording(f"{owner}: times lie outside 0 .. 2^31 s; shift them so that they start at 0")
     t = t.astype(np.int64)
     falls = np.flatnonzero(np.diff(t) <= 0)
     if len(falls):
@@ -38,8 +40,6 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
             f"{owner}: time does not rise at sample {k} ({(t[k] - t[0]) / 1e9:.6f} s from the start), "
             f"{len(falls)} such in all; sort or drop these samples first"
         )
-    if t[0] < 0 or t[-1] > LAST_T_NS:
-        raise BadRecording(f"{owner}: times lie outside 0 .. 2^31 s; shift them so that they start at 0")
     return t
 
 
@@ -287,8 +287,8 @@ class Recording:
         Further keywords are fields of :class:`Info`. Raises :class:`BadRecording`.
         """
         seconds = np.asarray(t_s, dtype=np.float64)
-        if seconds.ndim != 1 or not np.isfinite(seconds).all():
-            raise BadRecording(f"{name}.t_s: give finite seconds of shape (N,)")
+        if seconds.ndim != 1 or not (np.abs(seconds) <= LAST_T_NS / 1e9).all():
+            raise BadRecording(f"{name}.t_s: give finite seconds of shape (N,), within 0 .. 2^31 s")
         t_ns = np.round(seconds * 1e9).astype(np.int64)
         mag = None if mag_b_ut is None else Mag(t_ns, np.asarray(mag_b_ut))
         truth = None

@@ -33,6 +33,11 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: imu(t_ns=T_NS / 1e9), "int64 nanoseconds"),
         (lambda: imu(t_ns=spoilt(T_NS, 3, T_NS[2])), r"time does not rise at sample 3 \(0.020000 s from the start\)"),
         (lambda: imu(t_ns=T_NS - 1), "start at 0"),
+        (lambda: imu(t_ns=T_NS + 2**31 * 10**9), "start at 0"),
+        (lambda: Mag(np.array([2**63 - 1, -(2**63)]), np.ones((2, 3))), "start at 0"),  # their difference is 1
+        (lambda: Mag(np.array([0, 2**63 + 5], dtype=np.uint64), np.ones((2, 3))), "start at 0"),
+        (lambda: Recording.from_arrays("r", T_NS + 1.7e18, ZERO, REST), "r.t_s: give finite seconds"),
+        (lambda: Recording.from_arrays("r", spoilt(T_NS / 1e9, 9, np.nan), ZERO, REST), "r.t_s: give finite seconds"),
         (lambda: imu(t_ns=T_NS[:0], gyro_b_radps=ZERO[:0], accel_b_mps2=REST[:0]), "has no sample"),
         (lambda: Truth(T_NS, LEVEL * 1.01, np.ones(N, bool)), "off unit norm by 0.01"),
         (lambda: Truth(T_NS, LEVEL, np.ones(N)), "give bool"),
