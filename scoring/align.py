@@ -78,8 +78,8 @@ class Alignment:
 def find_alignment(estimated: Track, truth_t_ns: Times, truth_q_nb: Floats, kind: AlignKind) -> Alignment:
     """The alignment of this kind with the smallest error over the given truth samples (N,), (N, 4): the moving ones.
 
-    ``heading`` is the circular mean of the heading error, as in BROAD's evaluation. With ``time`` the clock is
-    searched within +-0.5 s; samples nearer than that to an end of the estimate are left out of the search.
+    ``heading`` is the circular mean of the heading error. With ``time`` the clock is searched within +-0.5 s; samples
+    nearer than that to an end of the estimate are left out of the search.
     Raises :class:`BadParameter` for another kind, :class:`Unobservable` when no sample has an estimate.
     """
     if kind not in ALIGN_KINDS:
@@ -92,7 +92,7 @@ def find_alignment(estimated: Track, truth_t_ns: Times, truth_q_nb: Floats, kind
     q_est, q_true = attitude_at(estimated, at_ns[found]), truth_q_nb[found]
     if kind == "heading":
         return Alignment(kind, heading_rad=_circular_mean(heading_offset(q_est, q_true)))
-    heading_rad, mounting, _ = _fit(q_est, q_true)
+    heading_rad, mounting = _fit(q_est, q_true)
     return Alignment(kind, heading_rad, mounting.as_rotvec(), offset_ns / 1e9)
 
 
@@ -100,8 +100,8 @@ def _circular_mean(angle_rad: Floats) -> float:
     return float(np.angle(np.mean(np.exp(1j * angle_rad))))
 
 
-def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation, float]:
-    """Heading, mounting and the mean of ``3 - trace`` = 2 (1 - cos angle) of ``R_est ~ Rz(h) R_true M``.
+def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
+    """Heading h and mounting M of ``R_est ~ Rz(h) R_true M`` with the smallest mean of 2 (1 - cos angle) = 3 - trace.
 
     For a given heading the best mounting is a polar decomposition of ``B(h) = sum R_true' Rz(-h) R_est``, which is
     ``B_0 + cos h B_c + sin h B_s``: three sums over the data, then a search over one angle.
@@ -125,4 +125,4 @@ def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation, float]:
     b = upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned
     u, _, vt = np.linalg.svd(b)
     mounting = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return heading_rad, Rotation.from_matrix(mounting), 3.0 + float(best.fun)
+    return heading_rad, Rotation.from_matrix(mounting)
