@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.facts import Kept
-from stillpoint.datasets.frames import euler, rotation, wrap
+from stillpoint.datasets.frames import euler, rotation, to_xyzw, wrap
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import inside
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
@@ -124,7 +124,7 @@ def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> No
     """The body as three axes that turn."""
     entity = _entity("body", name)
     rr.log(entity, rr.TransformAxes3D(AXIS_LENGTH), static=True, recording=scene)
-    columns = rr.Transform3D.columns(quaternion=np.roll(q_nb, -1, axis=1))  # rerun writes xyzw
+    columns = rr.Transform3D.columns(quaternion=to_xyzw(q_nb))
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
 
 
