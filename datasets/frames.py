@@ -42,13 +42,6 @@ def quaternion(rot: Rotation) -> Floats:
     return np.asarray(rot.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
 
-def continuous(q_wxyz: Floats) -> Floats:
-    """The same rotations ``(N, 4)`` with signs chosen so that neighbours do not jump between q and -q."""
-    flips = np.sum(q_wxyz[1:] * q_wxyz[:-1], axis=1) < 0
-    sign = np.where(np.cumsum(flips) % 2, -1.0, 1.0)
-    return q_wxyz * np.concatenate([[1.0], sign])[:, None]
-
-
 def wrap(angle_rad: ArrayLike) -> Floats:
     """Angles in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2 * np.pi)

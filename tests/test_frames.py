@@ -85,14 +85,6 @@ def test_wrap_keeps_the_angle_and_bounds_it(angle: float) -> None:
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
 
 
-def test_continuous_never_jumps_and_keeps_the_rotations() -> None:
-    turn = Rotation.from_rotvec(np.linspace(0, 8 * np.pi, 400)[:, None] * [0.6, 0.0, 0.8])
-    jumping = turn.as_quat(canonical=True, scalar_first=True)
-    smooth = frames.continuous(jumping)
-    assert np.abs(np.diff(smooth, axis=0)).max() < 0.05 < np.abs(np.diff(jumping, axis=0)).max()
-    assert same_rotation(jumping, smooth) < 1e-12
-
-
 @given(st.lists(quaternions, min_size=2, max_size=6), st.lists(st.floats(0, 1), min_size=1, max_size=5))
 def test_slerp_agrees_with_scipy(q_nb: list[np.ndarray], shares: list[float]) -> None:
     t_ns = np.arange(len(q_nb), dtype=np.int64) * 10_000_000
