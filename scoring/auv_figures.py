@@ -11,8 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.gains import Gains
 from stillpoint.scoring.auv_study import Series, difference_deg
-from stillpoint.scoring.envelope import break_line, envelope
-from stillpoint.scoring.figures import REST_GREY, colour_of
+from stillpoint.scoring.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
 
 PARTS = ("roll", "pitch", "heading")
 RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains
@@ -77,8 +76,7 @@ def _fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None:
 
 def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
     inside = slice(*np.searchsorted(series.t_s, span))
-    columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
-    ax.plot(*envelope(*break_line(series.t_s[inside], value[inside], np.inf, 180.0), columns), **style)
+    draw_line(ax, series.t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 
 
 def _finish(ax: Axes, series: Series, span: Span, label: str) -> None:

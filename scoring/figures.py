@@ -93,7 +93,7 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         ax.set_title(comparison.estimated, loc="left", color=colour_of(k), fontweight="bold")
         if comparison.true_cov_b_rad2 is not None:
             sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
-            t, floor = envelope(view.seconds(t_ns), sd, _columns(ax))
+            t, floor = envelope(view.seconds(t_ns), sd, columns_of(ax))
             ax.fill_between(t, SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
         _time_axis(ax, view)
 
@@ -109,7 +109,7 @@ def draw_band(axes: Sequence[Axes], view: View) -> None:
         if comparison.cov_b_rad2 is not None:
             row = turn[:, k]
             sd = np.rad2deg(np.sqrt(np.einsum("ni,nij,nj->n", row, comparison.cov_b_rad2[shown], row)))
-            t, band = envelope(view.seconds(t_ns), 3 * sd, _columns(ax))
+            t, band = envelope(view.seconds(t_ns), 3 * sd, columns_of(ax))
             ax.fill_between(t, -band, band, color=colour_of(5), alpha=0.35, lw=0, label="3 standard deviations")
         _line(ax, view, t_ns, error_deg[:, k], WRAP_DEG, color=colour_of(0), lw=1.0, label="error")
         ax.set_ylabel(f"about {name} (deg)")
@@ -148,6 +148,18 @@ def colour_of(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
 
 
+def columns_of(ax: Axes) -> int:
+    """Stretches of time that the axes can tell apart: one per 2/72 inch."""
+    return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+
+
+def draw_line(
+    ax: Axes, t_s: Floats, value: Floats, longest_step_s: float = np.inf, largest_jump: float = np.inf, **style: Any
+) -> None:
+    """One series (N,), broken at gaps and at wrapped angles, with as many points as the axes can show."""
+    ax.plot(*envelope(*break_line(t_s, value, longest_step_s, largest_jump), columns_of(ax)), **style)
+
+
 def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:
     shown = view.within(t_ns)
     for ax, column_rad in zip(axes, euler(q_nb[shown], view.frame).T, strict=True):
@@ -155,14 +167,7 @@ def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style
 
 
 def _line(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
-    """One series, broken at gaps and wraps, with as many points as a picture can show."""
-    t = view.seconds(t_ns)
-    ax.plot(*envelope(*break_line(t, value, longest_step_ns(t_ns) / 1e9, jump), _columns(ax)), **style)
-
-
-def _columns(ax: Axes) -> int:
-    """Stretches of time that the axes can tell apart: one per 2/72 inch."""
-    return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+    draw_line(ax, view.seconds(t_ns), value, longest_step_ns(t_ns) / 1e9, jump, **style)
 
 
 def _time_axis(ax: Axes, view: View) -> None:
@@ -171,7 +176,7 @@ def _time_axis(ax: Axes, view: View) -> None:
         if last_s > start_s and first_s < end_s:
             ax.axvspan(max(first_s, start_s), min(last_s, end_s), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
     ax.set_xlim(start_s, end_s)
-    ax.xaxis.set_major_locator(MaxNLocator(max(_columns(ax) // 30, 4)))
+    ax.xaxis.set_major_locator(MaxNLocator(max(columns_of(ax) // 30, 4)))
 
 
 def _still_stretches(truth: Truth) -> Times:

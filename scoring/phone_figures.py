@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.envelope import break_line, envelope
-from stillpoint.scoring.figures import REST_GREY, colour_of
+from stillpoint.scoring.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
 from stillpoint.scoring.phone_study import AXES, Series
 
 Span = tuple[float, float]
@@ -51,8 +50,7 @@ def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None
 
 def _line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> None:
     inside = slice(*np.searchsorted(t_s, span))
-    columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
-    ax.plot(*envelope(*break_line(t_s[inside], value[inside], np.inf, 180.0), columns), **style)
+    draw_line(ax, t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 
 
 def _finish(ax: Axes, series: Series, span: Span) -> None:

@@ -1,7 +1,6 @@
 """Pictures of roll experiments: bars of a figure per trial, and rates over time with their errors."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib import rcParams
@@ -9,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.envelope import envelope
-from stillpoint.scoring.figures import colour_of
+from stillpoint.scoring.figures import colour_of, draw_line
 from stillpoint.scoring.roll_study import Series, Trial
 
 MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
@@ -52,14 +50,14 @@ def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int],
     """
     truth_degps = np.rad2deg(series.truth_radps)
     for method, k in methods.items():
-        _line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
-    _line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
+        draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
+    draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
     margin = 0.06 * np.ptp(truth_degps) + spread(series, methods)
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")
     for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
         error = np.rad2deg(series.rate_radps[method]) - truth_degps
-        _line(ax, series.t_s, error, color=colour_of(k), lw=0.9)
+        draw_line(ax, series.t_s, error, color=colour_of(k), lw=0.9)
         limit = error_limit(error)
         ax.set_ylim(-limit, limit)
         ax.set_ylabel("deg/s")
@@ -83,8 +81,3 @@ def spread(series: Series, methods: Mapping[str, int]) -> float:
     """Room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
     truth = np.rad2deg(series.truth_radps)
     return max(error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)
-
-
-def _line(ax: Axes, t_s: Floats, value: Floats, **style: Any) -> None:
-    columns = max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
-    ax.plot(*envelope(t_s, value, columns), **style)

@@ -9,11 +9,11 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from stillpoint.datasets.recording import Encoder, Floats, Spin
+from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.scoring.envelope import break_line, envelope
-from stillpoint.scoring.figures import REST_GREY, colour_of
+from stillpoint.scoring.envelope import envelope
+from stillpoint.scoring.figures import REST_GREY, colour_of, columns_of, draw_line
 from stillpoint.scoring.roll import RollComparison
 from stillpoint.scoring.roll_figures import error_limit
 from stillpoint.scoring.roll_study import Series
@@ -42,7 +42,7 @@ def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_n
         if sd_rad is not None:
             band = 3 * np.rad2deg(sd_rad)
             limit = max(limit, min(1.1 * float(band.max()), BAND_SHOWN * limit))
-            t, edge = envelope(t_s, band, _columns(ax))
+            t, edge = envelope(t_s, band, columns_of(ax))
             ax.fill_between(t, -edge, edge, color=REST_GREY, alpha=0.3, lw=0, label="3 standard deviations")
         _line(ax, c.t_ns, t_s, error, color=colour_of(colour), lw=1.0, label="error")
         ax.set_ylim(-limit, limit)
@@ -68,9 +68,5 @@ def draw_accelerometers(axes: Sequence[Axes], spin: Spin) -> None:
         ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _line(ax: Axes, t_ns: Any, t_s: Floats, value: Floats, **style: Any) -> None:
-    ax.plot(*envelope(*break_line(t_s, value, longest_step_ns(t_ns) / 1e9, np.inf), _columns(ax)), **style)
-
-
-def _columns(ax: Axes) -> int:
-    return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
+def _line(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> None:
+    draw_line(ax, t_s, value, longest_step_ns(t_ns) / 1e9, **style)
