@@ -142,6 +142,11 @@ def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsa
         yield gtsam.JacobianFactor(C(s), -root, C(s + 1), root, -root @ change, unit)
 
 
+def prior_cost(chain: Chain, state: RollState, prior: Prior) -> float:
+    """Sum of the squares that the prior leaves at a state."""
+    return float(sum(np.sum(factor.getb() ** 2) for factor in prior_factors(chain, state, prior)))
+
+
 def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
     """What the samples of each block say about its two keys and the constants."""
     unit = gtsam.noiseModel.Unit.Create(blocks.outer.shape[1])

@@ -6,7 +6,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.smoother.roll_chain import Chain
-from stillpoint.smoother.roll_graph import Prior, eliminated, step_of
+from stillpoint.smoother.roll_graph import Prior, eliminated, prior_cost, step_of
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import RollFit, Sizes, cost, fit, roots_of, sizes_of
 from stillpoint.smoother.roll_state import RollState
@@ -40,10 +40,10 @@ def improved(
             sizes = sizes_of(chain, at, params.noise)
         roots = roots_of(chain, at, sizes)
         step = step_of(chain, eliminated(chain, at, roots, prior, name), len(state.constants))
-        before, share = cost(at, roots) + _prior_cost(at.state, prior), 1.0
+        before, share = cost(at, roots) + prior_cost(chain, at.state, prior), 1.0
         for _ in range(HALVINGS):
             after = fit(chain, _plus(at.state, step, share))
-            if cost(after, roots) + _prior_cost(after.state, prior) <= before * (1 + 1e-9):
+            if cost(after, roots) + prior_cost(chain, after.state, prior) <= before * (1 + 1e-9):
                 break
             share /= 2
         at = after
@@ -66,8 +66,3 @@ def _plus(state: RollState, step: RollState, share: float) -> RollState:
         state.mean_rate_radps + share * step.mean_rate_radps,
         state.constants + share * step.constants,
     )
-
-
-def _prior_cost(state: RollState, prior: Prior) -> float:
-    off = state.constants[0] - prior.mean
-    return float(off @ np.linalg.solve(prior.cov, off))

@@ -42,18 +42,20 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     known = sign_of(recording.spin) if recording.spin is not None else None
     state = start_of(chain, readings, known or (1.0 if params.direction == "positive" else -1.0))
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
-    rough = improved(chain, state, prior, recording.name, params, ROUGH)
+    # Until the harmonic is found the fit's own residuals are the noise: beside a given one too much would be a glitch.
+    loose = replace(params, noise=replace(params.noise, source="data"))
+    rough = improved(chain, state, prior, recording.name, loose, ROUGH)
     line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
     if line is not None and line.is_gravity:
         chain, state = with_gravity(chain, rough.at.state, line)
         prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-        rough = improved(chain, state, prior, recording.name, params, ROUGH)
+        rough = improved(chain, state, prior, recording.name, loose, ROUGH)
     if line is not None and line.is_vibration:
         for _ in range(VIBRATION_ROUNDS):
             line = followed(chain, rough.at.state, line, params.harmonic)
             chain, state = with_vibration(chain, rough.at.state, line)
             prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-            rough = improved(chain, state, prior, recording.name, params, ROUGH)
+            rough = improved(chain, state, prior, recording.name, loose, ROUGH)
     # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
     # counts in the covariance all the same.
     held = untold(_linear(chain, rough, prior, recording.name), prior)
