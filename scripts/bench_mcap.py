@@ -83,6 +83,7 @@ def bench_mcap(runs: int) -> list[Timing]:
             extra={
                 "against": f"the arrays, {size / 1e6:.0f} MB",
                 "ratio": peak / size,
+                "ratio_is": "times as large",
                 "peak_bytes": peak,
                 "array_bytes": size,
             },

@@ -31,13 +31,13 @@ print(json.dumps(time.perf_counter() - start))
 
 def bench_start(runs: int) -> list[Timing]:
     """Rows of the help page, and of each estimator of attitude with nothing compiled (once each)."""
-    rows = [Timing("stillpoint --help", [seconds_of(lambda: _run(HELP)) for _ in range(runs)], 1)]
+    rows = [Timing("stillpoint --help", [seconds_of(lambda: _run(HELP)) for _ in range(runs)], None)]
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
     for name in track(ours, "start", console=Console(stderr=True), transient=True):
         with tempfile.TemporaryDirectory() as cache:
             seconds = [float(json.loads(_run(FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
-        rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], 1))
-        rows.append(Timing(f"the next process with {name}", seconds[1:], 1))
+        rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
+        rows.append(Timing(f"the next process with {name}", seconds[1:], None))
     return rows
 
 

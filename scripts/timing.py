@@ -4,23 +4,32 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
 class Timing:
-    """One row: seconds of each run, and against which other row they count."""
+    """One row: seconds of each run, and beside which other row they are set."""
 
     name: str
     seconds: Sequence[float]
-    samples: int  # handled in one run
-    against: "Timing | None" = None  # ratio = its median over ours: how many times faster we are
+    samples: int | None  # handled in one run; None where a run is no work on samples
+    against: "Timing | None" = None
+    ratio_is: Literal["times as fast", "times as long"] = "times as fast"  # as the other: what a reader asks for
     extra: Mapping[str, Any] = field(default_factory=dict)  # further figures, which take the place of these
 
     @property
     def median_s(self) -> float:
         """The middle of all runs, in s."""
         return median(self.seconds)
+
+    @property
+    def ratio(self) -> float | None:
+        """Of the medians, in the sense of ``ratio_is``."""
+        if self.against is None:
+            return None
+        faster = self.against.median_s / self.median_s
+        return faster if self.ratio_is == "times as fast" else 1 / faster
 
     def row(self) -> dict[str, Any]:
         """The row as ``--json`` has it."""
@@ -30,9 +39,10 @@ class Timing:
             "min_s": min(self.seconds),
             "max_s": max(self.seconds),
             "runs": len(self.seconds),
-            "per_sample_ns": self.median_s / self.samples * 1e9,
+            "per_sample_ns": None if self.samples is None else self.median_s / self.samples * 1e9,
             "against": None if self.against is None else self.against.name,
-            "ratio": None if self.against is None else self.against.median_s / self.median_s,
+            "ratio": self.ratio,
+            "ratio_is": None if self.against is None else self.ratio_is,
             **self.extra,
         }
 

@@ -11,7 +11,7 @@ from stillpoint.scripts import bench_mcap
 from stillpoint.scripts.bench import bench
 from stillpoint.scripts.timing import Timing
 
-CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "against", "ratio"]
+CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "against", "ratio", "ratio_is"]
 
 
 def test_a_ratio_says_how_many_times_faster_than_the_other_row():
@@ -20,7 +20,22 @@ def test_a_ratio_says_how_many_times_faster_than_the_other_row():
     assert list(row) == CONTRACT
     assert (row["median_s"], row["min_s"], row["max_s"], row["runs"]) == (0.5, 0.25, 1.0, 3)
     assert (row["per_sample_ns"], row["against"], row["ratio"]) == (500_000.0, "peer", 8.0)
-    assert (peer.row()["against"], peer.row()["ratio"]) == (None, None)
+    assert row["ratio_is"] == "times as fast"
+    assert [peer.row()[key] for key in ("against", "ratio", "ratio_is")] == [None] * 3
+
+
+def test_a_slower_row_can_say_how_many_times_as_long_it_takes():
+    hour = Timing("1 h", [2.0], samples=360_000)
+    row = Timing("4 h", [8.27], samples=1_440_000, against=hour, ratio_is="times as long").row()
+    assert row["ratio"] == pytest.approx(4.135)
+    assert bench_module._cells(row)[-1] == "4.13 times as long"
+    assert bench_module._cells({**row, "ratio": 1234.5})[-1] == "1234 times as long"
+
+
+def test_what_handles_no_samples_says_no_time_per_sample():
+    row = Timing("stillpoint --help", [0.2], samples=None).row()
+    assert row["per_sample_ns"] is None
+    assert bench_module._cells(row)[-2:] == ["", ""]
 
 
 def test_bench_mcap_times_both_ways_and_measures_memory(monkeypatch, tmp_path, capsys):
