@@ -14,6 +14,7 @@ import numpy as np
 from stillpoint.datasets.frames import euler, wrap
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.auv import CASPIAN
 from stillpoint.filters import estimate
 from stillpoint.filters.gains import Gains, gains
 
@@ -170,7 +171,7 @@ def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapp
     assert recording.truth is not None
     assert recording.gps is not None
     t_ns, gps, truth = recording.require_imu().t_ns, recording.gps, recording.truth
-    start_ns = int(np.datetime64(recording.info.date[:19], "ns").astype(np.int64))
+    start_ns = CASPIAN.start_ns
     true_rad = np.unwrap(euler(truth.q_nb, "ned"), axis=0)
     at_imu = np.column_stack([np.interp(t_ns, truth.t_ns, angle) for angle in true_rad.T])
     return Series(

@@ -10,7 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from stillpoint.datasets.frames import euler
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.servo import BENCH, START_NS
+from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
 from stillpoint.filters import estimate
 from stillpoint.scoring.auv_study import difference_deg
 
@@ -91,7 +91,7 @@ def from_zero(series: Series, method: str, start_s: float) -> Floats:
 def _series(recording: Recording) -> Series:
     imu, truth = recording.require_imu(), recording.truth
     assert truth is not None
-    t_s, true_roll_deg = (truth.t_ns - START_NS) / 1e9, _roll_deg(truth.q_nb)
+    t_s, true_roll_deg = (truth.t_ns - ULAANBAATAR.start_ns) / 1e9, _roll_deg(truth.q_nb)
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
     rolls = {name: _roll_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
     # The rate of the one axis by (13), as the paper has it: a bias about another axis has no part in it.

@@ -6,10 +6,8 @@ velocity are splines of degree five through what the mission asks for at 20 Hz; 
 velocity spline and the acceleration its derivative, both exact.
 """
 
-import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,18 +16,17 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
-from stillpoint.datasets.recording import Floats, Info, Recording
+from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
+from stillpoint.datasets.simulate.measure import sample
+from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
 from stillpoint.datasets.simulate.satellites import GpsModel, measure_gps
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
-PLACE = (36.9, 50.9, -27.0)  # the Caspian sea off the coast where the paper was written
-DATE = "2022-08-09T08:00:00+00:00"  # the day on which the journal received it
-START_NS = 1_660_032_000_000_000_000
+# Off the coast where the paper was written, on the day on which the journal received it.
+CASPIAN = Scene((36.9, 50.9, -27.0), "2022-08-09T08:00:00+00:00")
 
 SURFACE_S, DIVE_S = 110.0, 40.0  # before and after; down and up
 SHORTEST_CRUISE_S = 60.0
@@ -73,6 +70,20 @@ class DriftModel:
     bias_degph: float = 0.0  # plain value; its sign is drawn per axis
     swing: float = 0.0  # amplitude as a share of it
     period_s: float = 800.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """That of one unit."""
+
+    model: DriftModel
+    sign: Floats  # (3,)
+    phase_rad: Floats  # (3,)
+
+    def bias_b_radps(self, t_s: Floats) -> Floats:
+        """The swinging bias at times (N,), (N, 3)."""
+        swing = 1 + self.model.swing * np.sin(2 * np.pi * t_s[:, None] / self.model.period_s + self.phase_rad)
+        return np.asarray(np.deg2rad(self.model.bias_degph / 3600) * self.sign * swing)
 
 
 @dataclass(frozen=True)
@@ -176,35 +187,21 @@ class Voyage:
 def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one mission. Raises :class:`BadParameter` when ``minutes`` leave no room for a cruise."""
     path = sail(sea, phases(minutes * 60, kind), seed)
-    world = World(START_NS, normal_gravity_mps2(PLACE[0], PLACE[2]), magnetic_field_n_ut(PLACE, DATE))
-    imu_at = sample(path, sensor.imu_clock, rate_hz, world, seed, "imu")
-    mag_at = sample(path, sensor.mag_clock, min(rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
-    gps_at = sample(path, ClockModel(), GPS_HZ, world, seed, "gps")
-    imu, drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
-    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
-    drift_b, drift_drawn = drift_b_radps(sensor.drift, imu_at.t_s, seed)
-    info = Info(
-        source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
-        licence="CC0-1.0",
-        sensor=f"simulated: {sensor.name}",
-        epoch="unix",
-        date=DATE,
-        place_lat_lon_alt=PLACE,
-        extra={
-            "sensor_model": json.dumps(asdict(sensor)),
-            "sensor_drawn": json.dumps(drawn | mag_drawn | drift_drawn),
-            "sea": json.dumps(asdict(sea)),
-            "phases_s": json.dumps(asdict(path.phases)),
-            "body_axes": "forward, right, down",
-        },
-    )
-    return Recording(
-        f"{kind}-seed{seed}",
-        imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_b),
+    drift = draw_drift(sensor.drift, seed)
+    facts = {"sea": asdict(sea), "phases_s": asdict(path.phases), "body_axes": "forward, right, down"}
+    drawn = {"drift": {"sign": drift.sign.tolist(), "phase_rad": drift.phase_rad.tolist()}}
+    recording = recorded(path, sensor, CASPIAN, Order(kind, seed, minutes, rate_hz), facts, drawn)
+    imu, mag, truth = recording.imu, recording.mag, recording.truth
+    assert imu is not None
+    assert mag is not None
+    assert truth is not None
+    drift_b_radps = drift.bias_b_radps((truth.t_ns - CASPIAN.start_ns) / 1e9)
+    gps_at = sample(path, ClockModel(), GPS_HZ, CASPIAN.world, seed, "gps")
+    return replace(
+        recording,
+        imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_b_radps),
         mag=replace(mag, mag_b_ut=mag.mag_b_ut + sensor.iron.hard_iron_b_ut),
-        gps=measure_gps(path, sensor.gps, gps_at, PLACE, seed),
-        truth=truth(path, imu_at, world),
-        info=info,
+        gps=measure_gps(path, sensor.gps, gps_at, CASPIAN.place, seed),
     )
 
 
@@ -281,10 +278,7 @@ def waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, n
     return np.sum(parts, axis=0)
 
 
-def drift_b_radps(drift: DriftModel, t_s: Floats, seed: int) -> tuple[Floats, dict[str, Any]]:
-    """The swinging bias of the gyro (N, 3), and what was drawn for this unit."""
+def draw_drift(model: DriftModel, seed: int) -> Drift:
+    """The drift of one unit."""
     rng = draws(seed, "gyro/drift")
-    sign, phase = rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3)
-    swing = 1 + drift.swing * np.sin(2 * np.pi * t_s[:, None] / drift.period_s + phase)
-    drawn = {"sign": sign.tolist(), "phase_rad": phase.tolist()}
-    return np.deg2rad(drift.bias_degph / 3600) * sign * swing, {"drift": drawn}
+    return Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))

@@ -1,6 +1,5 @@
 """The three experiments of paper 002: a phone that rests in a base pose, moves, and comes back every 20-30 s."""
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -8,18 +7,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
-from stillpoint.datasets.recording import Floats, Info, Recording
+from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
 from stillpoint.datasets.simulate.path import Path, strokes
+from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
 from stillpoint.datasets.simulate.sensor import Sensor
 
-PLACE = (35.80, 51.49, 1600.0)  # the north of Tehran, where the paper was written
-DATE = "2021-06-12T08:00:00+00:00"  # the day on which the journal received it
-START_NS = 1_623_484_800_000_000_000
+# The north of Tehran, where the paper was written, on the day on which the journal received it.
+TEHRAN = Scene((35.80, 51.49, 1600.0), "2021-06-12T08:00:00+00:00")
 BASE_EULER_NWU_DEG = (0.4, -0.3, 40.0)  # a table that is nearly level; the phone's x axis points 40 deg east of north
 
 SWING_S = (20.0, 30.0)
@@ -91,39 +88,9 @@ SHAKEN = replace(
 def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one experiment. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
     path = move(hand, minutes * 60, seed, kind)
-    world = World(START_NS, normal_gravity_mps2(PLACE[0], PLACE[2]), magnetic_field_n_ut(PLACE, DATE))
-    imu_at = sample(path, sensor.imu_clock, rate_hz, world, seed, "imu")
-    mag_at = sample(path, sensor.mag_clock, min(rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
-    imu, imu_drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
-    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
-    drawn = imu_drawn | mag_drawn
-    info = Info(
-        source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
-        licence="CC0-1.0",
-        sensor=f"simulated: {sensor.name}",
-        epoch="unix",
-        date=DATE,
-        place_lat_lon_alt=PLACE,
-        notes=tuple(
-            f"{name}: {facts['samples_at_range']} samples at the range of the sensor"
-            for name, facts in drawn.items()
-            if facts["samples_at_range"]
-        ),
-        extra={
-            "sensor_model": json.dumps(asdict(sensor)),
-            "sensor_drawn": json.dumps(drawn),
-            "motion": json.dumps(asdict(hand)),
-            "rests_s": json.dumps(path.rests_s.tolist()),
-        },
-    )
-    return Recording(
-        f"{kind}-seed{seed}",
-        imu=imu,
-        mag=mag,
-        truth=truth(path, imu_at, world),
-        base_pose=path.base_q_nb,
-        info=info,
-    )
+    facts = {"motion": asdict(hand), "rests_s": path.rests_s.tolist()}
+    recording = recorded(path, sensor, TEHRAN, Order(kind, seed, minutes, rate_hz), facts)
+    return replace(recording, base_pose=path.base_q_nb)
 
 
 def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:

@@ -6,8 +6,7 @@ closed form. The board sits beside the axis, so it is accelerated as it turns, a
 times a second, shakes it with every step: both make the accelerometer's angle worse at the high rate.
 """
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import cycle
 
 import numpy as np
@@ -15,18 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.earth import magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
-from stillpoint.datasets.recording import Floats, Info, Recording
+from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
 from stillpoint.datasets.simulate.path import strokes
+from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
 from stillpoint.datasets.simulate.sensor import PERFECT, AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
-PLACE = (47.92, 106.92, 1350.0)  # Ulaanbaatar, where the paper was written
-DATE = "2014-05-01T04:00:00+00:00"  # the paper has none
-START_NS = 1_398_916_800_000_000_000
+# Where the paper was written; it has no date.
+ULAANBAATAR = Scene((47.92, 106.92, 1350.0), "2014-05-01T04:00:00+00:00")
 HOME_EULER_ENU_DEG = (0.5, -0.3, 20.0)  # nearly level; the axis of the servo is the body's x
 
 # By their data sheets (PS-MPU-6000A rev. 3.4; HMC5883L): a tolerance counts as three standard deviations.
@@ -168,35 +165,9 @@ def minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
 def experiment(kind: str, bench: Bench, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate the bench. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
     path = swings(bench, minutes * 60, seed, kind)
-    world = World(START_NS, normal_gravity_mps2(PLACE[0], PLACE[2]), magnetic_field_n_ut(PLACE, DATE))
-    imu_at = sample(path, sensor.imu_clock, rate_hz, world, seed, "imu")
-    mag_at = sample(path, sensor.mag_clock, min(rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
-    imu, imu_drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
-    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
-    drawn = imu_drawn | mag_drawn
-    info = Info(
-        source=f"stillpoint simulate {kind} --seed {seed} --minutes {minutes:g} --rate {rate_hz:g}",
-        licence="CC0-1.0",
-        sensor=f"simulated: {sensor.name}",
-        epoch="unix",
-        date=DATE,
-        place_lat_lon_alt=PLACE,
-        notes=tuple(
-            f"{name}: {facts['samples_at_range']} samples at the range of the sensor"
-            for name, facts in drawn.items()
-            if facts["samples_at_range"]
-        ),
-        extra={
-            "sensor_model": json.dumps(asdict(sensor)),
-            "sensor_drawn": json.dumps(drawn),
-            "motion": json.dumps(asdict(bench)),
-            "rests_s": json.dumps(path.rests_s.tolist()),
-            "swings_hz": json.dumps(path.rates_hz.tolist()),
-        },
-    )
-    return Recording(
-        f"{kind}-seed{seed}", imu=imu, mag=mag, truth=truth(path, imu_at, world), base_pose=path.home_q_nb, info=info
-    )
+    facts = {"motion": asdict(bench), "rests_s": path.rests_s.tolist(), "swings_hz": path.rates_hz.tolist()}
+    recording = recorded(path, sensor, ULAANBAATAR, Order(kind, seed, minutes, rate_hz), facts)
+    return replace(recording, base_pose=path.home_q_nb)
 
 
 def swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
@@ -222,7 +193,7 @@ def swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
         np.array(bench.lever_b_m),
         strokes([0.0, total_s], np.zeros((2, 3))),
     )
-    return Swings(**{**vars(still), "shake_n_m": shake(bench, still, seed, kind)})
+    return replace(still, shake_n_m=shake(bench, still, seed, kind))
 
 
 def shake(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:

@@ -1,0 +1,84 @@
+"""A true motion as a recording: who measured it, where and when, how it was asked for, and what was drawn for it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import Any
+
+from stillpoint.datasets.earth import Place, magnetic_field_n_ut, normal_gravity_mps2
+from stillpoint.datasets.recording import Info, Recording
+from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
+from stillpoint.datasets.simulate.path import Motion
+from stillpoint.datasets.simulate.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where and when a motion takes place."""
+
+    place: Place  # latitude and longitude in deg, altitude in m
+    date: str  # ISO 8601 with its offset to UTC
+
+    @property
+    def start_ns(self) -> int:
+        """Of the motion's time 0, unix."""
+        return int(datetime.fromisoformat(self.date).timestamp()) * 10**9
+
+    @property
+    def world(self) -> World:
+        """Gravity and field there."""
+        gravity_mps2 = normal_gravity_mps2(self.place[0], self.place[2])
+        return World(self.start_ns, gravity_mps2, magnetic_field_n_ut(self.place, self.date))
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a simulation was asked for."""
+
+    kind: str
+    seed: int
+    minutes: float
+    rate_hz: float
+
+    @property
+    def command(self) -> str:
+        """That gives the same recording."""
+        words = f"--seed {self.seed} --minutes {self.minutes:g} --rate {self.rate_hz:g}"
+        return f"stillpoint simulate {self.kind} {words}"
+
+
+def recorded(
+    path: Motion,
+    sensor: Sensor,
+    scene: Scene,
+    order: Order,
+    facts: Mapping[str, Any],
+    drawn: Mapping[str, Any] | None = None,
+) -> Recording:
+    """What a sensor with an IMU and a magnetometer records of a path, with its truth.
+
+    ``facts`` go into ``info.extra``, as JSON unless they are text; ``drawn`` beside what is drawn here.
+    """
+    world, seed = scene.world, order.seed
+    imu_at = sample(path, sensor.imu_clock, order.rate_hz, world, seed, "imu")
+    mag_at = sample(path, sensor.mag_clock, min(order.rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
+    imu, imu_drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
+    mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
+    measured = imu_drawn | mag_drawn
+    extra = {"sensor_model": asdict(sensor), "sensor_drawn": measured | dict(drawn or {}), **facts}
+    info = Info(
+        source=order.command,
+        licence="CC0-1.0",
+        sensor=f"simulated: {sensor.name}",
+        epoch="unix",
+        date=scene.date,
+        place_lat_lon_alt=scene.place,
+        notes=tuple(
+            f"{name}: {found['samples_at_range']} samples at the range of the sensor"
+            for name, found in measured.items()
+            if found["samples_at_range"]
+        ),
+        extra={name: fact if isinstance(fact, str) else json.dumps(fact) for name, fact in extra.items()},
+    )
+    return Recording(f"{order.kind}-seed{seed}", imu=imu, mag=mag, truth=truth(path, imu_at, world), info=info)
