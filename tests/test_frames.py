@@ -85,6 +85,10 @@ def test_wrap_keeps_the_angle_and_bounds_it(angle: float) -> None:
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
 
 
+def test_half_a_turn_is_wrapped_to_plus_pi() -> None:
+    assert frames.wrap([np.pi, -np.pi, 3 * np.pi, 0.0]).tolist() == [np.pi, np.pi, np.pi, 0.0]
+
+
 @given(st.lists(quaternions, min_size=2, max_size=6), st.lists(st.floats(0, 1), min_size=1, max_size=5))
 def test_slerp_agrees_with_scipy(q_nb: list[np.ndarray], shares: list[float]) -> None:
     t_ns = np.arange(len(q_nb), dtype=np.int64) * 10_000_000

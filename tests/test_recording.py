@@ -1,12 +1,14 @@
 """Construction checks once and says what is wrong; afterwards nothing can be changed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from stillpoint.datasets import BadRecording, Estimate, Gps, Imu, Info, Mag, Recording, Reference, Truth
+from stillpoint.datasets import BadRecording, Estimate, Gps, Imu, Info, Mag, Recording, Reference, Spin, Truth
+from stillpoint.datasets.spin import FIVE_ACCELEROMETERS
 
 N = 500
 T_NS = np.arange(N, dtype=np.int64) * 10_000_000
@@ -40,6 +42,7 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: Recording.from_arrays("r", spoilt(T_NS / 1e9, 9, np.nan), ZERO, REST), "r.t_s: give finite seconds"),
         (lambda: imu(t_ns=T_NS[:0], gyro_b_radps=ZERO[:0], accel_b_mps2=REST[:0]), "has no sample"),
         (lambda: Truth(T_NS, LEVEL * 1.01, np.ones(N, bool)), "off unit norm by 0.01"),
+        (lambda: Truth(T_NS, spoilt(LEVEL, 7, 0.500002), np.ones(N, bool)), r"off unit norm by 4e-06 \(row 7\)"),
         (lambda: Truth(T_NS, LEVEL, np.ones(N)), "give bool"),
         (lambda: Truth(T_NS, spoilt(LEVEL, 0, np.nan), np.ones(N, bool)), "not finite"),
         (lambda: Recording("r"), "neither gyro and accelerometer"),
@@ -55,6 +58,9 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([370.0, 0, 0], (N, 1)))), "mag_uncalibrated"),
         (lambda: Estimate(T_NS, "ekf"), "neither an attitude nor an angle"),
         (lambda: Reference(T_NS, LEVEL, np.zeros((N, 3, 3)), ZERO, "m"), "states its accuracy"),
+        (lambda: Spin(T_NS[:1], [[0.0, 0.0, 0.0, 0.0, 0.0]], [[0.0, np.inf]], FIVE_ACCELEROMETERS), "infinite"),
+        (lambda: replace(FIVE_ACCELEROMETERS, gyro_axis_b=[[0, 1.000001, 0], [0, 0, 1]]), "not of length 1"),
+        (lambda: replace(FIVE_ACCELEROMETERS, accel_axis_b=1.000001 * np.eye(3)[[0, 1, 2, 2, 2]]), "not of length 1"),
     ],
 )
 def test_a_broken_rule_is_named(make: Callable[[], object], says: str) -> None:
@@ -99,6 +105,21 @@ def test_from_arrays_keeps_nanoseconds_and_makes_nan_truth_a_gap() -> None:
     assert 5 * 3_500_000 not in recording.truth.t_ns
     assert recording.info.date == "2024-05-01"
     assert recording.duration_s == pytest.approx((N - 1) * 0.0035)
+
+
+def test_a_recording_lasts_as_long_as_its_sensors_not_its_truth() -> None:
+    truth = Truth(T_NS + 10**9, LEVEL, np.ones(N, bool))
+    mag = Mag(T_NS + 5, np.tile([20.0, 0, -40.0], (N, 1)))
+    assert Recording("r", imu(), mag, truth=truth).duration_s == pytest.approx((N - 1) * 0.01 + 5e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("lat_deg", "lon_deg"), [(90.1, 0.0), (-90.1, 0.0), (0.0, 360.1), (0.0, -360.1)])
+def test_a_valid_fix_lies_on_the_earth(lat_deg: float, lon_deg: float) -> None:
+    """Another is taken as it is: receivers write anything where they have none."""
+    columns = [np.array([x]) for x in (lat_deg, lon_deg, 0.0, 0.0, 0.0)]
+    with pytest.raises(BadRecording, match="check the columns"):
+        Gps(T_NS[:1], *columns, np.array([True]))
+    assert Gps(T_NS[:1], *columns, np.array([False])).lat_deg == lat_deg
 
 
 def test_gps_may_miss_course_but_a_valid_fix_has_a_place() -> None:
