@@ -111,6 +111,13 @@ def test_gravity_falls_with_height_by_the_free_air_gradient():
     assert gradient == pytest.approx(-3.086e-6, abs=2e-9)  # 0.3086 mGal/m, any textbook
 
 
+def test_gravity_falls_less_and_less():
+    """As Newton's g a^2 / (a + h)^2 does, whose second derivative is 6 g / a^2."""
+    at_m = [normal_gravity_mps2(45.0, h) for h in (0.0, 10_000.0, 20_000.0)]
+    curvature = (at_m[0] - 2 * at_m[1] + at_m[2]) / 1e8
+    assert curvature == pytest.approx(6 * 9.806 / 6.371e6**2, rel=0.01)
+
+
 @pytest.mark.parametrize(("lat_deg", "height_m"), [(95.0, 0.0), (45.0, 30_000.0), (45.0, np.nan)])
 def test_gravity_outside_its_formula_is_refused(lat_deg, height_m):
     with pytest.raises(BadParameter):

@@ -52,6 +52,16 @@ def test_without_checksums_any_flipped_bit_gives_numbers_or_one_line(tmp_path):
                 assert "\n" not in str(error)  # noqa: PT017
 
 
+def test_a_flipped_bit_is_found_by_the_checksum_of_its_chunk_alone(tmp_path):
+    """Recorders leave the checksum of the data section out; in a chunk that is not compressed nothing else tells."""
+    bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(20)]
+    raw = bytearray(one_topic(tmp_path / "x.mcap", VECTOR, bodies, compression=CompressionType.NONE).read_bytes())
+    raw[raw.index(np.float64(FIELD[7, 1]).tobytes())] ^= 1
+    (tmp_path / "y.mcap").write_bytes(raw)
+    with pytest.raises(BadFile, match="checksum of a chunk differs"):
+        read_log(tmp_path / "y.mcap")
+
+
 def test_an_index_that_points_elsewhere_or_leaves_out_messages_does_not_mislead(tmp_path):
     bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(20)]
     raw = one_topic(tmp_path / "x.mcap", VECTOR, bodies, enable_crcs=False).read_bytes()

@@ -8,6 +8,7 @@ import pytest
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
+from stillpoint.scoring.validation import ValidationRow, summary
 from stillpoint.smoother import METHODS, reference
 
 KEYS = {
@@ -74,6 +75,19 @@ def test_rows_keep_the_contract_and_nothing_vanishes(call, folder, recording, ca
     printed = capsys.readouterr().out
     assert "mean of 1 of 4" in printed
     assert "mean of 2 of 4" in printed
+
+
+def test_the_worst_coverage_is_the_smallest_and_what_was_refused_is_no_figure():
+    rows = [
+        ValidationRow("a", "graph", "heading", total_rmse_deg=1.0, coverage95=0.9),
+        ValidationRow("b", "graph", "heading", total_rmse_deg=3.0, coverage95=0.5),
+        ValidationRow("c", "graph", "heading", total_rmse_deg=8.0),  # states no covariance
+        ValidationRow("d", "graph", "heading", error="refused"),
+    ]
+    found = {row["statistic"]: row for row in summary(rows)}
+    assert {name: row["total_rmse_deg"] for name, row in found.items()} == {"mean": 4.0, "median": 3.0, "worst": 8.0}
+    assert {name: row["coverage95"] for name, row in found.items()} == {"mean": 0.7, "median": 0.7, "worst": 0.5}
+    assert all((row["scored"], row["of"], row["nees_per_dof"]) == (3, 4, None) for row in found.values())
 
 
 def test_methods_and_alignment_are_the_users(call, folder, capsys):
