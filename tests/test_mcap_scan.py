@@ -3,6 +3,7 @@
 import struct
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as OfficialWriter
 from ros_messages import FIELD, GYRO, STORE, VECTOR, XYZ, bag, one_topic, vector_message
