@@ -1,5 +1,7 @@
 """``stillpoint demo``: simulate a phone in the hand and follow it the whole way to a report."""
 
+import importlib.util
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,14 +21,15 @@ from stillpoint.scoring.report import Material, judge, report_html
 from stillpoint.scripts.flags import OutDir, Whole
 from stillpoint.scripts.inputs import output_dir
 from stillpoint.scripts.report import PAGE, gather
+from stillpoint.scripts.rests import rests_of
 from stillpoint.scripts.score import print_scores
 from stillpoint.scripts.text_file import write_text
-from stillpoint.smoother import DEFAULT_METHOD, attitude_reference, find_rests
+from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 KIND = "phone-3"
 COMPARED = "redistribution"  # the method of the literature, scored beside ours
-# Few enough to tell their lines apart.
-SHOWN = ("cf", "ekf", "vqf", "offline-vqf", "madgwick")
+# Few enough to tell their lines apart; with the package that each needs.
+SHOWN = {"cf": None, "ekf": None, "vqf": "vqf", "offline-vqf": "vqf", "madgwick": "ahrs"}
 
 
 def demo(
@@ -37,7 +40,7 @@ def demo(
 ) -> None:
     """Simulate a phone in the hand and follow it the whole way to a report.
 
-    The third experiment of paper 002, with a truth that is known by construction: the recording, its reference, all
+    The third experiment of paper 002, with a truth that is known by construction: the recording, its reference, five
     estimators, their scores, and one HTML page. Every step writes the file that its verb would write.
 
     Parameters
@@ -55,7 +58,7 @@ def demo(
         path = folder / f"{recording.name}.mcap"
         write(path, recording)
     with _step("doctor"):
-        rests_ns = find_rests(recording.require_imu())
+        rests_ns = rests_of(recording)
         diagnosis = diagnose(recording, rests_ns)
     _say(recording, rests_ns, diagnosis)
     made_from = {path.name: sha256(path)}
@@ -65,7 +68,7 @@ def demo(
     with _step(f"reference by {COMPARED}, to compare"):
         compared = replace(attitude_reference(recording, COMPARED), made_from=made_from)
         write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
-    for name in SHOWN:
+    for name in _installed():
         with _step(f"estimate by {name}"):
             found = replace(estimate(recording, name), made_from=made_from)
             write(folder / f"{recording.name}.{name}.estimate.mcap", found)
@@ -77,6 +80,14 @@ def demo(
         write_text(page, report_html(material, verdicts))
     print_scores([score for verdict in verdicts for score in verdict.scores])
     print(f"report: {page}")
+
+
+def _installed() -> list[str]:
+    """The estimators whose packages are there; says which are left out."""
+    lacking = [name for name, package in SHOWN.items() if package and importlib.util.find_spec(package) is None]
+    if lacking:
+        print(f"left out: {', '.join(lacking)}; to have them too: pip install 'stillpoint[peers]'", file=sys.stderr)
+    return [name for name in SHOWN if name not in lacking]
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.flags import Inputs
 from stillpoint.scripts.inputs import each_read, output_dir, recordings
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.smoother.rest import find_rests
+from stillpoint.scripts.rests import rests_of
 
 UNREADABLE = "unreadable"  # the code of a file that could not be opened
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
@@ -85,13 +85,13 @@ def examine(recording: Recording) -> Diagnosis:
     """Find the rests and diagnose; once more when remedies were needed before rests could be seen."""
     if recording.imu is None:
         return diagnose(recording, np.empty((0, 2), dtype=np.int64))
-    diagnosis = diagnose(recording, find_rests(recording.imu))
+    diagnosis = diagnose(recording, rests_of(recording))
     units = [
         one.remedy for one in diagnosis.findings if one.code in ("gyro-units", "accel-units") and one.remedy is not None
     ]
     if not units:
         return diagnosis
-    return diagnose(recording, find_rests(apply(recording, units).require_imu()))
+    return diagnose(recording, rests_of(apply(recording, units)))
 
 
 def chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets import write
-from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.datasets.store import sha256
 from stillpoint.filters import estimate as run
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
@@ -19,6 +19,7 @@ from stillpoint.scripts.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.runs import Run, runs_of
 
 DEFAULT = "cf"  # where there is an IMU
@@ -105,7 +106,7 @@ def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path) -> list[_Job]:
 
 def _make(job: _Job) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
-    recording = read_recording(job.source)
+    recording = open_recording(job.source)
     made = run(
         recording,
         job.run.estimator,

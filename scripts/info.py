@@ -15,8 +15,8 @@ from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, t
 from stillpoint.scripts.flags import Inputs
 from stillpoint.scripts.inputs import each_read, mcap_files
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.rests import rests_of
 from stillpoint.scripts.tables import print_table
-from stillpoint.smoother.rest import find_rests
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
@@ -88,7 +88,7 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
     facts = {
         "duration_s": recording.duration_s,
         "streams": [_clock(name, t_ns) for name, t_ns in recording.streams()],
-        "rests": [] if imu is None else _spans(find_rests(imu), imu.t_ns),
+        "rests": [] if imu is None else _spans(rests_of(recording), imu.t_ns),
         "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
         "spin": [] if recording.spin is None else _spin_lines(recording.spin),
     }

@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }
+HELP, VERSION = ["--help", "-h"], ["--version"]
 
 
 def app() -> App:
@@ -37,8 +38,8 @@ def app() -> App:
         name="stillpoint",
         help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.",
         version=lambda: metadata.version("stillpoint"),
-        version_flags=["--version"],
-        help_flags=["--help", "-h"],
+        version_flags=VERSION,
+        help_flags=HELP,
     )
     for place, (verb, (target, summary)) in enumerate(VERBS.items()):
         cli.command(f"stillpoint.scripts.{target}", name=verb, help=summary, sort_key=place)
@@ -48,14 +49,14 @@ def app() -> App:
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the console script; never returns normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
-    if tokens and not tokens[0].startswith("-") and tokens[0] not in VERBS:
+    if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
         from stillpoint.datasets.nearest import nearest
 
         _stop(f"no verb {tokens[0]!r}; {nearest(tokens[0], VERBS)}")
     try:
         code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
-        _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0] if tokens else ''} --help")
+        _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0]} --help")
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

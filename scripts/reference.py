@@ -13,13 +13,14 @@ from stillpoint.datasets import Reference, RollReference, write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.datasets.store import read_recording, sha256
+from stillpoint.datasets.store import sha256
 from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import JsonFile
+from stillpoint.scripts.opened import open_recording
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.graph_params import PRESETS
@@ -143,7 +144,7 @@ def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list
 
 def _make(job: _Job, asked: _Choice) -> dict[str, Any]:
     """Read, make, write; the facts of the table."""
-    recording = read_recording(job.source)
+    recording = open_recording(job.source)
     name = default_method(recording) if asked.by_stream else job.method
     begun = perf_counter()
     made = make_reference(recording, name, asked.settings.get(name))

@@ -10,7 +10,7 @@ from rich.progress import track
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read, read_recording, sha256
+from stillpoint.datasets.store import read, sha256
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
 from stillpoint.scoring import AlignKind
 from stillpoint.scoring.report import Material, judge, report_html
@@ -20,6 +20,7 @@ from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.flags import Inputs, OutDir
 from stillpoint.scripts.inputs import KINDS
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.score_roll import is_roll, zero_of
 from stillpoint.scripts.text_file import write_text
 
@@ -76,7 +77,7 @@ def gather(path: Path) -> Material | SpinMaterial:
 
     Attitudes, or, of a recording of a spinning body without an IMU, angles and rates about its axis.
     """
-    recording = read_recording(path)
+    recording = open_recording(path)
     of_spin = recording.imu is None
     hashes = {path.name: sha256(path)}
     made: list[Reference | RollReference | Estimate] = []

@@ -68,6 +68,8 @@ def score(
         Also write all figures as JSON to this file; - is the standard output.
     """
     files = _files(paths)
+    if against is not None and not against.is_file():
+        raise BadParameter(f"--against {against}: there is no such file; name a reference, or a recording with a truth")
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
     for file in track(files, "score", disable=len(files) < 2, transient=True, console=Console(stderr=True)):

@@ -11,12 +11,12 @@ from cyclopts import Parameter
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.spin import G_MPS2
-from stillpoint.datasets.store import read_recording
 from stillpoint.scoring.spin_figures import DPI, STYLE, draw_variances
 from stillpoint.scoring.spin_identify import Identified, Trial, identify
 from stillpoint.scripts.flags import Inputs, OutDir
 from stillpoint.scripts.inputs import output_dir, recordings
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.tables import print_table
 
 TRIAL_COLUMNS = (
@@ -60,7 +60,7 @@ def spin_identify(
     json
         Also write the rows to this file; - is the standard output.
     """
-    found = identify([read_recording(path) for path in recordings(paths)], by_truth)
+    found = identify([open_recording(path) for path in recordings(paths)], by_truth)
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
         _variance_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})

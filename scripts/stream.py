@@ -13,13 +13,13 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.spin_csv import SpinOptions, geometry_of
 from stillpoint.datasets.recording import SpinGeometry
-from stillpoint.datasets.store import read_recording
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.flags import SetFlag, Whole
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.live import Live, attitude, keep, kind_of, live, roll
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.pipe import Passed, pipe
 from stillpoint.scripts.runs import Run, runs_of
 from stillpoint.scripts.sample_lines import ATTITUDE, spin_layout
@@ -130,7 +130,7 @@ def _to_foxglove(
         raise BadParameter("--foxglove: foxglove-sdk is not installed; pip install 'stillpoint[view]'")
     from stillpoint.scripts.foxglove_live import replay
 
-    recording = read_recording(file)
+    recording = open_recording(file)
     recording.require_imu()  # before somebody waits for it
     if declination_deg is None:
         declination_deg = degrees(local_declination(recording.info)[0])
@@ -159,6 +159,8 @@ def _say(passed: Passed, streams: Mapping[str, Live]) -> None:
     """The summary, on stderr."""
     said = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
     for what, latency in (("estimators", passed.update), ("line to line", passed.whole)):
+        if not latency.n:
+            continue
         facts = latency.facts()
         said.append(f"{what}: median {facts['median_us']:.1f}, p99 {facts['p99_us']:.1f}, max {facts['max_us']:.1f} us")
     for name, one in streams.items():

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.store import read_recording
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
 from stillpoint.scoring.validation import validate as validate_recording
@@ -14,6 +13,7 @@ from stillpoint.scripts import inputs
 from stillpoint.scripts.flags import Inputs, Jobs
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.tables import print_refusals, print_table
 from stillpoint.scripts.validate_roll import validate_roll
 
@@ -82,7 +82,7 @@ def validate(
 
 
 def _validate(source: Path, methods: list[str], align: AlignKind) -> list[ValidationRow]:
-    return validate_recording(source.stem, partial(read_recording, source), methods, align)
+    return validate_recording(source.stem, partial(open_recording, source), methods, align)
 
 
 def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.nearest import require_known
-from stillpoint.datasets.store import read_recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
@@ -15,6 +14,7 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.score_roll import print_roll_scores, roll_judge_of, zero_of
 from stillpoint.scripts.tables import print_refusals
 from stillpoint.smoother import reference
@@ -50,7 +50,7 @@ def validate_roll(
 def _scored(job: tuple[Path, str], align: AlignKind) -> RollScore:
     source, name = job
     judge = roll_judge_of(source)
-    recording = read_recording(source)
+    recording = open_recording(source)
     made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
     assert isinstance(made, RollReference | Estimate)
     return score_roll(made, judge.truth, zero_of(align, source.name), judge.name)

@@ -19,6 +19,7 @@ HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
     [
         (["inof", "x.mcap"], "did you mean 'info'"),
         (["frobnicate"], "there are demo, import"),
+        (["--nonsense"], "no verb '--nonsense'; there are demo, import"),
         (["simulate", "phone-9"], "phone-3"),
         (["simulate", "phone-3", "--sed", "1"], "--seed"),
         (["simulate", "phone-3", "--minutes", "soon"], "minutes"),

@@ -17,6 +17,7 @@ from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity, ch
 from stillpoint.datasets.doctor.spin import check_spin
 from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
 from stillpoint.datasets.doctor.values import check_steps, check_values
+from stillpoint.datasets.doctor.whole import check_whole
 from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 
@@ -31,6 +32,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     opened with ``units_unchecked``. The recording is not changed: see :func:`~stillpoint.datasets.doctor.apply`.
     """
     case = _Case(recording, np.asarray(rests_ns, dtype=np.int64).reshape(-1, 2))
+    case.run(check_whole)
     case.run(check_clocks)
     case.run(check_values)
     case.run(check_spin)

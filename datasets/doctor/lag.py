@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.recording import Floats, Times
 
 REACH_S = 0.25  # lags up to this are looked for
 COARSE_S = 0.025
-BLOCKS = 10  # the recording is cut into so many parts, and each left out once, for the standard error
+FINER = 5  # each search has steps so many times shorter than the one before
+SEARCHES = 3
+BLOCKS = 10  # the recording is cut into so many parts, for the standard error
+SIGMAS = 5.0  # a lag is told from zero from so many standard errors on
 MIN_CONTRAST = 0.1  # share of the loss that the best lag takes away from the worst; below, nothing is said
 
 
@@ -24,37 +26,58 @@ class Lag:
     @property
     def clear(self) -> bool:
         """Well above its standard error."""
-        return abs(self.lag_s) > 5 * self.sd_s
+        return abs(self.lag_s) > SIGMAS * self.sd_s
 
 
 def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
     """Minimise the sum of ``loss(lag_s)`` (n,), the same n windows for every lag; None when it hardly depends on it.
 
-    A coarse search over +-0.25 s, then two finer ones, then a parabola; the standard error is a jackknife over
-    ten parts of the recording.
+    A coarse search over +-0.25 s, then two finer ones, then a parabola. The standard error is a jackknife over ten
+    parts of the recording, or more where the minimum is blunt: see :func:`_unsure_s`.
     """
-    grid = np.arange(-REACH_S, REACH_S + COARSE_S / 2, COARSE_S)
-    step, table = COARSE_S, _table(loss, grid)
-    if table is None:
-        return None
-    total = table.sum(axis=1)
-    if total.max() <= 0 or (total.max() - total.min()) / total.max() < MIN_CONTRAST:
-        return None
-    for _ in range(2):
-        centre = grid[int(total.argmin())]
-        step /= 5
-        grid = centre + step * np.arange(-4, 5)
-        grid = grid[np.abs(grid) <= REACH_S]
-        table = _table(loss, grid)
+    grids = [np.arange(-REACH_S, REACH_S + COARSE_S / 2, COARSE_S)]
+    tables: list[Floats] = []
+    for search in range(SEARCHES):
+        table = _table(loss, grids[-1])
         if table is None:
             return None
+        tables.append(table)
         total = table.sum(axis=1)
-    bounds = np.linspace(0, table.shape[1], BLOCKS + 1).astype(int)
-    blocks = np.stack([table[:, a:b].sum(axis=1) for a, b in pairwise(bounds)], axis=1)
-    best = _bottom(grid, total)
-    without = np.array([_bottom(grid, total - block) for block in blocks.T])
-    sd = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
-    return Lag(best, sd)
+        if search == 0 and (total.max() <= 0 or (total.max() - total.min()) / total.max() < MIN_CONTRAST):
+            return None
+        if search < SEARCHES - 1:
+            step = COARSE_S / FINER ** (search + 1)
+            grid = grids[-1][int(total.argmin())] + step * np.arange(1 - FINER, FINER)
+            grids.append(grid[np.abs(grid) <= REACH_S])
+    bounds = _bounds(tables[0])
+    parts = _parts(tables[-1], bounds)
+    best = _bottom(grids[-1], total)
+    without = np.array([_bottom(grids[-1], total - part) for part in parts.T])
+    jackknife = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
+    lowest = parts[int(total.argmin())]
+    unsure = max(_unsure_s(grid - best, _parts(one, bounds) - lowest) for grid, one in zip(grids, tables, strict=True))
+    return Lag(best, max(jackknife, unsure / SIGMAS))
+
+
+def _unsure_s(away_s: Floats, more: Floats) -> float:
+    """How far from the best lag the loss is not yet clearly larger, by the scatter of its excess (L, BLOCKS).
+
+    Around a smooth minimum the excess grows as d^2 and its scatter as d: it is half as many standard errors above zero
+    as d is standard errors of the lag. Where noise ripples the loss, several minima compete, and the farthest counts.
+    """
+    scatter = np.sqrt(BLOCKS) * more.std(axis=1, ddof=1)
+    return float(np.abs(away_s[more.sum(axis=1) <= SIGMAS / 2 * scatter]).max(initial=0.0))
+
+
+def _bounds(table: Floats) -> Times:
+    """Where the parts of the recording meet, (BLOCKS - 1,), so that each tells equally much of the lag."""
+    told = np.cumsum(np.ptp(table, axis=0))
+    return np.searchsorted(told / told[-1], np.linspace(0, 1, BLOCKS + 1)[1:-1])
+
+
+def _parts(table: Floats, bounds: Times) -> Floats:
+    """Sums (L, BLOCKS) of losses (L, n) over the parts of the recording."""
+    return np.stack([part.sum(axis=1) for part in np.split(table, bounds, axis=1)], axis=1)
 
 
 def _table(loss: Callable[[float], Floats | None], grid: Floats) -> Floats | None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.lag import REACH_S, Lag
+from stillpoint.datasets.doctor.lag import REACH_S, SIGMAS, Lag
 from stillpoint.datasets.doctor.witness import Witness
 from stillpoint.datasets.recording import Recording, rate_hz
 
@@ -11,7 +11,6 @@ from stillpoint.datasets.recording import Recording, rate_hz
 TRUTH_S = 0.001
 ACCEL_S = 0.015  # translation that goes with turning looks like a lag of gravity
 MAG_S = 0.020  # so does a field that changes with the place
-SIGMAS = 5.0
 
 
 def check_lags(

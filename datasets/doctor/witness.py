@@ -53,7 +53,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     grid = Grid(gyro_series(imu, origin), field, REACH_S)
     if len(grid) < FEWEST_WINDOWS:
         return Witness("mag", None)
-    rough = find_lag(_free_loss(grid))
+    rough = find_lag(_robust_loss(grid, lambda at: at.design(np.zeros(3))))
     at = grid.at_lag(rough.lag_s if rough and rough.clear else 0.0)
     centre = sphere_centre(mag.mag_b_ut)
     weight = robust_solve(at.design(centre), at.change, np.ones(len(grid)))[2]
@@ -67,12 +67,11 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     if choice is None:
         return Witness("mag", None)
 
-    at = grid.at_lag(rough.lag_s if rough else 0.0)
-    _, residual = _fit(at, choice.matrix, centre, weight)
-    weight = 1 / (1 + residual**2 / (9 * np.median(residual) ** 2 + 1e-300))
-    lag = find_lag(_fitted_loss(grid, choice.matrix, centre, weight))
-    found, _ = _fit(grid.at_lag(lag.lag_s if lag else 0.0), choice.matrix, centre, weight)
-    bias = -choice.matrix.T @ found[1:4] / found[0]
+    matrix = choice.matrix
+    lag = find_lag(_robust_loss(grid, lambda at: _columns(at, matrix, centre)))
+    at = grid.at_lag(lag.lag_s if lag and lag.clear else 0.0)
+    found, _, _ = robust_solve(_columns(at, matrix, centre), at.change, np.ones(len(grid)), rounds=2)
+    bias = -matrix.T @ found[1:4] / found[0]
     return Witness("mag", choice, float(found[0]), lag, bias, centre + found[4:7] / found[0])
 
 
@@ -122,26 +121,20 @@ def sphere_centre(vectors: Floats) -> Floats:
     return np.asarray(middle + centre)
 
 
-def _free_loss(grid: Grid) -> Callable[[float], Floats]:
-    """Loss of a lag when the matrix between the rates is left free, so that no fault of axes counts."""
+def _robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Callable[[float], Floats]:
+    """Loss of a lag when the vector's change is linear in ``columns``.
+
+    Each lag weighs its windows anew. Weights found at one lag would leave out the windows that fit badly there, and so
+    confirm it.
+    """
     size: list[float] = []
 
     def loss(lag_s: float) -> Floats:
         at = grid.at_lag(lag_s)
-        _, residual, _ = robust_solve(at.design(np.zeros(3)), at.change, np.ones(len(grid)), rounds=2)
+        _, residual, _ = robust_solve(columns(at), at.change, np.ones(len(grid)), rounds=2)
         if not size:
             size.append(3 * float(np.median(residual)) + 1e-300)  # wide, so that no valley beside the true one stays
         return np.asarray(np.log1p((residual / size[0]) ** 2))
-
-    return loss
-
-
-def _fitted_loss(grid: Grid, matrix: Floats, centre: Floats, weight: Floats) -> Callable[[float], Floats]:
-    """Loss of a lag when the axes are known."""
-
-    def loss(lag_s: float) -> Floats:
-        _, residual = _fit(grid.at_lag(lag_s), matrix, centre, weight)
-        return np.asarray(weight * residual**2)
 
     return loss
 
@@ -150,8 +143,13 @@ def _bias_columns(at: Windows, centre: Floats) -> Floats:
     return np.asarray(np.einsum("kli,nl->nki", LEVI_CIVITA, at.mean_dt - centre * at.length_s))
 
 
-def _fit(at: Windows, matrix: Floats, centre: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Unknowns scale, bias (3) and scale * (hard iron - centre) (3), and the residual of each window (n,)."""
+def _columns(at: Windows, matrix: Floats, centre: Floats) -> Floats:
+    """Columns (n, 3, 7) of scale, scale * bias (3) and scale * (hard iron - centre) (3), when the axes are known."""
     turned = at.predicted(matrix, centre)[:, :, None]
     iron = -np.einsum("kli,ni->nkl", LEVI_CIVITA, at.turn @ matrix.T)
-    return solve(np.concatenate([turned, _bias_columns(at, centre), iron], axis=2), at.change, weight)
+    return np.concatenate([turned, _bias_columns(at, centre), iron], axis=2)
+
+
+def _fit(at: Windows, matrix: Floats, centre: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """The unknowns of :func:`_columns`, and the residual of each window (n,)."""
+    return solve(_columns(at, matrix, centre), at.change, weight)
