@@ -36,6 +36,8 @@ def test_known_rests_are_found_at_any_rate_and_bias(rate_hz, bias_dps):
     found = (find_rests(imu) - imu.t_ns[0]) / 1e9
     assert found.shape == (3, 2)
     np.testing.assert_allclose(found, spans, atol=0.25)
+    assert found[0, 0] == 0.0  # the recording's own ends are not cut
+    assert found[-1, 1] == (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
 
 
 def test_a_constant_bias_changes_nothing():
@@ -47,6 +49,52 @@ def test_a_noisy_sensor_still_rests():
     imu = make_imu([[0.0, 8.0], [20.0, 30.0]], noise_dps=1.5)  # its smoothed noise is above the bare threshold
     assert len(find_rests(imu)) == 2
     assert len(find_rests(imu, RestParams(noise_limit=1.0))) == 0
+
+
+@pytest.mark.parametrize(("sway_dps", "rests"), [(0.2, True), (0.42, False)])
+def test_what_sways_more_than_three_times_the_noise_does_not_rest(sway_dps, rests):
+    """0.2 deg/s white on three axes at 100 Hz are 0.2 sqrt(3/10) = 0.11 over 0.1 s: the limit is at 0.33."""
+    up = UP_B / np.linalg.norm(UP_B)
+
+    def swaying(t_s):
+        return np.deg2rad(sway_dps) * np.sqrt(2) * np.sin(2 * np.pi * t_s)[:, None] * up
+
+    found = find_rests(make_imu([[11.0, 19.0]], rate_of=swaying, noise_dps=0.2)) / 1e9
+    np.testing.assert_allclose(found, [[0.0, 29.99]] if rests else [[11.0, 19.0]], atol=1.0)
+
+
+def test_rests_with_a_slow_bump_between_them_share_no_sample():
+    """Only the windows on the bump's slopes see motion, so that those beside them reach into each other."""
+    t_s = np.arange(3000) / 100
+    gyro = np.zeros((3000, 3))
+    gyro[:, 0] = np.deg2rad(0.75) * np.maximum(1 - np.abs(t_s - 15.0), 0.0)  # sd 0.75 / sqrt(12) = 0.217 on a slope
+    imu = Imu(np.arange(3000) * 10_000_000, gyro, np.tile(UP_B, (3000, 1)))
+    found = find_rests(imu, RestParams(edge_s=0.0, bias_change_radps=np.deg2rad(2.0), min_rest_s=0.2)) / 1e9
+    assert len(found) == 3
+    np.testing.assert_allclose(found[1:, 0] - found[:-1, 1], 0.01)  # the next sample
+
+
+@pytest.mark.parametrize(("turned_deg", "rests"), [(0.6, 1), (1.6, 0)])
+def test_gravity_may_turn_by_a_degree_during_a_rest(turned_deg, rests):
+    """A table that gives way, a temperature that changes: between the means of the first and the last second."""
+    t_s = np.arange(3000) / 100
+    angle = np.deg2rad(turned_deg) * t_s / t_s[-1]
+    accel = 9.81 * np.stack([np.zeros(3000), np.sin(angle), np.cos(angle)], axis=1)
+    assert len(find_rests(Imu((t_s * 1e9).astype(np.int64), np.zeros((3000, 3)), accel))) == rests
+
+
+def test_the_calmest_span_says_what_the_bias_is_and_not_the_majority():
+    """A turntable that turns evenly three times, but for a little wow, and stands still once."""
+    up = UP_B / np.linalg.norm(UP_B)
+
+    def turntable(t_s):
+        hand = 0.5 * np.sin(2 * np.pi * t_s[:, None] * [0.7, 1.1, 1.3])
+        even = np.deg2rad(3.0 + 0.15 * np.sin(2 * np.pi * t_s))[:, None] * up
+        turns = ((t_s > 10) & (t_s < 15)) | ((t_s > 17) & (t_s < 22)) | (t_s > 24)
+        return np.where(turns[:, None], even, hand)
+
+    found = find_rests(make_imu([[0.0, 8.0]], rate_of=turntable)) / 1e9
+    np.testing.assert_allclose(found, [[0.0, 8.0]], atol=0.5)
 
 
 @pytest.mark.parametrize("rate_dps", [1.0, 3.0, -6.0])
