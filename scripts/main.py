@@ -26,6 +26,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
+    "export": ("export:export", "Write CSV tables or TUM trajectories, for other tools."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }

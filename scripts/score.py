@@ -15,6 +15,7 @@ from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.tum import read_tum
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
 from stillpoint.scoring.roll import RollScore, roll_score_row
@@ -56,10 +57,11 @@ def score(
     Parameters
     ----------
     paths
-        Estimates: MCAP files, folders or globs. A reference that is named by its file is scored too.
+        Estimates: MCAP files, folders or globs. A reference that is named by its file is scored too, and so is a
+        trajectory of any program in the TUM format, NAME.tum or NAME.txt.
     against
-        A reference, or a recording that holds a truth. By default, for each estimate, the reference of the same
-        recording in its folder (NAME.reference.mcap), else the truth in NAME.mcap there.
+        A reference, a recording that holds a truth, or a TUM trajectory. By default, for each estimate, the reference
+        of the same recording in its folder (NAME.reference.mcap), else the truth in NAME.mcap there.
     align
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
     frame
@@ -119,6 +121,8 @@ def print_scores(scores: Sequence[Score]) -> None:
 
 def judge_of(path: Path) -> Judge:
     """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
+    if is_tum(path):
+        return Judge(path, read_tum(path), {})
     thing = read(path)
     if isinstance(thing, Reference):
         return Judge(path, thing, thing.made_from)
@@ -129,13 +133,15 @@ def judge_of(path: Path) -> Judge:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """All estimates in the paths, and references that are named one by one."""
-    named = {path for path in paths if path.is_file() and inputs.kind_of(path) == "reference"}
+    """All estimates in the paths, and references and TUM trajectories that are named one by one."""
+    named = {path for path in paths if path.is_file() and (inputs.kind_of(path) == "reference" or is_tum(path))}
     others = [path for path in paths if path not in named]
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
 
 
 def _score_file(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score | RollScore:
+    if is_tum(file):
+        return _score_tum(file, against, align, frame)
     thing = read(file)
     if isinstance(thing, Estimate | RollReference) and is_roll(thing):
         return score_roll_file(file, thing, against, align)
@@ -144,6 +150,21 @@ def _score_file(file: Path, against: Path | None, align: AlignKind, frame: Euler
     judge = judge_of(_beside(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_against(thing, judge.truth, align, frame)
+
+
+def is_tum(path: Path) -> bool:
+    """Whether a file holds a trajectory in the TUM format, by its name."""
+    return path.suffix in (".tum", ".txt")
+
+
+def _score_tum(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score:
+    """A trajectory of another program; it cannot say which recording it was made from."""
+    if against is None:
+        raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")
+    poses, judge = read_tum(file), judge_of(against)
+    name = judge.truth.name if isinstance(judge.truth, Reference) else against.name.removesuffix(against.suffix)
+    made = Estimate(poses.t_ns, file.name.removesuffix(file.suffix), q_nb=poses.q_nb, recording=name)
+    return score_against(made, judge.truth, align, frame)
 
 
 def _beside(file: Path, thing: Estimate | Reference) -> Path:

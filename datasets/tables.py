@@ -1,0 +1,75 @@
+"""What a file holds as tables of named columns, for programs that read CSV: one table per clock."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
+from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+
+XYZ, WXYZ = "xyz", ("qw", "qx", "qy", "qz")
+UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
+
+Table = dict[str, np.ndarray]  # column -> (N,); t_ns comes first
+
+
+def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mapping[str, Table]:
+    """Stream -> table of a recording; of what was made from it one table, named "". SI units, as the names say.
+
+    The sensors' columns are called as ``stillpoint stream`` reads them.
+    """
+    if isinstance(thing, Recording):
+        return _streams(thing)
+    table: Table = {"t_ns": thing.t_ns}
+    if not isinstance(thing, RollReference) and thing.q_nb is not None:
+        table |= _columns(WXYZ, thing.q_nb)
+        if thing.cov_b_rad2 is not None:
+            table |= {f"cov_{XYZ[i]}{XYZ[j]}_rad2": thing.cov_b_rad2[:, i, j] for i, j in UPPER}
+        if thing.gyro_bias_b_radps is not None:
+            table |= _columns([f"gyro_bias_{axis}_radps" for axis in XYZ], thing.gyro_bias_b_radps)
+    for name in ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
+        column = getattr(thing, name, None)
+        table |= {} if column is None else {name: column}
+    return {"": table}
+
+
+def csv_text(table: Table) -> str:
+    """A header and a line per sample; every number in as many digits as it takes to be read back as the same."""
+    columns = [column.astype(int) if column.dtype == np.bool_ else column for column in table.values()]
+    rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
+    return "\n".join([",".join(table), *map(",".join, rows), ""])
+
+
+def _streams(recording: Recording) -> Mapping[str, Table]:
+    tables: dict[str, Table] = {}
+    if (imu := recording.imu) is not None:
+        columns = np.hstack([imu.gyro_b_radps, imu.accel_b_mps2])
+        tables["imu"] = {"t_ns": imu.t_ns, **_columns(("gx", "gy", "gz", "ax", "ay", "az"), columns)}
+    if (mag := recording.mag) is not None:
+        tables["mag"] = {"t_ns": mag.t_ns, **_columns(("mx", "my", "mz"), mag.mag_b_ut)}
+    if (gps := recording.gps) is not None:
+        names = ("t_ns", "lat_deg", "lon_deg", "alt_m", "course_rad", "speed_mps", "valid")
+        tables["gps"] = {name: getattr(gps, name) for name in names}
+    if recording.spin is not None:
+        tables["spin"] = _spin(recording.spin)
+    if (truth := recording.truth) is not None:
+        tables["truth"] = {"t_ns": truth.t_ns, **_columns(WXYZ, truth.q_nb)}
+        if truth.position_n_m is not None:
+            tables["truth"] |= _columns(("x_m", "y_m", "z_m"), truth.position_n_m)
+        tables["truth"]["moving"] = truth.moving
+    rolls: dict[str, Encoder | None] = {"encoder": recording.encoder, "roll_truth": recording.roll_truth}
+    for name, roll in rolls.items():
+        if roll is not None:
+            tables[name] = {"t_ns": roll.t_ns, "angle_rad": roll.angle_rad, "rate_radps": roll.rate_radps}
+    return tables
+
+
+def _spin(spin: Spin) -> Table:
+    table = {"t_ns": spin.t_ns}
+    for letter, values in (("a", spin.accel_mps2), ("g", spin.gyro_radps)):
+        table |= _columns([f"{letter}{k + 1}" for k in range(values.shape[1])], values)
+    return table
+
+
+def _columns(names: "list[str] | tuple[str, ...]", values: Floats) -> Table:
+    return dict(zip(names, values.T, strict=True))

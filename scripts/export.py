@@ -1,0 +1,86 @@
+"""``stillpoint export``: what MCAP files hold as text, for other tools."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.progress import track
+
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.store import Kept, read
+from stillpoint.datasets.tables import csv_text, tables_of
+from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.tum import tum_text
+from stillpoint.scripts import inputs
+from stillpoint.scripts.batch import require_distinct
+from stillpoint.scripts.flags import Inputs, OutDir
+from stillpoint.scripts.text_file import write_text
+
+Format = Literal["csv", "tum"]
+
+
+def export(
+    paths: Inputs,
+    /,
+    *,
+    out: OutDir = Path(),
+    format: Format = "csv",
+) -> int:
+    """Write what MCAP files hold as text: CSV tables, or TUM trajectories.
+
+    csv: NAME.imu.csv, NAME.mag.csv, ... of a recording NAME.mcap, a table per sensor and clock; NAME.reference.csv of
+    NAME.reference.mcap; NAME.ESTIMATOR.estimate.csv of an estimate. Columns are in SI units (field: uT), every number
+    in all its digits. tum: NAME.truth.tum, NAME.reference.tum and NAME.ESTIMATOR.estimate.tum, as evo reads them.
+
+    Parameters
+    ----------
+    paths
+        MCAP files, folders or globs: recordings, references and estimates.
+    out
+        Folder to write into; made when it is not there.
+    format
+        csv: tables of everything; tum: attitudes (and positions, 0 where not known), one pose a line.
+    """
+    files = inputs.mcap_files(paths)
+    if not files:
+        raise BadParameter("no input: name recordings, references or estimates as files, folders or globs")
+    require_distinct(Path(file.name) for file in files)
+    folder = inputs.output_dir(out)
+    failed = 0
+    for file in track(files, "export", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
+        try:
+            written = list(_export(file, folder, format))
+        except StillpointError as error:
+            if len(files) == 1:
+                raise
+            failed += 1
+            print(f"stillpoint: {error}", file=sys.stderr)
+            continue
+        for target in written:
+            print(target)
+    return 2 if failed else 0
+
+
+def _export(file: Path, folder: Path, format: Format) -> Iterator[Path]:
+    """Write the texts of one file, and say where."""
+    thing, stem = read(file), file.name.removesuffix(inputs.SUFFIX)
+    for label, text in _texts(file, thing, format):
+        target = folder / f"{stem}{f'.{label}' if label else ''}.{format}"
+        write_text(target, text)
+        yield target
+
+
+def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]:
+    """What to write of a file: (label, text)."""
+    if format == "csv":
+        return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
+    if isinstance(thing, Recording):
+        if thing.truth is None:
+            raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
+        return [("truth", tum_text(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
+    if isinstance(thing, RollReference) or thing.q_nb is None:
+        raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
+    return [("", tum_text(thing.t_ns, thing.q_nb))]
