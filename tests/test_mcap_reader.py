@@ -130,6 +130,35 @@ def test_messages_out_of_order_are_sorted_by_log_time(tmp_path):
     assert topic.text("header.frame_id").tolist() == frames
 
 
+def test_messages_of_one_time_keep_the_order_of_the_file(tmp_path):
+    times = np.arange(300)[::-1] // 50
+    bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(300)]
+    topic = read_log(one_topic(tmp_path / "x.mcap", VECTOR, bodies, times)).topics["/x"]
+    order = np.arange(300).reshape(6, 50)[::-1].ravel()
+    np.testing.assert_array_equal(topic.vector("vector", XYZ), FIELD[order])
+
+
+def test_a_log_time_that_int64_cannot_hold_is_named(tmp_path):
+    body = bytes(STORE.serialize_cdr(vector_message(0), VECTOR))
+    log = read_log(one_topic(tmp_path / "x.mcap", VECTOR, [body] * 2, [2**63 - 1, 2**63]))
+    assert log.unread == {"/x": "a log time lies beyond 2^63 ns"}
+
+
+def test_a_topic_of_two_types_is_named(tmp_path):
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = OfficialWriter(file)
+        writer.start()
+        for name, message in ((VECTOR, vector_message(0)), (IMU, imu_message(0))):
+            schema = writer.register_schema(name, "ros2msg", cdr.definition(name).encode())
+            channel = writer.register_channel("/x", "cdr", schema)
+            writer.add_message(channel, 0, bytes(STORE.serialize_cdr(message, name)), 0)
+        writer.finish()
+    log = read_log(path)
+    assert (log.topics, log.unread) == ({}, {"/x": "its channels are of several types"})
+    assert log.counts == {"/x": 2}
+
+
 def test_transforms_of_changing_number_lie_in_parts(tmp_path):
     def transforms(k):
         kind, transform = STORE.types["geometry_msgs/msg/TransformStamped"], STORE.types["geometry_msgs/msg/Transform"]

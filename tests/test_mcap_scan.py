@@ -2,13 +2,17 @@
 
 import struct
 
+import lz4.frame
 import numpy as np
 import pytest
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk, DataEnd, Footer, Header
 from mcap.writer import CompressionType
 from mcap.writer import Writer as OfficialWriter
 from ros_messages import FIELD, GYRO, STORE, VECTOR, XYZ, bag, one_topic, vector_message
 
-from stillpoint.datasets import BadFile
+from stillpoint.datasets import BadFile, mcap_scan
+from stillpoint.datasets.mcap_file import MAGIC, MESSAGE_HEAD
 from stillpoint.datasets.mcap_reader import read_log
 
 
@@ -61,6 +65,80 @@ def test_a_flipped_bit_is_found_by_the_checksum_of_its_chunk_alone(tmp_path):
     (tmp_path / "y.mcap").write_bytes(raw)
     with pytest.raises(BadFile, match="checksum of a chunk differs"):
         read_log(tmp_path / "y.mcap")
+
+
+def test_a_flipped_bit_of_an_attachment_is_found_by_its_own_checksum(tmp_path):
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = OfficialWriter(file)
+        writer.start()
+        writer.add_attachment(0, 0, "notes.txt", "text/plain", b"as it was")
+        writer.finish()
+    path.write_bytes(path.read_bytes().replace(b"as it was", b"as it xas", 1))
+    with pytest.raises(BadFile, match=r"checksum of the attachment notes\.txt differs"):
+        read_log(path)
+
+
+def test_messages_that_are_not_there_are_missed(tmp_path):
+    """The summary knows how many there were."""
+    bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(20)]
+    raw = one_topic(tmp_path / "x.mcap", VECTOR, bodies, enable_crcs=False).read_bytes()
+    (tmp_path / "y.mcap").write_bytes(raw.replace(struct.pack("<Q", 20), struct.pack("<Q", 21), 1))
+    with pytest.raises(BadFile, match="should hold 21 messages and holds 20"):
+        read_log(tmp_path / "y.mcap")
+
+
+def test_a_tail_of_zeros_is_a_cut(tmp_path):
+    """As file systems leave one after a loss of power: the length was written, the data was not."""
+    bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(20)]
+    raw = one_topic(tmp_path / "x.mcap", VECTOR, bodies).read_bytes()
+    end = raw.rindex(struct.pack("<BQ", 15, 4))  # of the data
+    (tmp_path / "y.mcap").write_bytes(raw[:end] + b"\0" * 900)
+    log = read_log(tmp_path / "y.mcap")
+    assert len(log.topics["/x"].t_ns) == 20
+    assert f"from byte {end} of {end + 900} on" in log.lost
+
+
+EMPTY_BLOCK = b"\x01\0\0"  # of zstd: raw, the last one, no bytes
+
+
+@pytest.mark.parametrize(
+    ("compression", "data", "size", "says"),
+    [
+        (
+            "zstd",
+            b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**50) + EMPTY_BLOCK,
+            100,
+            "claims 100 and 1125899906842624",
+        ),
+        ("zstd", b"\x28\xb5\x2f\xfd\x00\x58" + EMPTY_BLOCK, 2**40, "claims 1099511627776 bytes"),
+        ("zstd", b"\x28\xb5\x2f\xfd\x00\x58" + EMPTY_BLOCK, 100, "has 0 bytes where it claims 100"),
+        ("lz4", lz4.frame.compress(bytes(200), store_size=True), 100, "claims 100 and 200 bytes"),
+        ("lz4", lz4.frame.compress(bytes(200), store_size=False), 100, "has 200 bytes where it claims 100"),
+        ("", bytes(99), 100, "has 99 bytes where it claims 100"),
+        ("brotli", bytes(100), 100, "compressed by 'brotli'"),
+    ],
+)
+def test_a_chunk_is_as_long_as_it_claims_and_no_claim_asks_for_memory(tmp_path, compression, data, size, says):
+    builder = RecordBuilder()
+    Header("ros2", "a test").write(builder)
+    Chunk(compression, data, 0, 0, 0, size).write(builder)
+    DataEnd(0).write(builder)
+    Footer(0, 0, 0).write(builder)
+    (tmp_path / "x.mcap").write_bytes(MAGIC + builder.end() + MAGIC)
+    with pytest.raises(BadFile, match=says):
+        read_log(tmp_path / "x.mcap")
+
+
+def test_messages_outside_chunks_are_handed_out_in_blocks(tmp_path, monkeypatch):
+    """So that an hour without chunks is not held twice, as bytes and as columns."""
+    monkeypatch.setattr(mcap_scan, "LOOSE_BYTES", 500)
+    bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(50)]
+    path = one_topic(tmp_path / "x.mcap", VECTOR, bodies, use_chunking=False)
+    blocks = list(mcap_scan.Scan(path).blocks())
+    assert len(blocks) > 5
+    assert all(len(block.data) < 500 + len(bodies[0]) + MESSAGE_HEAD.itemsize for block in blocks)
+    np.testing.assert_array_equal(read_log(path).topics["/x"].vector("vector", XYZ), FIELD[:50])
 
 
 def test_an_index_that_points_elsewhere_or_leaves_out_messages_does_not_mislead(tmp_path):

@@ -44,9 +44,19 @@ def test_the_official_reader_accepts_every_checksum(ours):
     times = np.array([message.log_time for _, _, message in messages])
     assert len(messages) == N + len(T_NS[::3]) + 7 + 1
     assert (np.diff(times) >= 0).all()
+    assert [message.sequence for _, channel, message in messages if channel.topic == "/imu"] == list(range(N))
     raw = ours.read_bytes()
     footer = struct.unpack("<BQQQI", raw[-37:-8])
     assert footer[4] == zlib.crc32(raw[footer[2] : -12]) != 0
+
+
+def test_messages_of_one_time_stand_in_the_order_of_their_streams(tmp_path):
+    names = ["/c", "/a", "/b"]
+    streams = [Stream(name, "std_msgs/msg/Bool", T_NS[:400], {"data": np.ones(400, np.uint8)}) for name in names]
+    write_mcap(tmp_path / "x.mcap", streams, {}, {})
+    with (tmp_path / "x.mcap").open("rb") as file:
+        found = NonSeekingReader(file).iter_messages(log_time_order=False)
+        assert [channel.topic for _, channel, _ in found] == names * 400
 
 
 def test_the_official_reader_finds_facts_by_its_indexes(ours):
@@ -58,6 +68,8 @@ def test_the_official_reader_finds_facts_by_its_indexes(ours):
         summary = reader.get_summary()
         assert summary.statistics.message_count == sum(summary.statistics.channel_message_counts.values())
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 1
+        assert summary.statistics.message_start_time == T_NS[0]
+        assert summary.statistics.message_end_time == max(T_NS[-1], T_NS[::3][-1] + 5)
         assert {c.metadata["offered_qos_profiles"] for c in summary.channels.values()} == {""}
         late = list(reader.iter_messages(topics=["/field"], starting_at=int(T_NS[N // 2])))
     assert [message.log_time for *_, message in late] == [t for t in (T_NS[::3] + 5).tolist() if t >= T_NS[N // 2]]

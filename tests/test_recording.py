@@ -55,7 +55,9 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
             "like gauss: multiply by 100",
         ),
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([2e-5, 0, -4e-5], (N, 1)))), "looks like tesla"),
-        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([370.0, 0, 0], (N, 1)))), "mag_uncalibrated"),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([2e4, 0, -4e4], (N, 1)))), r"nanotesla: multiply by 0\.001"),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([200.0, 0, -400.0], (N, 1)))), "milligauss: multiply by 0.1"),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([1e4, 0, 0], (N, 1)))), "mag_uncalibrated"),
         (lambda: Estimate(T_NS, "ekf"), "neither an attitude nor an angle"),
         (lambda: Reference(T_NS, LEVEL, np.zeros((N, 3, 3)), ZERO, "m"), "states its accuracy"),
         (lambda: Spin(T_NS[:1], [[0.0, 0.0, 0.0, 0.0, 0.0]], [[0.0, np.inf]], FIVE_ACCELEROMETERS), "infinite"),
@@ -80,6 +82,13 @@ def test_units_are_not_guessed_when_nothing_is_still() -> None:
     shaken = imu(accel_b_mps2=REST * (2 + np.sin(np.arange(N)))[:, None])
     assert Recording("spin", spin).imu is spin
     assert Recording("shaken", shaken).imu is shaken
+
+
+def test_a_lone_sample_at_the_end_is_no_rest() -> None:
+    """One value does not vary; only a second with most of its samples can be calm."""
+    shaken = REST * (2 + np.sin(np.arange(N)))[:, None]
+    last = imu(t_ns=np.append(T_NS[:-1], T_NS[-1] + 10**9), accel_b_mps2=spoilt(shaken, N - 1, 30.0))
+    assert Recording("shaken", last).imu is last
 
 
 def test_the_doctor_can_open_what_is_implausible() -> None:
