@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from stillpoint.datasets import (
     BadFile,
     BadRecording,
+    Gps,
     Imu,
     Info,
     Mag,
@@ -263,6 +264,39 @@ def test_facts_that_make_no_sense_are_one_line(tmp_path, facts):
     record = {"kind": "recording", "format": "1", "version": "0", "facts": facts}
     write_mcap(tmp_path / "x.mcap", [], {"stillpoint": record}, {})
     with pytest.raises(BadFile, match="its facts"):
+        read(tmp_path / "x.mcap")
+
+
+def gps(n=9):
+    t = np.arange(n, dtype=np.int64) * 10**9
+    place = np.full(n, 50.0)
+    return Gps(t, place, place, place, np.zeros(n), np.ones(n), np.ones(n, bool))
+
+
+@pytest.mark.parametrize(
+    ("lacks", "known", "says"),
+    [
+        ("/gps/course", False, "/gps/course should have 9 messages and has 8"),
+        ("/gps/course", True, "/gps/course has other times than the rest of its stream"),
+        ("/imu/mag_remainder", False, "/imu/mag_remainder should have"),
+    ],
+)
+def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, monkeypatch, lacks, known, says):
+    """As when a tool filtered it; the facts say how many there were, and topics of one stream share their times."""
+
+    def without_last(path, streams, metadata, *rest, **more):
+        for k, stream in enumerate(streams):
+            if stream.topic == lacks:
+                columns = {leaf: values[:-1] for leaf, values in stream.columns.items()}
+                streams[k] = replace(stream, t_ns=stream.t_ns[:-1], columns=columns)
+        if known:
+            facts = metadata["stillpoint"]
+            facts["facts"] = facts["facts"].replace('"/gps/course": 9', '"/gps/course": 8')
+        write_mcap(path, streams, metadata, *rest, **more)
+
+    monkeypatch.setattr(store, "write_mcap", without_last)
+    write(tmp_path / "x.mcap", phone(gps=gps()))
+    with pytest.raises(BadFile, match=says):
         read(tmp_path / "x.mcap")
 
 
