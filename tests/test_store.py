@@ -300,6 +300,18 @@ def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, monkeypatch, lack
         read(tmp_path / "x.mcap")
 
 
+def test_a_remainder_of_another_time_than_its_field_is_refused(tmp_path, monkeypatch):
+    def later(path, streams, *rest, **more):
+        remainder = next(k for k, stream in enumerate(streams) if stream.topic == "/imu/mag_remainder")
+        streams[remainder] = replace(streams[remainder], t_ns=streams[remainder].t_ns + 1)
+        write_mcap(path, streams, *rest, **more)
+
+    monkeypatch.setattr(store, "write_mcap", later)
+    write(tmp_path / "x.mcap", phone())
+    with pytest.raises(BadFile, match="/imu/mag_remainder has times that the magnetometer has not"):
+        read(tmp_path / "x.mcap")
+
+
 def test_a_file_of_a_later_format_asks_for_a_newer_stillpoint(tmp_path):
     write_mcap(tmp_path / "x.mcap", [], {"stillpoint": {"kind": "recording", "format": "2", "version": "9.0"}}, {})
     with pytest.raises(BadFile, match=r"written by stillpoint 9\.0; .*install the newer one"):
