@@ -28,6 +28,7 @@ from stillpoint.scoring.pictures import Picture, picture
 from stillpoint.scoring.report import dotted, template, versions
 
 COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4}  # places in COLOURS
+SHORT = {ACC: "acc", ACC_MA: "ma"}  # in the text
 OF_JUDGE = {"benchmark": 1, "graph": 0}
 EULER = tuple(f"{axis}_{figure}_deg" for axis in AXES for figure in ("rmse", "maxae"))  # as the paper's tables
 BESIDE = ("inclination_rmse_deg", "heading_rmse_deg")
@@ -164,7 +165,11 @@ def _found(trials: Sequence[Trial]) -> dict[str, str]:
         )
         for part in ("roll", "pitch", "yaw", "heading", "inclination")
     }
-    return {name: f"{mean_over(trials, *place):.1f}" for name, place in quoted.items()}
+    figures = {name: mean_over(trials, *place) for name, place in quoted.items()}
+    for method in (ACC, ACC_MA):
+        folded = np.mean([one.folded_yaw[method] for one in trials], axis=0)
+        figures |= zip((f"{SHORT[method]}_folded", f"{SHORT[method]}_folded_max"), folded, strict=True)
+    return {name: f"{figure:.2f}" if figure < 10 else f"{figure:.1f}" for name, figure in figures.items()}
 
 
 def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:

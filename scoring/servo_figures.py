@@ -14,13 +14,16 @@ Span = tuple[float, float]
 
 
 def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
-    """Figure 4: rate, then specific force, of the three axes."""
-    rows = _within(series, span)
-    for ax, columns, name in zip(
-        axes, (series.gyro_b_degps, series.accel_b_g), ("rate (deg/s)", "force (g)"), strict=True
-    ):
+    """Figure 4: rate, specific force and field on the three axes."""
+    shown = (
+        (series.t_s, series.gyro_b_degps, "rate (deg/s)"),
+        (series.t_s, series.accel_b_g, "force (g)"),
+        (series.mag_t_s, series.mag_b_ut, "field (uT)"),
+    )
+    for ax, (t_s, columns, name) in zip(axes, shown, strict=True):
+        rows = slice(*t_s.searchsorted(span))
         for k, axis in enumerate(AXES):
-            ax.plot(series.t_s[rows], columns[rows, k], color=colour_of(k), lw=0.8, label=axis)
+            ax.plot(t_s[rows], columns[rows, k], color=colour_of(k), lw=0.8, label=axis)
         ax.set_ylabel(name)
 
 

@@ -14,7 +14,12 @@ from stillpoint.scoring.servo_study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG,
 
 COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
 SHOWN_S = 20.0
-ROWS = {ACC: "acc", KALMAN: "kf"}
+ROWS = (
+    ("roll", ACC, "acc"),
+    ("roll", KALMAN, "kf"),
+    ("heading", ACC, "acc_heading"),
+    ("heading", KALMAN, "kf_heading"),
+)
 STRETCHES = ("rest", "low", "high")
 
 
@@ -43,14 +48,15 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
 
 
 def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
-    """Rms error of roll by method: at rest, at the low rate, at the high one (median over the trials, deg)."""
+    """Rms error of an angle by method: at rest, at the low rate, at the high one (median over the trials, deg)."""
     return [
         {
+            "angle": angle,
             "method": method,
             "colour": COLOUR[method],
             "cells": [f"{over_trials(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
         }
-        for method, short in ROWS.items()
+        for angle, method, short in ROWS
     ]
 
 
@@ -61,8 +67,8 @@ def _pictures(one: Trial) -> list[Picture]:
     return [
         picture(
             "Sensors at rest",
-            "As the paper's figure 4: gyro and accelerometer for ten seconds of the first rest.",
-            2,
+            "As the paper's figure 4: gyro, accelerometer and magnetometer for ten seconds of the first rest.",
+            3,
             150,
             lambda axes: draw_sensors(axes, series, (20.0, 30.0)),
         ),

@@ -1,4 +1,4 @@
-"""Paper 004's bench, one trial: roll by gyro, by accelerometer and by ``kf-axis`` beside the true one."""
+"""Paper 004's bench, one trial: roll and heading by single sensors and by ``kf-axis`` beside the true ones."""
 
 import json
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from stillpoint.datasets.frames import euler
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
+from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
 from stillpoint.filters import estimate
 from stillpoint.scoring.auv_study import difference_deg
@@ -26,8 +27,11 @@ class Series:
     t_s: Floats  # (N,) from the start of the motion
     gyro_b_degps: Floats  # (N, 3)
     accel_b_g: Floats  # (N, 3)
+    mag_t_s: Floats  # (M,)
+    mag_b_ut: Floats  # (M, 3)
     true_roll_deg: Floats  # (N,)
     roll_deg: dict[str, Floats]  # method -> (N,)
+    heading_off_deg: dict[str, Floats]  # method -> (N,) less the true heading
     rests_s: Floats  # (R, 2)
     swings_hz: Floats  # (R - 1,)
 
@@ -44,6 +48,12 @@ class Figures:
     kf_rest_deg: float
     kf_low_deg: float
     kf_high_deg: float
+    acc_heading_rest_deg: float  # of heading, levelled by the accelerometer's tilt, then by the filter's (6), (7)
+    acc_heading_low_deg: float
+    acc_heading_high_deg: float
+    kf_heading_rest_deg: float
+    kf_heading_low_deg: float
+    kf_heading_high_deg: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,27 +99,32 @@ def from_zero(series: Series, method: str, start_s: float) -> Floats:
 
 
 def _series(recording: Recording) -> Series:
-    imu, truth = recording.require_imu(), recording.truth
+    imu, truth, mag = recording.require_imu(), recording.truth, recording.mag
     assert truth is not None
-    t_s, true_roll_deg = (truth.t_ns - ULAANBAATAR.start_ns) / 1e9, _roll_deg(truth.q_nb)
+    assert mag is not None
+    t_s, (true_roll_deg, _, true_yaw_deg) = (truth.t_ns - ULAANBAATAR.start_ns) / 1e9, _euler_deg(truth.q_nb)
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
-    rolls = {name: _roll_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
+    angles = {name: _euler_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
     # The rate of the one axis by (13), as the paper has it: a bias about another axis has no part in it.
     turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0)
-    rolls[GYRO] = true_roll_deg[0] + np.rad2deg(turned_rad)
+    rolls = {name: roll_deg for name, (roll_deg, _, _) in angles.items()}
     return Series(
         t_s=t_s,
         gyro_b_degps=np.rad2deg(imu.gyro_b_radps),
-        accel_b_g=imu.accel_b_mps2 / 9.80665,
+        accel_b_g=imu.accel_b_mps2 / STANDARD_GRAVITY_MPS2,
+        mag_t_s=(mag.t_ns - ULAANBAATAR.start_ns) / 1e9,
+        mag_b_ut=mag.mag_b_ut,
         true_roll_deg=true_roll_deg,
-        roll_deg=rolls,
+        roll_deg={**rolls, GYRO: true_roll_deg[0] + np.rad2deg(turned_rad)},
+        heading_off_deg={name: difference_deg(yaw_deg, true_yaw_deg) for name, (_, _, yaw_deg) in angles.items()},
         rests_s=np.array(json.loads(recording.info.extra["rests_s"])),
         swings_hz=np.array(json.loads(recording.info.extra["swings_hz"])),
     )
 
 
-def _roll_deg(q_nb: Floats) -> Floats:
-    return np.asarray(np.rad2deg(euler(q_nb, "enu")[:, 0]))
+def _euler_deg(q_nb: Floats) -> Floats:
+    """Roll, pitch, yaw as rows (3, N)."""
+    return np.asarray(np.rad2deg(euler(q_nb, "enu")).T)
 
 
 def _figures(series: Series, worst_drift_deg: float) -> Figures:
@@ -117,14 +132,15 @@ def _figures(series: Series, worst_drift_deg: float) -> Figures:
     minute = from_zero(series, GYRO, start) - series.true_roll_deg
     drift = float(minute[np.searchsorted(series.t_s, start + MINUTE_S) - 1])
     stretches = {"rest": None, "low": BENCH.low_hz, "high": BENCH.high_hz}
-    rms = {
-        f"{short}_{name}_deg": _rms_deg(series, method, rate)
-        for method, short in ((ACC, "acc"), (KALMAN, "kf"))
-        for name, rate in stretches.items()
-    }
+    rms = {}
+    for method, short in ((ACC, "acc"), (KALMAN, "kf")):
+        roll_off_deg = difference_deg(series.roll_deg[method], series.true_roll_deg)
+        for name, rate_hz in stretches.items():
+            inside = during(series, rate_hz)
+            rms[f"{short}_{name}_deg"] = _rms(roll_off_deg[inside])
+            rms[f"{short}_heading_{name}_deg"] = _rms(series.heading_off_deg[method][inside])
     return Figures(drift, worst_drift_deg, **rms)
 
 
-def _rms_deg(series: Series, method: str, rate_hz: float | None) -> float:
-    off = difference_deg(series.roll_deg[method], series.true_roll_deg)[during(series, rate_hz)]
-    return float(np.sqrt(np.mean(off**2)))
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

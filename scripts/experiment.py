@@ -30,7 +30,7 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
     ),
     "servo-bench": (
         "experiment_servo:bench",
-        "Paper 004: roll of a servo bench by gyro, accelerometer and Kalman filter, five units.",
+        "Paper 004: roll and heading of a servo bench by single sensors and by the Kalman filter, five units.",
     ),
 }
 

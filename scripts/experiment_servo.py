@@ -1,19 +1,17 @@
 """``stillpoint experiment servo-bench``: paper 004's bench."""
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.servo_page import rows, servo_page
 from stillpoint.scoring.servo_study import Trial, trial
-from stillpoint.scripts.flags import Jobs, OutDir, Whole
+from stillpoint.scripts.experiment_trials import FIVE, Trials
 from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.json_file import STDOUT, write_json
 from stillpoint.scripts.tables import print_table
 from stillpoint.scripts.text_file import write_text
 
-COLUMNS = ("roll by", "rms at rest, deg", "low rate", "high rate")
+COLUMNS = ("angle", "by", "rms at rest, deg", "low rate", "high rate")
 SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
 
 
@@ -23,51 +21,29 @@ class _Job:
     minutes: float
 
 
-def bench(
-    *,
-    minutes: float = 30.0,
-    trials: Whole = 5,
-    seed: Whole = 0,
-    out: OutDir = Path(),
-    jobs: Jobs = None,
-    json: JsonFile = None,
-) -> None:
-    """Roll of a board on a servo by gyro, by accelerometer and by the Kalman filter of angle and bias.
+def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
+    """Roll and heading of a board on a servo by gyro, by accelerometer and by the Kalman filter of angle and bias.
 
-    Writes servo-bench.experiment.html: the paper's figures 4 to 7 redrawn, and its drift beside ours.
+    Writes servo-bench.experiment.html: the paper's figures 4 to 7 redrawn, and its drift beside ours. Each trial is a
+    bench with a unit of its own.
 
     Parameters
     ----------
     minutes
         Length of each bench.
-    trials
-        How many benches, each with a unit of its own, with rising seeds.
-    seed
-        Seed of the first.
-    out
-        Folder to write into; made when it is not there.
-    jobs
-        Processes; by default one per core.
-    json
-        Also write every figure as JSON to this file; - is the standard output.
     """
-    if trials < 1 or seed < 0:
-        raise BadParameter(f"--trials {trials} --seed {seed}: give 1 bench or more, and a seed from 0 on")
     if minutes < SHORTEST_MINUTES:
         raise BadParameter(f"--minutes {minutes:g}: give {SHORTEST_MINUTES:g} or more, for swings at both rates")
-    folder = output_dir(out)
-    outcomes = run_jobs(_trial, [_Job(seed + k, minutes) for k in range(trials)], jobs, "benches")
-    failed = next((outcome.error for outcome in outcomes if outcome.value is None), None)
-    if failed is not None:
-        raise StillpointError(failed)
-    made = [outcome.value for outcome in outcomes if outcome.value is not None]
+    work = [_Job(seed, minutes) for seed in trials.seeds]
+    folder = output_dir(trials.out)
+    made = trials.run(_trial, work, "benches")
     page = folder / "servo-bench.experiment.html"
-    command = f"stillpoint experiment servo-bench --minutes {minutes:g} --trials {trials} --seed {seed}"
-    write_text(page, servo_page(made, command))
-    if json != STDOUT:
-        print_table(f"servo-bench: {trials} benches", COLUMNS, [[[row["method"], *row["cells"]] for row in rows(made)]])
+    write_text(page, servo_page(made, f"stillpoint experiment servo-bench --minutes {minutes:g} {trials.words}"))
+    if trials.json != STDOUT:
+        table = [[row["angle"], row["method"], *row["cells"]] for row in rows(made)]
+        print_table(f"servo-bench: {trials.trials} benches", COLUMNS, [table], texts=2)
         print(page)
-    write_json(json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
+    write_json(trials.json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
 
 
 def _trial(job: _Job) -> Trial:

@@ -37,8 +37,9 @@ def simulate(
     Parameters
     ----------
     kind
-        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent), phone-3-shaken (in one
-        place): the three experiments of paper 002. spin-constant, spin-variable (a motor's shaft with two
+        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the experiments of paper
+        002; phone-1-slow (turned and pushed by little), phone-3-shaken (in one place), phone-3-level (shaken to the
+        sides): the same moved otherwise. spin-constant, spin-variable (a motor's shaft with two
         accelerometers), spin-flight (five on a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater
         vehicle): paper 003. servo-bench (swung by +-90 deg): paper 004.
     out

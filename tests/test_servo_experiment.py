@@ -28,6 +28,13 @@ def test_the_filter_is_better_than_the_accelerometer_while_it_moves(one: Trial) 
     assert found.kf_high_deg < 0.3 * found.acc_high_deg
 
 
+def test_a_heading_is_levelled_better_by_the_filter(one: Trial) -> None:
+    """At rest both have the same field and nearly the same tilt; shaken, the accelerometer's tilt spoils it."""
+    found = one.figures
+    assert found.kf_heading_rest_deg == pytest.approx(found.acc_heading_rest_deg, abs=0.5)
+    assert found.kf_heading_high_deg < 0.7 * found.acc_heading_high_deg
+
+
 def test_an_integral_that_begins_at_a_time_has_the_true_angle_there(one: Trial) -> None:
     start, _ = first_swing_s(one.series, 0.4)
     roll = from_zero(one.series, GYRO, start)
@@ -51,7 +58,7 @@ def test_the_page_has_the_papers_number_beside_ours(call: Callable[..., int], tm
     assert page.count("<svg") == 8  # four figures, each wide and narrow
 
 
-@pytest.mark.parametrize(("words", "says"), [(("--minutes", 2), "3.5"), (("--trials", 0), "1 bench or more")])
+@pytest.mark.parametrize(("words", "says"), [(("--minutes", 2), "3.5"), (("--trials", 0), "1 trial or more")])
 def test_what_makes_no_bench_is_refused(
     words: tuple[object, ...], says: str, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:

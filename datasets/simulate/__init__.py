@@ -22,9 +22,7 @@ class Simulation:
 
     summary: str
     minutes: float  # unless another length is asked for
-    sensors: Mapping[
-        str, Any
-    ]  # presets of what measures, all of one class; the first is used unless another is asked for
+    sensors: Mapping[str, Any]  # presets of what measures, of one class; the first is used unless another is asked for
     build: Callable[[Any, int, float, float], Recording]  # sensor, seed, minutes, rate_hz
     rate_hz: float = 100.0  # unless another is asked for
 
@@ -48,11 +46,23 @@ SIMULATIONS: dict[str, Simulation] = {
         SENSORS,
         partial(phone.experiment, "phone-3", phone.IN_HAND),
     ),
+    "phone-1-slow": Simulation(
+        "phone-1 with the same jolts on slower pushes, turned by up to 25 deg",
+        2.0,
+        SENSORS,
+        partial(phone.experiment, "phone-1-slow", phone.SLOW),
+    ),
     "phone-3-shaken": Simulation(
-        "the same held in one place and shaken evenly, at about 5 Hz",
+        "phone-3 held in one place and shaken evenly, at about 5 Hz",
         4.0,
         SENSORS,
         partial(phone.experiment, "phone-3-shaken", phone.SHAKEN),
+    ),
+    "phone-3-level": Simulation(
+        "phone-3-shaken to the sides, and not up and down",
+        4.0,
+        SENSORS,
+        partial(phone.experiment, "phone-3-level", phone.LEVEL),
     ),
     "auv-dolphin": Simulation(
         "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (paper 003)",

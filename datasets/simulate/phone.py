@@ -55,6 +55,9 @@ SLIDING = Hand(
     jolt_accel_mps2=(0.2, 5.5),
     return_turn_deg=(0.0, 0.0, 0.2),
 )
+# The same jolts, but pushed and turned as the paper's table 2 says of its phone: CF's tilt, a nineteenth of Acc's, that
+# hardly any push was slow; Acc_MA's yaw of 9 deg, that the phone stayed near its own mean over 7 s.
+SLOW = replace(SLIDING, turn_deg=(0.0, 0.0, 25.0), peak_accel_mps2=(0.01, 0.04))
 TRIPOD = Hand(
     initial_rest_s=60.0,
     turn_deg=(40.0, 40.0, 90.0),
@@ -83,6 +86,9 @@ SHAKEN = replace(
     jolt_m=(0.015, 0.015, 0.015),
     jolt_accel_mps2=(6.0, 9.0),
 )
+# The same to the sides, not up and down. A shake a to the side is measured as the tilt a / (g + a_up), whose mean is
+# not zero where a_up changes with it: a slow error, however fast the shake.
+LEVEL = replace(SHAKEN, jolt_m=(0.015, 0.015, 0.0))
 
 
 def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
