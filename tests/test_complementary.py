@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation, wrap
 from stillpoint.filters import estimate
-from stillpoint.filters.complementary import Params, coefficients, transition
+from stillpoint.filters.complementary import LONGEST_HOLD_S, Params, coefficients, transition
 
 STEP_S = 0.01
 DAMPING = [(0.25, 3.0), (1.0, 1.0), (2.0, 0.3), (0.05, 20.0)]
@@ -124,6 +124,32 @@ def test_levelled_by_its_own_tilt_the_heading_ignores_accelerations() -> None:
 
     assert heading_deg("acc") > 5
     assert heading_deg("estimate") < heading_deg("acc") / 4
+
+
+@pytest.mark.parametrize(("pause_s", "hold_s"), [(0.5, 0.5), (20.0, LONGEST_HOLD_S)])
+def test_after_a_pause_of_the_magnetometer_one_field_counts_for_a_second_at_most(pause_s, hold_s) -> None:
+    """A single field, 40 deg off: over 20 s (11) would follow it all the way, over 1 s by 1 - its transition."""
+    t_s = np.arange(0, 31 + pause_s, STEP_S)
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+    n = len(t_ns)
+    first_s = np.arange(0, 30, STEP_S)
+    mag_ns = np.append(np.round(first_s * 1e9), round((first_s[-1] + pause_s) * 1e9)).astype(np.int64)
+    turned = np.deg2rad(40.0)
+    field = np.vstack(
+        [np.tile([0.0, 20.0, -44.0], (len(first_s), 1)), [20 * np.sin(turned), 20 * np.cos(turned), -44.0]]
+    )
+    recording = Recording(
+        "paused",
+        Imu(t_ns, np.zeros((n, 3)), np.tile([0, 0, 9.81], (n, 1))),
+        mag=Mag(mag_ns, field),
+        info=Info(units_unchecked=True),
+    )
+    q_nb = estimate(recording, "cf", {"kappa": 1.0}).q_nb
+    at = np.searchsorted(t_ns, mag_ns[-1])
+    before, after = angle_of(q_nb[[at - 1, at]], 2)
+    left = transition(hold_s, coefficients(Params(), 0.0))[0]
+    assert before == pytest.approx(0.0, abs=1e-9)
+    assert after == pytest.approx(turned * (1 - left), rel=1e-6)
 
 
 def test_ready_means_three_time_constants_after_the_start_and_after_a_gap() -> None:

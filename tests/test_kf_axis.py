@@ -11,7 +11,7 @@ from stillpoint.datasets import Estimate, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import euler, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters import Stream, estimate
-from stillpoint.filters.kf_axis import GIMBAL, Params
+from stillpoint.filters.kf_axis import GIMBAL, Params, without_coriolis
 
 G = 9.81
 NORTH = np.array([0.0, 20.0, 0.0])  # a level field: tilt errors do not leak into the heading
@@ -241,6 +241,16 @@ def test_the_coriolis_term_of_a_steady_circle() -> None:
     )
     assert abs(without) > 15
     assert abs(with_term) < 0.6  # the start, upright by an accelerometer that was not corrected, wears off
+
+
+axes = st.tuples(*[st.floats(-20, 20)] * 3)
+
+
+@given(axes, axes, st.floats(0, 50))
+def test_the_coriolis_term_is_w_cross_v_about_every_axis(force, rate, speed_mps) -> None:
+    """V along body x: a loop presses down as a circle presses to the side."""
+    expected = np.subtract(force, np.cross(rate, [speed_mps, 0.0, 0.0]))
+    assert without_coriolis(force, rate, speed_mps) == pytest.approx(expected, abs=1e-9)
 
 
 def test_fig_2_takes_the_heading_from_the_compass_as_it_is() -> None:
