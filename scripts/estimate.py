@@ -22,7 +22,7 @@ from stillpoint.scripts.json_file import JsonFile
 from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.runs import Run, runs_of
 
-DEFAULT = "cf"  # where there is an IMU
+DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 
 
@@ -55,8 +55,10 @@ def estimate(
     paths
         Recordings: MCAP files, folders or globs.
     estimators
-        Names with commas between; all: every one of attitude; roll: every one of a fast spin about one axis. By
-        default cf, and roll for recordings of a spinning body.
+        Names with commas between. Ours: ekf (the default), iekf, aekf, kf-axis, cf, cf-fixed, cf-lse, cf-lse-literal,
+        gyro, acc, acc-ma. Of other packages: vqf, offline-vqf, madgwick, mahony, ahrs-ekf, fusion. Of a fast spin
+        about one axis: roll-obs, roll-ekf, roll-aekf, roll-guarded. all: every one of attitude; roll: every one of
+        roll, the default for recordings of a spinning body.
     out
         Folder to write into; made when it is not there.
     set_

@@ -33,7 +33,7 @@ def stream(
     file: Path | None = None,
     /,
     *,
-    estimators: Annotated[str, Parameter(name=["--estimators", "-e"])] = "cf",
+    estimators: Annotated[str, Parameter(name=["--estimators", "-e"])] = "ekf",
     set_: SetFlag = None,
     declination: float | None = None,
     precision: Precision = "double",
@@ -60,7 +60,8 @@ def stream(
     file
         A recording to replay with --foxglove.
     estimators
-        Names with commas between: those of attitude that are stillpoint's own, or those of roll.
+        Names with commas between: ekf, iekf, aekf, kf-axis, cf, cf-fixed, cf-lse, cf-lse-literal, gyro, acc, acc-ma;
+        or roll-obs, roll-ekf, roll-aekf, roll-guarded.
     set_
         A parameter, ESTIMATOR.NAME=VALUE, heading.NAME=VALUE or range.NAME=VALUE; can be given several times.
     declination

@@ -1,6 +1,7 @@
 """``stillpoint estimate``: files in, files and one table out; compiled code outlives the process."""
 
 import json
+import re
 import subprocess
 import sys
 from ast import literal_eval
@@ -97,6 +98,13 @@ def test_a_wrong_option_is_refused_before_any_work(
     with pytest.raises(BadParameter, match=says):
         estimate([recordings], estimators=estimators, out=out, set_=settings)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("verb", "whole"), [("estimate", True), ("stream", False)])
+def test_the_help_names_every_estimator_it_takes(call, verb: str, whole: bool, capsys) -> None:
+    assert call(verb, "--help") == 0
+    words = set(re.findall(r"[a-z-]+", capsys.readouterr().out))
+    assert {name for name, entry in ESTIMATORS.items() if whole or not entry.is_peer} <= words
 
 
 def test_the_next_process_compiles_nothing() -> None:

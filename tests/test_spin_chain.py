@@ -46,7 +46,7 @@ def test_without_names_each_recording_gets_the_estimators_of_its_streams(call, f
     write(phone, simulate("phone-1", minutes=1.4))
     assert call("estimate", phone, folder / f"{NAME}.mcap", "-o", tmp_path, "--jobs", "1") == 0
     made = {path.name for path in tmp_path.glob("*.estimate.mcap")}
-    assert made == {"phone.cf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in ROLLS)}
+    assert made == {"phone.ekf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in ROLLS)}
 
 
 def test_truth_judges_all_and_the_reference_the_estimates(material):

@@ -197,9 +197,11 @@ def test_a_closed_output_ends_it() -> None:
 def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
     state = tmp_path / "state.json"
     one = f"{HEADER}\n0,{AT_REST}\n"
-    done = subprocess.run([*COMMAND, "--save", str(state)], input=one, text=True, check=True, capture_output=True)
+    done = subprocess.run(
+        [*COMMAND, "-e", "cf", "--save", str(state)], input=one, text=True, check=True, capture_output=True
+    )
     assert "1 samples" in done.stderr
-    other = [*COMMAND, "--resume", str(state), "--set", "cf.zeta=2"]
+    other = [*COMMAND, "-e", "cf", "--resume", str(state), "--set", "cf.zeta=2"]
     again = subprocess.run(other, input="", text=True, capture_output=True, check=False)
     assert again.returncode == 2
     assert "was saved with other options" in again.stderr
