@@ -276,7 +276,7 @@ def _calibration(solution: Solution, bias_step: int, covariance: Floats) -> Cali
         accel_matrix=np.eye(3) - vector[:9].reshape(3, 3),
         accel_matrix_sd=sd[:9].reshape(3, 3),
         accel_bias_b_mps2=solution.values.atConstantBias(B(bias_step)).accelerometer(),
-        hard_iron_b_ut=None if field is None else field[3:],
+        hard_iron_b_ut=None if field is None else field[3:6],
         field_n_ut=None if field is None else field[:3],
-        clock_offset_s={"accel": float(vector[18])},
+        clock_offset_s={"accel": float(vector[18])} | ({} if field is None else {"mag": float(field[6])}),
     )

@@ -46,7 +46,7 @@ class Evidence:
     q_nb: Floats  # (n, 4) where the states begin, at the heading that n has
     place_n_m: Floats  # (n, 3)
     velocity_n_mps: Floats  # (n, 3)
-    field_start: Floats | None  # (6,) where field and hard iron begin
+    field_start: Floats | None  # (7,) where field, hard iron and delay begin
 
     def within(self, first: int, end: int) -> "Evidence":
         """The same for the window of the states ``first`` to ``end - 1``."""
@@ -95,7 +95,7 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias)
     measured = None
     if recording.mag is not None:
-        measured = measurements_at(keys, recording.mag, int(imu.t_ns[0]), params.magnetic)
+        measured = measurements_at(keys, motion, recording.mag, int(imu.t_ns[0]), params.magnetic)
     fixes = None if recording.gps is None else fixes_at(keys, recording.gps, int(imu.t_ns[0]), params.gps)
     base, returns = _base(recording, rests_ns, params)
     turn = heading_rotation(_start_turn(recording, motion, start, base, measured, fixes))

@@ -1,7 +1,8 @@
-"""The magnetometer in the graph: b = R^T m + h, with the local field m and the hard iron h as unknowns.
+"""The magnetometer in the graph: b(t) = R(t - d)^T m + h; the local field m, the hard iron h, the delay d are unknown.
 
-gtsam has no factor with both unknown; this one is linearised here and handed over as a Jacobian factor in every
-iteration, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity).
+gtsam has no factor with these unknown; this one is linearised here and handed over as a Jacobian factor in every
+iteration, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity). Over the delay
+the body turns as the gyro says: R(t - d) = R(t) exp(-w d).
 """
 
 from dataclasses import dataclass
@@ -10,15 +11,17 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import H, X
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Mag
 from stillpoint.smoother.graph_params import FieldParams
-from stillpoint.smoother.keys import Keys
+from stillpoint.smoother.keys import Keys, Motion
 
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 SHRINK = 0.6  # from iteration to iteration
 HEADING_SD_UT = 1e-3  # of the field's east part where its direction is north by definition
+LATE_S = 0.04  # a phone's magnetometer is late by so much; the rate is taken over that time before a state
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +30,17 @@ class FieldMeasurements:
 
     state: NDArray[np.int64]  # (K,)
     field_b_ut: Floats  # (K, 3)
+    gyro_b_radps: Floats  # (K, 3) mean over LATE_S before the state
 
     def at(self, states: range) -> "FieldMeasurements | None":
         """Those at some of the states, None where there are none."""
         there = (self.state >= states.start) & (self.state < states.stop)
-        return FieldMeasurements(self.state[there], self.field_b_ut[there]) if there.any() else None
+        if not there.any():
+            return None
+        return FieldMeasurements(self.state[there], self.field_b_ut[there], self.gyro_b_radps[there])
 
 
-def measurements_at(keys: Keys, mag: Mag, t0_ns: int, params: FieldParams) -> FieldMeasurements | None:
+def measurements_at(keys: Keys, motion: Motion, mag: Mag, t0_ns: int, params: FieldParams) -> FieldMeasurements | None:
     """The field at states ``step_s`` apart, interpolated to their time; None where there are fewer than three.
 
     States farther than half a step from a sample of the magnetometer's own clock are left out.
@@ -49,20 +55,24 @@ def measurements_at(keys: Keys, mag: Mag, t0_ns: int, params: FieldParams) -> Fi
     if len(state) < 3:
         return None
     field = np.stack([np.interp(keys.t_s[state], t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
-    return FieldMeasurements(state.astype(np.int64), field)
+    first = np.searchsorted(motion.t_s, keys.t_s[state] - LATE_S)
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(motion.gyro_b_radps, axis=0)])
+    count = keys.row[state] + 1 - first
+    rate = (turned[keys.row[state] + 1] - turned[first]) / count[:, None]
+    return FieldMeasurements(state.astype(np.int64), field, rate)
 
 
 def start_of_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
-    """Field and hard iron to begin with, (6,): the median field in n, seen from attitudes ``q_nb`` (K, 4)."""
+    """Field, hard iron and delay to begin with, (7,): the median field in n, seen from attitudes ``q_nb`` (K, 4)."""
     field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
-    return np.concatenate([np.median(field_n, axis=0), iron_b_ut])
+    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, [0.0]])
 
 
 def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
     """Around the start; horizontally the field points to ``azimuth_rad`` east of north where n is defined by it."""
     level = np.hypot(start[0], start[1])
     mean = np.concatenate([[level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), start[2]], start[3:]])
-    sizes = np.concatenate([np.full(3, params.field_sd_ut), np.full(3, params.iron_sd_ut)])
+    sizes = np.concatenate([np.full(3, params.field_sd_ut), np.full(3, params.iron_sd_ut), [params.late_sd_s]])
     covariance = np.diag(sizes**2)
     if azimuth_known:
         across = np.array([np.cos(azimuth_rad), -np.sin(azimuth_rad), 0.0])
@@ -73,8 +83,14 @@ def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: 
 
 
 def residuals(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
-    """R^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and field and hard iron (6,)."""
-    return np.einsum("kji,j->ki", rotations, field[:3]) + field[3:] - measured.field_b_ut
+    """R(t - d)^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and field, hard iron and delay (7,)."""
+    then = rotations @ _turn_back(measured, field[6])
+    return np.einsum("kji,j->ki", then, field[:3]) + field[3:6] - measured.field_b_ut
+
+
+def _turn_back(measured: FieldMeasurements, late_s: float) -> Floats:
+    """exp(-w d), (K, 3, 3): from the attitude of a state to that when its field was there."""
+    return np.asarray(Rotation.from_rotvec(-late_s * measured.gyro_b_radps).as_matrix())
 
 
 def weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
@@ -85,18 +101,22 @@ def weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
 def linear_factors(
     measured: FieldMeasurements, rotations: Floats, field: Floats, scale_ut: float, params: FieldParams
 ) -> list[gtsam.JacobianFactor]:
-    """The measurement equation linearised at the given attitudes and field, weighted and whitened.
+    """The measurement equation linearised at the given attitudes and field (7,), weighted and whitened.
 
-    With the pose's rotation moved by R exp(d): R^T m changes by [R^T m]x d.
+    With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
     residual = residuals(measured, rotations, field)
-    seen = residual + measured.field_b_ut - field[3:]
+    seen = residual + measured.field_b_ut - field[3:6]
     root = weights(residual, scale_ut, params) / scale_ut
-    by_pose = np.zeros((len(seen), 3, 6))
-    by_pose[:, 0, 1], by_pose[:, 0, 2] = -seen[:, 2], seen[:, 1]
-    by_pose[:, 1, 0], by_pose[:, 1, 2] = seen[:, 2], -seen[:, 0]
-    by_pose[:, 2, 0], by_pose[:, 2, 1] = -seen[:, 1], seen[:, 0]
-    by_field = np.concatenate([rotations.transpose(0, 2, 1), np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
+    back = _turn_back(measured, field[6])
+    cross = np.zeros((len(seen), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]
+    cross[:, 1, 0], cross[:, 1, 2] = seen[:, 2], -seen[:, 0]
+    cross[:, 2, 0], cross[:, 2, 1] = -seen[:, 1], seen[:, 0]
+    by_pose = np.concatenate([cross @ back.transpose(0, 2, 1), np.zeros_like(cross)], axis=2)
+    by_late = np.cross(measured.gyro_b_radps, seen)[:, :, None]
+    identity = np.broadcast_to(np.eye(3), rotations.shape)
+    by_field = np.concatenate([(rotations @ back).transpose(0, 2, 1), identity, by_late], axis=2)
     by_pose, by_field = by_pose * root[:, None, None], by_field * root[:, None, None]
     unit = gtsam.noiseModel.Unit.Create(3)
     target = -residual * root[:, None]

@@ -28,8 +28,8 @@ class InertialNoise(Settings):
     accel_mps2_rthz: float = number(0.2, 1e-4, 10.0, "accelerometer in motion, white")
     gyro_rest_radps_rthz: float = number(0.001, 1e-6, 1.0, "gyro at rest")
     accel_rest_mps2_rthz: float = number(0.02, 1e-4, 10.0, "accelerometer at rest")
-    gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate may be larger by this share of the range")
-    accel_beyond: float = number(2.0, 0.01, 10.0, "and so may a clipped specific force")
+    gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate is extended: wrong by this share of it")
+    accel_beyond: float = number(2.0, 0.01, 10.0, "and so is a clipped specific force")
     gyro_bias_sd_radps: float = degrees(1.0, 0.01, 20.0, "the gyro's bias around its start value")
     free_bias_sd_radps: float = degrees(3.0, 0.01, 20.0, "the same where neither rest nor field nor satellites show it")
     gyro_bias_walk: float = number(2e-4, 1e-7, 0.1, "rad/s per sqrt(s): its random walk")
@@ -57,13 +57,14 @@ class MotionPriors(Settings):
 
 @dataclass(frozen=True)
 class FieldParams(Settings):
-    """Magnetometer: b = R^T m + h with the local field m and the hard iron h as unknowns."""
+    """Magnetometer: b(t) = R(t - d)^T m + h with the local field m, the hard iron h and the delay d as unknowns."""
 
     sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
     robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
     field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")
     iron_sd_ut: float = number(50.0, 0.1, 1000.0, "of the hard iron around its start value")
+    late_sd_s: float = number(0.03, 1e-5, 0.5, "by which the magnetometer may be late against the gyro")
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
+from stillpoint.smoother.clipping import extended
 from stillpoint.smoother.graph_params import KeyParams
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
-CLIP_COUNT = 5  # so many readings equal to the largest are clipping, fewer are chance
 LONG_GAP_S = 0.5  # a longer gap is not integrated across
 
 
@@ -22,10 +22,10 @@ class Motion:
 
     t_s: Floats  # (N,)
     dt_s: Floats  # (N,) the interval that ends at the sample
-    gyro_b_radps: Floats  # (N, 3)
-    accel_b_mps2: Floats  # (N, 3)
+    gyro_b_radps: Floats  # (N, 3) extended where clipped
+    accel_b_mps2: Floats  # (N, 3) the same
     at_rest: NDArray[np.bool_]  # (N,)
-    gyro_beyond_radps: Floats  # (N, 3) the range of an axis where its reading is clipped, 0 elsewhere
+    gyro_beyond_radps: Floats  # (N, 3) by how much an extended reading may be wrong, 0 elsewhere
     accel_beyond_mps2: Floats  # (N, 3)
 
 
@@ -41,7 +41,7 @@ class Keys:
     t_s: Floats  # (n,)
     at_rest: NDArray[np.bool_]  # (n - 1,) no motion in the interval
     gap: NDArray[np.bool_]  # (n - 1,) samples are missing for more than LONG_GAP_S
-    gyro_clipped_rad: Floats  # (n - 1, 3) the range of an axis times how long it was clipped
+    gyro_clipped_rad: Floats  # (n - 1, 3) by how much an axis may be wrong, summed over the time it was clipped
     accel_clipped_mps: Floats  # (n - 1, 3)
     gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
     accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
@@ -84,11 +84,11 @@ def motion_of(imu: Imu, rests_ns: Times) -> Motion:
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for start, end in np.searchsorted(imu.t_ns, rests_ns):
         at_rest[start : end + 1] = True
-    gyro_beyond = _range_where_clipped(imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
-    accel_beyond = _range_where_clipped(imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
+    gyro, gyro_beyond = extended(t_s, imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
+    accel, accel_beyond = extended(t_s, imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
     step_s = np.diff(t_s)
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
-    return Motion(t_s, dt_s, imu.gyro_b_radps, imu.accel_b_mps2, at_rest, gyro_beyond, accel_beyond)
+    return Motion(t_s, dt_s, gyro, accel, at_rest, gyro_beyond, accel_beyond)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:
@@ -149,12 +149,3 @@ def _running(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 def _sums(values: Floats, first: NDArray[np.int64]) -> Floats:
     """Sums (n - 1, 3) over the samples of each interval, exactly 0 where all are."""
     return np.asarray(np.add.reduceat(values, first, axis=0)) if len(first) else np.zeros((0, 3))
-
-
-def _range_where_clipped(values: Floats, smallest_range: float) -> Floats:
-    """The largest reading of an axis (N, 3) where it is met, again and again; 0 elsewhere."""
-    size = np.abs(values)
-    largest = size.max(axis=0)
-    at_end = size >= largest * (1 - 1e-9)
-    stuck = (at_end.sum(axis=0) >= CLIP_COUNT) & (largest >= smallest_range)
-    return np.where(at_end & stuck, largest, 0.0)
