@@ -52,7 +52,7 @@ def _beyond(t_s: Floats, values: Floats, limits: Floats) -> Floats:
         for first, stop in pairwise(edges):
             if end[first] != 0:
                 sign = np.sign(end[first])
-                excess[first:stop, axis] = sign * _arch(t_s, sign * values[:, axis], first, stop)
+                excess[first:stop, axis] = sign * _arch(t_s, sign * values[:, axis], int(first), int(stop))
     return excess
 
 
