@@ -125,6 +125,8 @@ class SpinChannels:
     omega_squared: Channel  # squared rate about x, rad^2/s^2; its variance is the paper's R
     omega_xy: Channel | None  # omega_x omega_y: its sign against omega_y's is that of omega_x; None where not seen
     omega_xz: Channel | None  # omega_x omega_z likewise
+    spare_dot: tuple[Channel | None, ...]  # (k,) omega_dot without accelerometer k; None where the others lack it
+    spare_squared: tuple[Channel | None, ...]  # (k,) omega_squared likewise
     transverse: Floats  # (2, m) weights of the gyros that give omega_y and omega_z; 0 where none does
     misplaced: tuple[str, ...]  # what breaks eq (2); not in the way where enough accelerometers are there
 
@@ -174,16 +176,24 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
         free = [*CENTRE, "omega_x dot", "omega_x^2"]
     wanted = {term: _channel(geometry, variance, term, free, known) for term in ("omega_x dot", "omega_x^2")}
     if geometry.fixed_axis and None in wanted.values():
-        wanted = {term: _channel(geometry, variance, term, free[len(CENTRE) :], known) for term in wanted}
+        free = free[len(CENTRE) :]
+        wanted = {term: _channel(geometry, variance, term, free, known) for term in wanted}
     omega_dot, omega_squared = wanted.values()
     if omega_dot is None or omega_squared is None:
         raise Unobservable(_what_lacks(geometry, free, known, [term for term, one in wanted.items() if one is None]))
+
+    def spares(term: str) -> tuple[Channel | None, ...]:  # one whose noise is infinite has no weight
+        alone = [np.where(np.arange(k) == lost, np.inf, variance) for lost in range(k)]
+        return tuple(_channel(geometry, each, term, free, known) for each in alone)
+
     return SpinChannels(
         geometry=geometry,
         omega_dot=omega_dot,
         omega_squared=omega_squared,
         omega_xy=_channel(geometry, variance, "omega_x omega_y", free, known),
         omega_xz=_channel(geometry, variance, "omega_x omega_z", free, known),
+        spare_dot=spares("omega_x dot"),
+        spare_squared=spares("omega_x^2"),
         transverse=transverse,
         misplaced=misplaced(geometry),
     )

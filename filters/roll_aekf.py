@@ -23,9 +23,9 @@ from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice, number
 from stillpoint.filters import roll_ekf
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_rate import faced, integrated, predicted, tallied, usable_accel
+from stillpoint.filters.roll_rate import driven, faced, integrated, predicted, tallied
 from stillpoint.filters.roll_sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
-from stillpoint.filters.roll_start import rate_variance
+from stillpoint.filters.roll_start import is_sound, rate_variance
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,15 @@ def correct(
     rate: float, var: float, residual: float, r: float, alpha: float, fade: float, twice: bool
 ) -> tuple[float, float, float]:
     """(20)-(22): rate, its variance, and the share of its error that is left."""
-    h = rate + rate
-    faded = fade * var
-    gain = fade / alpha * (faded if twice else var) * h / (h * (faded if twice else var) * h + r)
-    left = like(rate, 1.0) - gain * h
+    h, one, zero = rate + rate, like(rate, 1.0), like(rate, 0.0)
+    faded, of_rate = fade * var, h * var * h
+    if twice:
+        gain = fade / alpha * faded * h / (h * faded * h + r)
+        left = one - gain * h
+    else:  # left is 1 - K H, put so that rounding cannot take it below 0: lambda is that of (23) or smaller
+        total = alpha * (of_rate + r)
+        gain = faded * h / total
+        left = (r + max(zero, (alpha - one) * (of_rate + r) - (fade - one) * of_rate)) / total
     return rate + gain * residual, left * faded, left
 
 
@@ -126,8 +131,8 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     if ekf.start.held < c.ekf.room:
         ekf, output = roll_ekf.begin(ekf, sample, c.ekf)
         return State(ekf, squares, seen, n_lost), output
-    dt_s, r = sample.dt_s, c.ekf.process.noise.square_var
-    rate, var = predicted(ekf.roll, ekf.accel_radps2, dt_s, c.ekf.process)
+    dt_s, r = sample.dt_s, c.ekf.process.noise.square_var * sample.square_widened
+    rate, var = predicted(ekf.roll, ekf.drive, dt_s, c.ekf.process.per_step)
     left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
     if sample.has_square:
         h = rate + rate
@@ -141,8 +146,11 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     if not var > like(dt_s, 0.0):
         var, left, n_lost = rate_variance(rate, r), like(dt_s, 0.0), n_lost + 1
     roll, is_turned_over = faced(integrated(ekf.roll, rate, left, var, dt_s), sample.direction)
+    if not is_sound(roll):
+        ekf, output = roll_ekf.begin_anew(ekf, sample, c.ekf)
+        return State(ekf, squares, 0, n_lost), output
     tally = tallied(ekf.tally, sample, is_turned_over)
-    ekf = roll_ekf.State(ekf.start, roll, usable_accel(sample), tally)
+    ekf = roll_ekf.State(ekf.start, roll, driven(sample, c.ekf.process.noise.accel_var), tally)
     return State(ekf, squares, seen, n_lost), RollOutput(roll, innovation, n_lost == 0)
 
 

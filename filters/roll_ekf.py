@@ -22,14 +22,16 @@ from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.roll_noise import RollParams, noise
 from stillpoint.filters.roll_rate import (
     MEDIAN_OF,
+    Drive,
     Process,
     Tally,
+    driven,
     faced,
     integrated,
+    lost,
     no_tally,
     predicted,
     tallied,
-    usable_accel,
 )
 from stillpoint.filters.roll_sample import (
     Roll,
@@ -41,7 +43,7 @@ from stillpoint.filters.roll_sample import (
     no_roll,
     roll_sample_at,
 )
-from stillpoint.filters.roll_start import Start, gather, no_start
+from stillpoint.filters.roll_start import Start, anew, gather, is_sound, no_start
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class State(NamedTuple):
 
     start: Start
     roll: Roll
-    accel_radps2: float  # at the sample before
+    drive: Drive  # by the sample before
     tally: Tally
 
 
@@ -82,16 +84,24 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 def start(c: Coefficients) -> State:
     """Before the first sample."""
     zero = like(c.process.noise.square_var, 0.0)
-    return State(no_start(c.room, zero), no_roll(zero), zero, no_tally())
+    return State(no_start(c.room, zero), no_roll(zero), Drive(zero, c.process.noise.accel_var), no_tally())
 
 
 @compiled
 def begin(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
     """One of the first samples."""
     sense = c.process.noise.sense if sample.direction == 0 else sample.direction
-    begun, roll = gather(state.start, sample, state.accel_radps2, sense, c.process.noise.square_var)
-    state = State(begun, roll, usable_accel(sample), tallied(state.tally, sample, False))
+    square_var = c.process.noise.square_var * sample.square_widened
+    begun, roll = gather(state.start, sample, state.drive.accel_radps2, sense, square_var)
+    state = State(begun, roll, driven(sample, c.process.noise.accel_var), tallied(state.tally, sample, False))
     return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == c.room)
+
+
+@compiled
+def begin_anew(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
+    """After what no body does: from the angle before, with the sample as the first one."""
+    drive = Drive(like(sample.dt_s, 0.0), c.process.noise.accel_var)
+    return begin(State(anew(state.start, state.roll), state.roll, drive, lost(state.tally)), sample, c)
 
 
 @compiled
@@ -99,8 +109,8 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     """Predict by the angular acceleration, correct by the square of the rate."""
     if state.start.held < c.room:
         return begin(state, sample, c)
-    dt_s, r = sample.dt_s, c.process.noise.square_var
-    rate, var = predicted(state.roll, state.accel_radps2, dt_s, c.process)
+    dt_s, r = sample.dt_s, c.process.noise.square_var * sample.square_widened
+    rate, var = predicted(state.roll, state.drive, dt_s, c.process.per_step)
     left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
     if sample.has_square:
         h = rate + rate
@@ -108,10 +118,13 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         gain = var * h / total
         residual = sample.square_rad2ps2 - rate * rate
         left = r / total  # 1 - K H, and never below 0 by rounding
-        rate, var = rate + gain * residual, left * var
+        rate, var = rate + gain * residual, var * r / total
         innovation = residual / sqrt(total)
     roll, is_turned_over = faced(integrated(state.roll, rate, left, var, dt_s), sample.direction)
-    state = State(state.start, roll, usable_accel(sample), tallied(state.tally, sample, is_turned_over))
+    if not is_sound(roll):
+        return begin_anew(state, sample, c)
+    tally = tallied(state.tally, sample, is_turned_over)
+    state = State(state.start, roll, driven(sample, c.process.noise.accel_var), tally)
     return state, RollOutput(roll, innovation, True)
 
 

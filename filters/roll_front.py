@@ -4,9 +4,11 @@ One compiled step for a stream and for the loop over a recording, so both give a
 arithmetic is that of :func:`stillpoint.datasets.spin.measure`, row by row and in double precision.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.spin import SATURATED, Channel, SpinChannels
@@ -17,15 +19,17 @@ from stillpoint.filters.roll_noise import RollParams
 from stillpoint.filters.roll_sample import RollLog, RollSample
 from stillpoint.filters.sample import GAP_S
 
-LARGEST = 1e9  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
+LARGEST = 1e7  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
+LONGEST_S = 3600.0  # a step counts as no longer than that: what the rate was before a gap of hours says nothing
 
 
 class Weights(NamedTuple):
-    """A :class:`stillpoint.datasets.spin.Channel`."""
+    """A :class:`stillpoint.datasets.spin.Channel` by all accelerometers, then without each of them: 1 + k rows."""
 
-    accel: Floats  # (k,)
-    products: tuple[float, float, float]
-    variance: float
+    accel: Floats  # (1 + k, k)
+    products: Floats  # (1 + k, 3)
+    variance: Floats  # (1 + k,)
+    is_there: NDArray[np.bool_]  # (1 + k,) whether such accelerometers fix it
 
 
 class Coefficients(NamedTuple):
@@ -51,12 +55,16 @@ class State(NamedTuple):
     n_spin_gaps: int
     n_lost: int  # samples without a value of an accelerometer that is used
     n_saturated: int  # samples with one at its range
+    n_spared: int  # samples with a channel by the other accelerometers, as one was lost or at its range
 
 
 class Reading(NamedTuple):
     """A channel at one sample."""
 
     value: float
+    widened: float  # its variance by that of all accelerometers together
+    is_usable: bool  # as far as accelerometers go
+    is_spared: bool
     is_lost: bool
     is_saturated: bool
     needs_gyro: bool
@@ -67,10 +75,10 @@ def coefficients(by: SpinChannels, params: RollParams, precision: Precision) -> 
     limits = by.geometry.accel_range_mps2
     k = len(by.geometry.accel_r_b_m)
     return Coefficients(
-        _weights(by.omega_dot, k),
-        _weights(by.omega_squared, k),
-        _weights(by.omega_xy, k),
-        _weights(by.omega_xz, k),
+        _weights(by.omega_dot, by.spare_dot),
+        _weights(by.omega_squared, by.spare_squared),
+        _weights(by.omega_xy, (None,) * k),
+        _weights(by.omega_xz, (None,) * k),
         np.array(by.transverse),
         np.array(axial_weights(by)),
         np.full(k, np.inf) if limits is None else SATURATED * limits,
@@ -79,17 +87,20 @@ def coefficients(by: SpinChannels, params: RollParams, precision: Precision) -> 
     )
 
 
-def _weights(channel: Channel | None, k: int) -> Weights:
-    if channel is None:
-        return Weights(np.zeros(k), (0.0, 0.0, 0.0), 0.0)
-    y, z, yz = channel.products.tolist()
-    return Weights(np.array(channel.accel), (y, z, yz), channel.variance)
+def _weights(channel: Channel | None, spares: Sequence[Channel | None]) -> Weights:
+    rows = [channel, *spares]
+    return Weights(
+        np.array([np.zeros(len(spares)) if row is None else row.accel for row in rows]),
+        np.array([np.zeros(3) if row is None else row.products for row in rows]),
+        np.array([0.0 if row is None else row.variance for row in rows]),
+        np.array([row is not None for row in rows]),
+    )
 
 
 @compiled
 def start() -> State:
     """Before the first sample."""
-    return State(-1, Evidence(0.0, 0.0), 0, 0, 0, 0)
+    return State(-1, Evidence(0.0, 0.0), 0, 0, 0, 0, 0)
 
 
 @compiled
@@ -117,23 +128,48 @@ def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
 
 
 @compiled
-def read(weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, limits_mps2: Floats) -> Reading:
-    """A channel by the accelerometers (N, k) of row ``k`` and the rates about y and z."""
-    total, is_lost, is_saturated = 0.0, False, False
-    for i in range(len(weights.accel)):
-        if weights.accel[i] != 0.0:
+def unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients) -> tuple[int, int]:
+    """How many accelerometers with a weight (k,) are lost or at their range in row ``k``, and the last of them."""
+    count, last = 0, 0
+    for i in range(len(weights)):
+        size = abs(usable(accel_mps2[k, i], np.nan))
+        if weights[i] != 0.0 and (not size < LARGEST or (c.skips_saturated and size >= c.limits_mps2[i])):
+            count, last = count + 1, i
+    return count, last
+
+
+@compiled
+def read(weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, c: Coefficients) -> Reading:
+    """A channel by the accelerometers (N, k) of row ``k`` and the rates about y and z.
+
+    Where one of the accelerometers may not be used and the others fix the channel, it is by them.
+    """
+    is_lost, is_saturated = False, False
+    for i in range(len(weights.accel[0])):
+        if weights.accel[0, i] != 0.0:
             value = usable(accel_mps2[k, i], np.nan)
-            total += weights.accel[i] * value
             is_lost |= not abs(value) < LARGEST
-            is_saturated |= abs(value) >= limits_mps2[i]
-    of_yy, of_zz, of_yz = weights.products
+            is_saturated |= abs(value) >= c.limits_mps2[i]
+    row = 0
+    missing, last = unusable(weights.accel[0], accel_mps2, k, c)
+    if missing == 1 and weights.is_there[1 + last]:
+        row = 1 + last
+        missing, last = unusable(weights.accel[row], accel_mps2, k, c)
+    total = 0.0
+    for i in range(len(weights.accel[row])):
+        if weights.accel[row, i] != 0.0:
+            total += weights.accel[row, i] * usable(accel_mps2[k, i], np.nan)
+    of_yy, of_zz, of_yz = weights.products[row, 0], weights.products[row, 1], weights.products[row, 2]
     if of_yy != 0.0:
         total += of_yy * (rate_y * rate_y)
     if of_zz != 0.0:
         total += of_zz * (rate_z * rate_z)
     if of_yz != 0.0:
         total += of_yz * (rate_y * rate_z)
-    return Reading(total, is_lost, is_saturated, of_yy != 0.0 or of_zz != 0.0 or of_yz != 0.0)
+    needs_gyro = of_yy != 0.0 or of_zz != 0.0 or of_yz != 0.0
+    widened = weights.variance[row] / weights.variance[0] if row > 0 else 1.0
+    is_usable = missing == 0
+    return Reading(total, widened, is_usable, is_usable and row > 0, is_lost, is_saturated, needs_gyro)
 
 
 @compiled
@@ -144,25 +180,29 @@ def step(
     zero = c.zero
     if t_ns <= state.t_ns:
         late = state.n_out_of_order + 1
-        kept = State(state.t_ns, state.evidence, late, state.n_spin_gaps, state.n_lost, state.n_saturated)
-        return kept, RollSample(zero, zero, zero, False, False, 0), False
-    dt_s = (t_ns - state.t_ns) / 1e9 if state.t_ns >= 0 else 0.0
+        kept = State(
+            state.t_ns, state.evidence, late, state.n_spin_gaps, state.n_lost, state.n_saturated, state.n_spared
+        )
+        return kept, RollSample(zero, zero, zero, zero, zero, False, False, 0), False
+    dt_s = min((t_ns - state.t_ns) / 1e9, LONGEST_S) if state.t_ns >= 0 else 0.0
     rate_y, rate_z = rate_about(c.transverse[0], gyro_radps, k), rate_about(c.transverse[1], gyro_radps, k)
-    dot = read(c.omega_dot, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
-    square = read(c.omega_squared, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
+    dot = read(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
+    square = read(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)
     shown, var = 0.0, 0.0
     for weights, rate in ((c.omega_xy, rate_y), (c.omega_xz, rate_z)):
-        product = read(weights, accel_mps2, k, rate_y, rate_z, c.limits_mps2)
+        product = read(weights, accel_mps2, k, rate_y, rate_z, c)
         if not product.is_lost:
-            shown, var = shown + product.value * rate, var + weights.variance * rate * rate
+            shown, var = shown + product.value * rate, var + weights.variance[0] * rate * rate
     evidence, direction = facing(state.evidence, rate_about(c.axial, gyro_radps, k), shown, var)
     no_gyro = lacks_gyro(gyro_radps, k, c)
     sample = RollSample(
         like(zero, dt_s),
         like(zero, dot.value),
         like(zero, square.value),
-        is_good(dot, no_gyro, c.skips_saturated),
-        is_good(square, no_gyro, c.skips_saturated),
+        like(zero, dot.widened),
+        like(zero, square.widened),
+        is_good(dot, no_gyro),
+        is_good(square, no_gyro),
         direction,
     )
     after = State(
@@ -172,14 +212,15 @@ def step(
         state.n_spin_gaps + (1 if dt_s > GAP_S else 0),
         state.n_lost + (1 if dot.is_lost or square.is_lost else 0),
         state.n_saturated + (1 if dot.is_saturated or square.is_saturated else 0),
+        state.n_spared + (1 if dot.is_spared or square.is_spared else 0),
     )
     return after, sample, True
 
 
 @compiled
-def is_good(reading: Reading, no_gyro: bool, skips_saturated: bool) -> bool:
+def is_good(reading: Reading, no_gyro: bool) -> bool:
     """Whether a channel may be used."""
-    return not (reading.is_lost or (reading.is_saturated and skips_saturated) or (reading.needs_gyro and no_gyro))
+    return reading.is_usable and not (reading.needs_gyro and no_gyro)
 
 
 @compiled
@@ -187,6 +228,8 @@ def run(t_ns: Times, accel_mps2: Floats, gyro_radps: Floats, state: State, c: Co
     """Every sample of a recording, whose time rises: what the estimator gets."""
     n, zero = len(t_ns), c.zero
     log = RollLog(
+        np.full(n, zero),
+        np.full(n, zero),
         np.full(n, zero),
         np.full(n, zero),
         np.full(n, zero),
@@ -201,6 +244,7 @@ def run(t_ns: Times, accel_mps2: Floats, gyro_radps: Floats, state: State, c: Co
             sample.accel_radps2,
             sample.square_rad2ps2,
         )
+        log.accel_widened[k], log.square_widened[k] = sample.accel_widened, sample.square_widened
         log.has_accel[k], log.has_square[k] = sample.has_accel, sample.has_square
         log.direction[k] = sample.direction
     return state, log

@@ -84,6 +84,14 @@ def no_refusals(zero: float) -> Refusals:
 
 
 @compiled
+def cleared(window: Window, refusals: Refusals, accels: Accels) -> tuple[Window, Refusals, Accels]:
+    """The guards of a filter that begins anew; what was counted stays."""
+    zero = like(accels.left_out_radps2, 0.0)
+    after = Accels(accels.values_radps2, 0, zero, 0, zero, accels.n_accel_refused)
+    return Window(window.squares, 0), passed(refusals), after
+
+
+@compiled
 def passed(before: Refusals) -> Refusals:
     """After an observation that was used."""
     arrays = before.rates_radps, before.scratch_radps
@@ -160,5 +168,14 @@ def without_stuck(sample: RollSample, before: Repeats, stuck: int) -> tuple[Roll
     n_stuck = before.n_stuck
     if has_accel != sample.has_accel or has_square != sample.has_square:
         n_stuck += 1
-    kept = RollSample(sample.dt_s, accel, square, has_accel, has_square, sample.direction)
+    kept = RollSample(
+        sample.dt_s,
+        accel,
+        square,
+        sample.accel_widened,
+        sample.square_widened,
+        has_accel,
+        has_square,
+        sample.direction,
+    )
     return kept, Repeats(square, squares, accel, accels, n_stuck)

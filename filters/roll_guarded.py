@@ -28,6 +28,7 @@ from stillpoint.filters.roll_guard import (
     Refusals,
     Repeats,
     Window,
+    cleared,
     ended,
     median_refused,
     no_accels,
@@ -41,7 +42,7 @@ from stillpoint.filters.roll_guard import (
     without_stuck,
 )
 from stillpoint.filters.roll_noise import Noise, RollParams, noise
-from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, no_tally, tallied
+from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, lost, no_tally, tallied
 from stillpoint.filters.roll_sample import (
     Roll,
     RollLog,
@@ -53,7 +54,7 @@ from stillpoint.filters.roll_sample import (
     roll_sample_at,
     turned,
 )
-from stillpoint.filters.roll_start import MEDIAN_VAR, Start, gather, no_start, rate_variance, root
+from stillpoint.filters.roll_start import MEDIAN_VAR, Start, anew, gather, is_sound, no_start, rate_variance, root
 
 HELD_S = 0.1  # an angular acceleration stands for no longer than that
 
@@ -178,25 +179,38 @@ def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> 
 
 
 @compiled
-def corrected(roll: Roll, bias: Bias, residual: float, total: float) -> tuple[Roll, Bias]:
-    """All states by an observation whose residual has the variance ``total``; H = (0, 2 rate, 0)."""
+def left_of(var: float, cov: float, share: float, left: float) -> float:
+    """A variance after an update of the rate: what the rate does not explain of it stays, of the rest ``left``.
+
+    ``share`` is its covariance ``cov`` with the rate over that one's variance. Rounding cannot take it below 0.
+    """
+    explained = share * cov
+    return max(var - explained, like(var, 0.0)) + left * explained
+
+
+@compiled
+def corrected(roll: Roll, bias: Bias, residual: float, noise_var: float) -> tuple[Roll, Bias]:
+    """All states by an observation with its residual; H = (0, 2 rate, 0)."""
     h = roll.rate_radps + roll.rate_radps
+    of_rate = h * roll.rate_var * h
+    total = of_rate + noise_var
     along = h * residual / total
-    less = h * h / total
+    left = noise_var / total  # 1 - K H
+    of_angle, of_bias = roll.cross_var / roll.rate_var, bias.rate_cov / roll.rate_var
     turns, rest = turned(roll.turns, roll.rest_rad + roll.cross_var * along)
     after = Roll(
         turns,
         rest,
         roll.rate_radps + roll.rate_var * along,
-        roll.angle_var - less * roll.cross_var * roll.cross_var,
-        roll.cross_var * (like(less, 1.0) - less * roll.rate_var),
-        roll.rate_var * (like(less, 1.0) - less * roll.rate_var),
+        left_of(roll.angle_var, roll.cross_var, of_angle, left),
+        roll.cross_var * left,
+        roll.rate_var * left,
     )
     return after, Bias(
         bias.accel_radps2 + bias.rate_cov * along,
-        bias.angle_cov - less * roll.cross_var * bias.rate_cov,
-        bias.rate_cov * (like(less, 1.0) - less * roll.rate_var),
-        bias.var - less * bias.rate_cov * bias.rate_cov,
+        bias.angle_cov - of_rate / total * of_angle * bias.rate_cov,
+        bias.rate_cov * left,
+        left_of(bias.var, bias.rate_cov, of_bias, left),
     )
 
 
@@ -207,10 +221,12 @@ def observed(
     """Judge an observation by its innovation, then correct by it or leave it out; also the normalised innovation."""
     rate = roll.rate_radps
     residual = sample.square_rad2ps2 - rate * rate
-    expected = like(rate, 4.0) * rate * rate * roll.rate_var + c.noise.square_var
+    square_var = c.noise.square_var * sample.square_widened
+    expected = like(rate, 4.0) * rate * rate * roll.rate_var + square_var
     window, alpha = widened(window, residual, expected, c.least_alpha, c.largest_alpha)
     if residual * residual <= c.gate * alpha * expected:
-        roll, bias = corrected(roll, bias, residual, alpha * expected)
+        noise_var = (alpha - like(alpha, 1.0)) * expected + square_var
+        roll, bias = corrected(roll, bias, residual, noise_var)
         refusals = passed(refusals)
     else:
         refusals = refused(refusals, root(sample.square_rad2ps2), sample.dt_s)
@@ -223,8 +239,9 @@ def pushed(state: State, sample: RollSample, c: Coefficients) -> tuple[Push, Acc
     zero = like(sample.dt_s, 0.0)
     if not sample.has_accel:
         return Push(zero, c.unknown_var, False), state.accels, zero
-    accels, accel, is_own, owed = without_jump(state.accels, sample, c.accel_gate_var, state.refusals.scratch_radps)
-    return Push(accel, c.noise.accel_var if is_own else c.unknown_var, True), accels, owed
+    gate_var, scratch = c.accel_gate_var * sample.accel_widened, state.refusals.scratch_radps
+    accels, accel, is_own, owed = without_jump(state.accels, sample, gate_var, scratch)
+    return Push(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True), accels, owed
 
 
 @compiled
@@ -246,11 +263,22 @@ def restarted(state: State, c: Coefficients) -> State:
 def begin(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
     """One of the first samples."""
     sense = c.noise.sense if sample.direction == 0 else sample.direction
-    begun, roll = gather(state.start, sample, state.push.accel_radps2, sense, c.noise.square_var)
+    square_var = c.noise.square_var * sample.square_widened
+    begun, roll = gather(state.start, sample, state.push.accel_radps2, sense, square_var)
     push, accels, _ = pushed(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
     state = State(begun, roll, state.bias, push, *guards, tallied(state.tally, sample, False))
     return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == MEDIAN_OF)
+
+
+@compiled
+def begin_anew(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
+    """After what no body does: from the angle before, with the sample as the first one."""
+    zero = like(sample.dt_s, 0.0)
+    bias, push = Bias(zero, zero, zero, c.bias_var), Push(zero, zero, False)
+    guards = cleared(state.window, state.refusals, state.accels)
+    state = State(anew(state.start, state.roll), state.roll, bias, push, *guards, repeats, lost(state.tally))
+    return begin(state, sample, repeats, c)
 
 
 @compiled
@@ -268,6 +296,8 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     roll = Roll(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
     if sample.has_square:
         roll, bias, window, refusals, innovation = observed(roll, bias, window, refusals, sample, c)
+    if not is_sound(roll):
+        return begin_anew(state, sample, repeats, c)
     roll, is_turned_over = faced(roll, sample.direction)
     if is_turned_over:
         bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)

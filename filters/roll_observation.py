@@ -66,7 +66,7 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     rate, left, var = before.rate_radps, like(dt_s, 1.0), before.rate_var
     if sample.has_square:
         rate, left = like(dt_s, sense) * root(sample.square_rad2ps2), like(dt_s, 0.0)
-        var = rate_variance(rate, c.noise.square_var)
+        var = rate_variance(rate, c.noise.square_var * sample.square_widened)
     begun = state.begun or sample.has_square
     roll = Roll(0, like(dt_s, 0.0), rate, like(dt_s, 0.0), like(dt_s, 0.0), var)
     if state.begun:

@@ -19,6 +19,14 @@ class Tally(NamedTuple):
     n_no_accel: int  # samples whose angular acceleration is missing: counted as none
     n_no_square: int  # samples without an update
     n_turned_over: int  # times that the sense of the spin was found to be the other one
+    n_begun_anew: int  # times that rate or variance left what any body or sensor has
+
+
+class Drive(NamedTuple):
+    """The angular acceleration that drives the next interval."""
+
+    accel_radps2: float
+    var: float
 
 
 class Process(NamedTuple):
@@ -31,7 +39,7 @@ class Process(NamedTuple):
 @compiled
 def no_tally() -> Tally:
     """Nothing yet."""
-    return Tally(0, 0, 0)
+    return Tally(0, 0, 0, 0)
 
 
 @compiled
@@ -41,20 +49,29 @@ def tallied(tally: Tally, sample: RollSample, is_turned_over: bool) -> Tally:
         tally.n_no_accel + (0 if sample.has_accel else 1),
         tally.n_no_square + (0 if sample.has_square else 1),
         tally.n_turned_over + (1 if is_turned_over else 0),
+        tally.n_begun_anew,
     )
 
 
 @compiled
-def usable_accel(sample: RollSample) -> float:
-    """The angular acceleration at this sample, 0 where it is missing."""
-    return sample.accel_radps2 if sample.has_accel else like(sample.dt_s, 0.0)
+def lost(tally: Tally) -> Tally:
+    """One start anew more."""
+    return Tally(tally.n_no_accel, tally.n_no_square, tally.n_turned_over, tally.n_begun_anew + 1)
 
 
 @compiled
-def predicted(roll: Roll, accel_radps2: float, dt_s: float, process: Process) -> tuple[float, float]:
+def driven(sample: RollSample, accel_var: float) -> Drive:
+    """By the angular acceleration at this sample, 0 where it is missing."""
+    if not sample.has_accel:
+        return Drive(like(sample.dt_s, 0.0), accel_var)
+    return Drive(sample.accel_radps2, accel_var * sample.accel_widened)
+
+
+@compiled
+def predicted(roll: Roll, drive: Drive, dt_s: float, per_step: bool) -> tuple[float, float]:
     """(12): rate and its variance, by the angular acceleration at the sample before."""
-    q = process.noise.accel_var
-    return roll.rate_radps + dt_s * accel_radps2, roll.rate_var + (dt_s * dt_s * q if process.per_step else q)
+    q = dt_s * dt_s * drive.var if per_step else drive.var
+    return roll.rate_radps + dt_s * drive.accel_radps2, roll.rate_var + q
 
 
 @compiled

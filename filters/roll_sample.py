@@ -23,6 +23,8 @@ class RollSample(NamedTuple):
     dt_s: float  # since the sample before
     accel_radps2: float  # angular acceleration at the stamp
     square_rad2ps2: float  # square of the rate; negative where its noise is larger than it
+    accel_widened: float  # its variance by that which all accelerometers together leave it: 1, or more without one
+    square_widened: float
     has_accel: bool
     has_square: bool
     direction: int  # +1, -1: the sense of the spin by gyros or further accelerometers; 0 where nothing tells
@@ -53,6 +55,8 @@ class RollLog(NamedTuple):
     dt_s: Floats
     accel_radps2: Floats
     square_rad2ps2: Floats
+    accel_widened: Floats
+    square_widened: Floats
     has_accel: NDArray[np.bool_]
     has_square: NDArray[np.bool_]
     direction: NDArray[np.int64]
@@ -91,6 +95,8 @@ def roll_sample_at(log: RollLog, k: int) -> RollSample:
         log.dt_s[k],
         log.accel_radps2[k],
         log.square_rad2ps2[k],
+        log.accel_widened[k],
+        log.square_widened[k],
         log.has_accel[k],
         log.has_square[k],
         log.direction[k],

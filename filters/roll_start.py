@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.roll_sample import Roll, RollSample, turned
 
+MOST_RADPS, MOST_VAR = 1e8, 1e15  # rate and its variance: beyond, squares of squares leave single precision
 MEDIAN_VAR = 1.5708  # pi / 2: the variance of a median over that of the mean, for normal noise
 
 
@@ -25,12 +26,31 @@ class Start(NamedTuple):
     gained_radps: float  # by the angular acceleration, since the first sample
     gained_rad: float
     elapsed_s: float
+    turns: int  # where the angle begins
+    rest_rad: float
+    angle_var: float
 
 
 @compiled
 def no_start(room: int, zero: float) -> Start:
     """Before the first sample; ``zero`` gives the precision."""
-    return Start(np.full(room, zero), 0, zero, zero, zero)
+    return Start(np.full(room, zero), 0, zero, zero, zero, 0, zero, zero)
+
+
+@compiled
+def anew(start: Start, roll: Roll) -> Start:
+    """As before the first sample, with the angle as it is."""
+    zero = like(roll.rest_rad, 0.0)
+    return Start(start.rates_radps, 0, zero, zero, zero, roll.turns, roll.rest_rad, roll.angle_var)
+
+
+@compiled
+def is_sound(roll: Roll) -> bool:
+    """Whether it is one of a body: no absurd values have led beyond all bounds, or to numbers that are none."""
+    rate, var = roll.rate_radps, roll.rate_var
+    is_finite = abs(roll.rest_rad) < np.inf and roll.angle_var < np.inf and abs(roll.cross_var) < np.inf
+    is_positive = var > like(var, 0.0) and roll.angle_var >= like(var, 0.0)
+    return is_finite and is_positive and abs(rate) < like(rate, MOST_RADPS) and var < like(var, MOST_VAR)
 
 
 @compiled
@@ -70,7 +90,7 @@ def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, sq
 
     ``accel_radps2`` is of the sample before; ``sense`` is +1 or -1, the sense of the spin.
     """
-    rates, held, gained, gained_rad, elapsed_s = start
+    rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = start
     dt_s, sign = sample.dt_s, like(sample.dt_s, sense)
     half = like(dt_s, 0.5)
     gained_rad += dt_s * (gained + half * dt_s * accel_radps2)
@@ -79,12 +99,12 @@ def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, sq
     if sample.has_square:
         insert(rates, held, root(sample.square_rad2ps2) - sign * gained)
         held += 1
-    start = Start(rates, held, gained, gained_rad, elapsed_s)
+    start = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var)
     zero = like(dt_s, 0.0)
     first = sign * median(rates, held) if held > 0 else zero
     rate = first + gained
     var = rate_variance(rate, square_var)
     if held > 1:
         var *= like(var, MEDIAN_VAR) / like(var, held)
-    turns, rest = turned(0, first * elapsed_s + gained_rad)
-    return start, Roll(turns, rest, rate, var * elapsed_s * elapsed_s, var * elapsed_s, var)
+    turns, rest = turned(turns, rest + first * elapsed_s + gained_rad)
+    return start, Roll(turns, rest, rate, angle_var + var * elapsed_s * elapsed_s, var * elapsed_s, var)

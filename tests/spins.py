@@ -8,12 +8,20 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Encoder, Recording, Spin, SpinGeometry
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.spin_sensor import noisy
+from stillpoint.datasets.simulate import spin as simulated
+from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
+from stillpoint.datasets.simulate.spin_sensor import SpinSensor, noisy
 from stillpoint.datasets.spin import BENCH
+from stillpoint.datasets.trajectory import RollReference
+from stillpoint.smoother.roll_params import RollCalibration, RollGraphParams, RollNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
 VARIABLE = {"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0}  # R = 40, Q = 12
 QUIET = noisy("quiet", 0.06, 0.13, 0.08)
+RIG = RollGraphParams(calibration=RollCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
+GIVEN = RollNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
+X, Y, Z = np.eye(3)
+SQUARE = SpinGeometry(np.array([0.1 * Z, 0.5 * Z]), np.array([Z, -Y]), np.empty((0, 3)), None, fixed_axis=True)
 
 Floats = NDArray[np.float64]
 
@@ -43,3 +51,25 @@ def exact(
     gyros = np.empty((len(t_s), 0)) if gyro is None else gyro(t_s)[:, None]
     truth = Encoder(t_ns, np.interp(t_s, fine_s, angle), rate(t_s))
     return Recording("exact", spin=Spin(t_ns, columns, gyros, geometry), roll_truth=truth)
+
+
+def tilted(tilt_deg: float, seed: int, geometry: SpinGeometry = BENCH, wrong: bool = True) -> Recording:
+    """The constant bench on a tilted shaft; biases and arms are wrong as RIG's prior says, one draw per recording."""
+    white = PRESETS["white"]
+    errors = {"bias_mg": 0.1 / 9.80665e-3, "arm_error": 1e-3} if wrong else {}
+    radial, tangential = replace(white.radial, **errors), replace(white.tangential, **errors)
+    sensor: SpinSensor = replace(white, name="tilted", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
+    return simulated.spinning("tilted", replace(simulated.CONSTANT, geometry=geometry), sensor, seed, 0.5, 250.0)
+
+
+def absolute_error(made: RollReference, recording: Recording) -> Floats:
+    """Of the angle, whole turns aside."""
+    assert recording.roll_truth is not None
+    error = made.angle_rad - recording.roll_truth.angle_rad
+    return np.asarray(error - 2 * np.pi * np.round(np.median(error) / (2 * np.pi)))
+
+
+def known(noise: RollNoise) -> RollGraphParams:
+    """Nothing is unknown but the rate."""
+    calibration = RollCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
+    return RollGraphParams(noise=noise, calibration=calibration, rate_limit_radps=1e-9)

@@ -175,9 +175,8 @@ def test_prediction_and_correction_are_those_of_the_matrices(root, residual, acc
     assert state == pytest.approx(f @ before + np.array([t * t / 2, t, 0]) * accel, abs=1e-12)
     assert found == pytest.approx(f @ cov @ f.T + noise, abs=1e-10)
     h = np.array([0.0, 6.0, 0.0])
-    total = h @ cov @ h + 80.0
-    state, found = as_matrices(*corrected(roll, bias, residual, total))
-    gain = cov @ h / total
+    state, found = as_matrices(*corrected(roll, bias, residual, 80.0))
+    gain = cov @ h / (h @ cov @ h + 80.0)
     assert state == pytest.approx(before + gain * residual, abs=1e-12)
     assert found == pytest.approx((np.eye(3) - np.outer(gain, h)) @ cov, abs=1e-10)
 

@@ -1,0 +1,69 @@
+"""The sense of a spin: by gyros, by further accelerometers, or assumed and said; and through zero."""
+
+import numpy as np
+import pytest
+from spins import CONSTANT, exact
+
+from stillpoint.datasets import Recording
+from stillpoint.datasets.recording import Spin, SpinGeometry
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
+from stillpoint.filters import estimate
+from stillpoint.filters.table import ROLLS
+
+
+def with_gyro(sense: float) -> Recording:
+    """The bench with a gyro about the axis that saturates at 17 rad/s, spinning at 30 rad/s."""
+    geometry = SpinGeometry(BENCH.accel_r_b_m, BENCH.accel_axis_b, np.array([[1.0, 0, 0]]), fixed_axis=True)
+    return exact(
+        lambda t: np.full(len(t), 30 * sense),
+        np.zeros_like,
+        geometry=geometry,
+        gyro=lambda t: np.full(len(t), 17 * sense),
+    )
+
+
+@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_saturated_gyro_still_tells_the_sense(name, sense):
+    found = estimate(with_gyro(sense), name, CONSTANT)
+    assert found.rate_radps == pytest.approx(30 * sense, rel=1e-9)
+    assert found.angle_rad[-1] == pytest.approx(sense * 30 * 0.004 * 999, rel=1e-6)
+    assert "gyro" in found.diagnostics["direction"]
+
+
+@pytest.mark.parametrize("name", ROLLS)
+def test_without_it_the_sense_is_assumed_and_said(name):
+    recording = exact(lambda t: np.full(len(t), -30.0), np.zeros_like)
+    assert estimate(recording, name, CONSTANT).rate_radps[-1] == pytest.approx(30)
+    assert estimate(recording, name, CONSTANT).diagnostics["direction"].startswith("assumed positive")
+    assert estimate(recording, name, {"direction": "negative"}).rate_radps[-1] == pytest.approx(-30)
+
+
+def test_the_sense_is_seen_by_an_accelerometer_off_the_plane():
+    """An accelerometer along y at r_x = 0.2 m reads r_x w_x w_y + r_x w_z' - ...; beside w_y it has the sign of w_x."""
+    geometry = FIVE_ACCELEROMETERS
+    arms = np.vstack([geometry.accel_r_b_m, [0.2, 0, 0], [-0.2, 0, 0], [0, 0.2, 0]])
+    axes = np.vstack([geometry.accel_axis_b, [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]])
+    wide = SpinGeometry(arms, axes, geometry.gyro_axis_b)
+    assert channels(wide).omega_xy is not None or channels(wide).omega_xz is not None
+    t_s = np.arange(0, 2, 0.004)
+    for sense in (1.0, -1.0):
+        rate = np.column_stack([np.full(len(t_s), 30 * sense), 0.5 * np.ones(len(t_s)), 0.3 * np.ones(len(t_s))])
+        felt = [
+            specific_force(arm, np.zeros(3), rate, np.zeros(3)) @ axis for arm, axis in zip(arms, axes, strict=True)
+        ]
+        t_ns = np.round(t_s * 1e9).astype(np.int64)
+        found = estimate(Recording("wide", spin=Spin(t_ns, np.column_stack(felt), rate[:, 1:], wide)), "roll-ekf")
+        assert found.rate_radps[-1] == pytest.approx(30 * sense, rel=1e-3)
+        assert "products" in found.diagnostics["direction"]
+
+
+def test_a_filter_goes_through_zero_by_the_angular_acceleration_and_says_so():
+    """From 12 to -12 rad/s: the EKF's gain vanishes with the rate, so it comes out on the right side; the observation
+    cannot. Within sqrt(sqrt(R)) = 3 rad/s, half a second of two, the square tells nothing."""
+    recording = exact(lambda t: 12 - 12 * t, lambda t: np.full(len(t), -12.0), seconds=2)
+    ekf = estimate(recording, "roll-ekf", CONSTANT)
+    assert ekf.rate_radps == pytest.approx(recording.roll_truth.rate_radps, abs=1e-6)
+    assert ekf.diagnostics["n_near_zero"] == pytest.approx(0.5 * 250, abs=3)
+    raw = estimate(recording, "roll-obs", CONSTANT)
+    assert raw.rate_radps == pytest.approx(np.abs(recording.roll_truth.rate_radps), abs=1e-6)
