@@ -88,9 +88,9 @@ def test_small_errors_keep_their_digits():
     q = quaternion(Rotation.from_euler("ZYX", [[0.3, -0.7, 2.0]]))
     turned = quaternion(Rotation.from_rotvec([0.0, 3e-10, 4e-10]) * rotation(q))
     error = attitude_error(turned, q)
-    assert error.total_rad == pytest.approx(5e-10, rel=1e-5)
-    assert error.heading_rad == pytest.approx(4e-10, rel=1e-5)
-    assert error.inclination_rad == pytest.approx(3e-10, rel=1e-5)
+    assert error.total_rad == pytest.approx(5e-10, rel=1e-5, abs=0)
+    assert error.heading_rad == pytest.approx(4e-10, rel=1e-5, abs=0)
+    assert error.inclination_rad == pytest.approx(3e-10, rel=1e-5, abs=0)
 
 
 @pytest.mark.parametrize(("frame", "sign"), [("enu", 1), ("nwu", -1), ("ned", -1)])
