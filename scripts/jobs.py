@@ -2,9 +2,12 @@
 
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -48,18 +51,40 @@ def run_jobs(
                 outcomes[place] = _caught(function, item)
                 progress.advance(task)
             return outcomes
-        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-            places: dict[Future[Outcome[Result]], int] = {
-                pool.submit(_caught, function, item): place for place, item in enumerate(items)
-            }
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=_end_when_told) as pool:
+            with _interrupt_later():
+                places: dict[Future[Outcome[Result]], int] = {
+                    pool.submit(_caught, function, item): place for place, item in enumerate(items)
+                }
             try:
                 for future in as_completed(places):
                     outcomes[places[future]] = _result(future)
                     progress.advance(task)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
+                for worker in multiprocessing.active_children():
+                    worker.terminate()
                 raise
     return outcomes
+
+
+@contextmanager
+def _interrupt_later() -> Iterator[None]:
+    """Hold Ctrl-C back. Processes begun meanwhile never see it, and leave it to this one to end them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_when_told() -> None:
+    """In a worker: unwind on SIGTERM, so that a file that is being written is taken away."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
 def _caught(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:

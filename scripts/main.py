@@ -4,6 +4,7 @@ Exit codes: 0 done; 2 the user can put it right (one line on stderr); 1 a defect
 Verbs are imported when they are called, so that ``stillpoint --help`` loads neither numpy nor numba nor gtsam.
 """
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -60,8 +61,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0]} --help")
     except KeyboardInterrupt:
         sys.exit(130)
-    except BrokenPipeError:
-        sys.stderr.close()
+    except (BrokenPipeError, SystemExit) as end:
+        broken = end if isinstance(end, BrokenPipeError) else end.__context__  # rich makes an exit of it
+        if not isinstance(broken, BrokenPipeError):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing is left to be flushed at exit
         sys.exit(0)
     except Exception as error:
         from stillpoint.datasets.errors import StillpointError

@@ -1,6 +1,7 @@
 """The root of the command line: one line and exit code 2 for what the user can put right, and a light help page."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -166,6 +167,19 @@ def test_interrupt_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit) as stop:
         command.main(["info", "x"])
     assert stop.value.code == 130
+
+
+@pytest.mark.parametrize("words", [["info", "."], ["export", "."], ["--help"]])
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path, words: list[str]) -> None:
+    """The output is closed before the first line is written, as behind ``| head -0``."""
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.mcap", simulate("phone-1", minutes=0.6))
+    command_file = Path(sys.executable).with_name("stillpoint")
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    result = subprocess.run([command_file, *words], cwd=tmp_path, stdout=write_end, stderr=subprocess.PIPE, text=True)
+    os.close(write_end)
+    assert (result.returncode, result.stderr.strip()) == (0, "")
 
 
 def test_importing_the_package_leaves_the_name_datasets_free() -> None:
