@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Times
@@ -19,7 +19,7 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 
 AngleZero = Literal["start", "mean", "none"]
 ANGLE_ZEROS: tuple[AngleZero, ...] = get_args(AngleZero)
-SD_95 = float(norm.ppf(0.975))
+SD_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,6 +177,26 @@ def test_transforms_of_changing_number_lie_in_parts(tmp_path):
         topic.column("transforms[0].child_frame_id")
 
 
+def test_a_leaf_that_all_parts_have_is_joined_in_the_order_of_the_messages(tmp_path):
+    """Longer and shorter arrays beside it make parts of the topic; what they share is one column."""
+    name = "sensor_msgs/msg/JointState"
+    bodies = []
+    for k in range(30):
+        message = STORE.types[name](header(T_NS[k], "f" * (k % 4)), [], FIELD[k, :1], np.zeros(k % 3), np.zeros(0))
+        bodies.append(bytes(STORE.serialize_cdr(message, name)))
+    topic = read_log(one_topic(tmp_path / "x.mcap", name, bodies)).topics["/x"]
+    assert len(topic.parts) == 3
+    np.testing.assert_array_equal(topic.column("position"), FIELD[:30, :1])
+    np.testing.assert_array_equal(topic.stamps_ns(), T_NS[:30])
+    assert topic.text("header.frame_id").tolist() == ["f" * (k % 4) for k in range(30)]
+
+
+def test_without_a_header_the_log_times_are_the_stamps(tmp_path):
+    flag = bytes(STORE.serialize_cdr(STORE.types["std_msgs/msg/Bool"](True), "std_msgs/msg/Bool"))
+    topic = read_log(one_topic(tmp_path / "x.mcap", "std_msgs/msg/Bool", [flag] * 3, [5, 7, 9])).topics["/x"]
+    assert topic.stamps_ns().tolist() == [5, 7, 9]
+
+
 def test_sequences_that_change_their_length_are_refused_as_a_column(tmp_path):
     name = "std_msgs/msg/Float64MultiArray"
     layout = STORE.types["std_msgs/msg/MultiArrayLayout"]([], 0)

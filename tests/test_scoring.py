@@ -13,6 +13,7 @@ from swings import as_reference, as_truth, broad, swing
 from stillpoint.datasets import BadParameter, BadRecording, Estimate, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
 from stillpoint.scoring import compare, score
+from stillpoint.scoring.score import CHI2_3_95
 
 
 def test_every_moving_sample_is_scored_or_counted_as_left_out():
@@ -124,6 +125,10 @@ def test_nees_and_coverage_judge_a_covariance(scale, calibrated):
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 3 * 4000) / (3 * 4000)
     assert (low < found.nees_per_dof < high) == calibrated
     assert (0.94 < found.coverage95 < 0.96) == calibrated
+
+
+def test_coverage_counts_up_to_the_95_percent_point_of_chi_square():
+    assert pytest.approx(chi2.ppf(0.95, 3), rel=1e-14) == CHI2_3_95
 
 
 def test_no_covariance_no_consistency():
