@@ -11,7 +11,13 @@ if TYPE_CHECKING:
     from stillpoint.datasets.recording import Recording
 
 GRAVITY_RANGE_MPS2 = (8.0, 12.0)  # a question of units only; a steady bend or braking adds 1-2 m/s^2 to gravity
+GRAVITY_IN = {
+    1.0: "in g: multiply by 9.80665",
+    980.665: "in cm/s^2 (gal): divide by 100",
+    1000.0: "in milli-g: multiply by 0.00980665",
+}
 FIELD_RANGE_UT = (20.0, 70.0)
+FIELD_IN = {1e6: "tesla", 100.0: "gauss", 0.1: "milligauss", 1e-3: "nanotesla"}  # by what to multiply for uT
 STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at rest or close to it
 STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
@@ -29,13 +35,8 @@ def check_units(recording: "Recording") -> None:
             )
         size = still_norm(recording.imu.t_ns, recording.imu.accel_b_mps2, recording.imu.gyro_b_radps)
         if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
-            guess = {
-                0: "in g: multiply by 9.80665",
-                1: "in cm/s^2 (gal): divide by 100",
-                2: "in milli-g: x 0.00980665",
-            }
-            near = np.argmin(np.abs(np.log(max(size, 1e-300) / np.array([1.0, 981.0, 1000.0]))))
-            hint = f"; it looks {guess[int(near)]}" if 0.9 < size / (1.0, 981.0, 1000.0)[near] < 1.1 else ""
+            _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
+            hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
             raise BadRecording(
                 f"{recording.name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
                 "convert it, or set units_unchecked to look at it with the doctor"
@@ -43,10 +44,8 @@ def check_units(recording: "Recording") -> None:
     if recording.mag is not None and not recording.info.mag_uncalibrated:
         size = float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1)))
         if not FIELD_RANGE_UT[0] <= size <= FIELD_RANGE_UT[1]:
-            hint = ""
-            for factor, unit in ((1e6, "tesla"), (100.0, "gauss"), (0.1, "milligauss"), (1e-3, "nanotesla")):
-                if FIELD_RANGE_UT[0] <= size * factor <= FIELD_RANGE_UT[1]:
-                    hint = f"; it looks like {unit}: multiply by {factor:g}"
+            fitting = (factor for factor in FIELD_IN if FIELD_RANGE_UT[0] <= size * factor <= FIELD_RANGE_UT[1])
+            hint = "".join(f"; it looks like {FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
             raise BadRecording(
                 f"{recording.name}: mag.mag_b_ut has a median size of {size:.4g} uT, not 20-70{hint}; "
                 "convert it, or set mag_uncalibrated where the sensor is not calibrated"

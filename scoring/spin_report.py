@@ -1,10 +1,11 @@
 """One self-contained HTML page about a spinning body: angle and rate about its axis, and their errors."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
@@ -58,7 +59,6 @@ def judge_spin(material: SpinMaterial, zero: AngleZero = "start") -> tuple[SpinV
 def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) -> str:
     """The page as text; at least one verdict. The same material gives the same bytes."""
     made: list[RollReference | Estimate] = [*material.references, *material.estimates]
-    names = {id(thing): _name(thing) for thing in made}
     return template("spin_report.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
@@ -72,7 +72,7 @@ def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) 
         ],
         pictures=_pictures(material.recording, verdicts[0]),
         files=dict(material.sha256),
-        params={names[id(thing)]: dict(dotted("", thing.params)) for thing in made},
+        params={_name(thing): dict(dotted("", thing.params)) for thing in made},
         versions=versions(),
     )
 
@@ -156,5 +156,5 @@ def _pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
     return [*shown, sensors]
 
 
-def _drawn_band(comparison: RollComparison, colour: int, zero_ns: int) -> Any:
+def _drawn_band(comparison: RollComparison, colour: int, zero_ns: int) -> Callable[[Sequence[Axes]], None]:
     return lambda axes: draw_error_band(axes, comparison, colour, zero_ns)

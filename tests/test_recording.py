@@ -49,6 +49,9 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: Recording("r", imu(), base_pose=np.ones(4)), "base_pose"),
         (lambda: Recording("r", imu(accel_b_mps2=REST / 9.80665)), "looks in g: multiply by 9.80665"),
         (lambda: Recording("r", imu(accel_b_mps2=REST * 100)), "gal"),
+        (lambda: Recording("r", imu(accel_b_mps2=REST * 1000 / 9.80665)), "milli-g: multiply by 0.00980665"),
+        (lambda: Recording("r", imu(accel_b_mps2=REST * 2)), r"not near 9\.8 m/s\^2; convert it"),
+        (lambda: Recording("r", imu(accel_b_mps2=ZERO)), "is 0 at rest, not near 9.8"),
         (lambda: Recording("r", imu(gyro_b_radps=spoilt(ZERO, 4, 250.0))), "looks like deg/s"),
         (
             lambda: Recording("r", imu(), Mag(T_NS, np.tile([0.2, 0, -0.4], (N, 1)))),
