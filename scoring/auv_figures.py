@@ -18,6 +18,21 @@ RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, a
 Span = tuple[float, float]
 
 
+def draw_mission(axes: Sequence[Axes], series: Series) -> None:
+    """The way over the sea from above, then the depth over time."""
+    east_m, north_m, up_m = series.place_n_m.T
+    axes[0].plot(east_m, north_m, color=rcParams["text.color"], lw=1.2)
+    axes[0].plot([east_m[0], east_m[-1]], [north_m[0], north_m[-1]], color=colour_of(0), marker="o", lw=0)
+    axes[0].set_aspect("equal", adjustable="datalim")
+    axes[0].set_xlabel("east (m)")
+    axes[0].set_ylabel("north (m)")
+    span = (float(series.t_s[0]), float(series.t_s[-1]))
+    _line(axes[1], series, -up_m, span, color=rcParams["text.color"], lw=1.2)
+    axes[1].invert_yaxis()
+    _finish(axes[1], series, span, "depth (m)")
+    axes[1].set_xlabel("time (s)")
+
+
 def draw_angle(
     axes: Sequence[Axes], series: Series, part: int, methods: Mapping[str, int], spans: Sequence[Span]
 ) -> None:

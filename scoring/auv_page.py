@@ -1,11 +1,11 @@
-"""One self-contained HTML page of paper 003's experiment: its figures 6 to 11 redrawn, its tables beside ours."""
+"""One self-contained HTML page of paper 003's experiment: its figures 4 to 11 redrawn, its tables beside ours."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillpoint.scoring.auv_figures import column, draw_angle, draw_gains, draw_heading_errors
+from stillpoint.scoring.auv_figures import column, draw_angle, draw_gains, draw_heading_errors, draw_mission
 from stillpoint.scoring.auv_study import (
     ADAPTIVE,
     FIXED,
@@ -126,6 +126,14 @@ def _pictures(one: Trial) -> list[Picture]:
     headings = {name: COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
     adapted = {name: COLOUR[name] for name in (PRINTED, ADAPTIVE)}
     return [
+        picture(
+            f"The mission ({sea})",
+            "As the paper's figures 4 and 5: from start to end, seen from above, and the depth. Grey: under water.",
+            2,
+            190,
+            lambda axes: draw_mission(axes, series),
+            time_axis=False,
+        ),
         picture(
             f"Roll ({sea})",
             "As the paper's figure 6: the mission, and 30 s on the surface. Grey: under water.",

@@ -92,6 +92,7 @@ class Series:
     course_deg: Floats  # (K,) of valid fixes
     gains: Mapping[str, Gains]  # of the two by least squares
     phases_s: Mapping[str, float]
+    place_n_m: Floats  # (N, 3) true, from where the mission begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +170,7 @@ def measured_deg(recording: Recording) -> Floats:
 
 def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapping[str, Gains]) -> Series:
     assert recording.truth is not None
+    assert recording.truth.position_n_m is not None
     assert recording.gps is not None
     t_ns, gps, truth = recording.require_imu().t_ns, recording.gps, recording.truth
     start_ns = CASPIAN.start_ns
@@ -183,6 +185,7 @@ def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapp
         course_deg=np.rad2deg(wrap(gps.course_rad[gps.valid])),
         gains=adapted,
         phases_s=json.loads(recording.info.extra["phases_s"]),
+        place_n_m=np.column_stack([np.interp(t_ns, truth.t_ns, part) for part in truth.position_n_m.T]),
     )
 
 

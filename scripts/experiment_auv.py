@@ -26,7 +26,7 @@ class _Job:
 def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trials = FIVE) -> None:
     """Roll, pitch, heading and gains of an underwater vehicle over a mission with 600 s under water.
 
-    Writes auv-dolphin.experiment.html (online: auv-dolphin-online.experiment.html): the paper's figures 6 to 11
+    Writes auv-dolphin.experiment.html (online: auv-dolphin-online.experiment.html): the paper's figures 4 to 11
     redrawn, and the numbers of its tables beside those of the complementary filters, the Kalman filter and the gyro.
 
     Parameters

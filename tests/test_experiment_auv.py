@@ -33,7 +33,7 @@ def series(estimated, true=None, measured=None):
     t_s = np.arange(0, 880, 0.1)
     true = np.zeros((len(t_s), 3)) if true is None else true
     measured = np.zeros((len(t_s), 2)) if measured is None else measured
-    return Series(t_s, true, measured, {"x": estimated(t_s)}, t_s[:1], t_s[:1], {}, PHASES)
+    return Series(t_s, true, measured, {"x": estimated(t_s)}, t_s[:1], t_s[:1], {}, PHASES, true)
 
 
 def test_errors_of_an_angle_are_taken_where_they_count():
@@ -109,9 +109,9 @@ def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
     for method in METHODS:
         assert method.name in out
         assert method.name in page
-    for number in ("6", "7", "8", "9", "10", "11"):
-        assert f"paper's figure {number}" in page.replace("&#39;", "'")
-    assert page.count("<svg") == 2 * 6
+    for number in ("s 4 and 5", " 6", " 7", " 8", " 9", " 10", " 11"):
+        assert f"paper's figure{number}" in page.replace("&#39;", "'")
+    assert page.count("<svg") == 2 * 7
     assert "<script" not in page
     assert "http" not in page.replace("http://www.w3.org", "")
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
