@@ -76,9 +76,14 @@ class Reference:
         cov = check_floats("reference", "cov_b_rad2", self.cov_b_rad2, (len(t), 3, 3))
         bias = check_floats("reference", "gyro_bias_b_radps", self.gyro_bias_b_radps, (len(t), 3))
         rests = np.asarray(self.rests_ns, dtype=np.int64).reshape(-1, 2)
-        if (np.diagonal(cov, axis1=1, axis2=2) <= 0).any():
+        if not _has_variances(cov):
             raise BadRecording("reference.cov_b_rad2: a variance is not positive; a reference states its accuracy")
         freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
+
+
+def _has_variances(cov_b_rad2: Floats) -> bool:
+    """Whether the diagonals of covariances (N, 3, 3) are positive."""
+    return bool((np.diagonal(cov_b_rad2, axis1=1, axis2=2) > 0).all())
 
 
 def total_sd_rad(cov_b_rad2: Floats) -> Floats:
@@ -142,6 +147,10 @@ class Estimate:
         for name, shape in shapes.items():
             if getattr(self, name) is not None:
                 freeze(self, **{name: check_floats("estimate", name, getattr(self, name), shape)})
+        if self.cov_b_rad2 is not None and not _has_variances(self.cov_b_rad2):
+            raise BadRecording(
+                f"estimate {self.name}: a variance is not positive; leave cov_b_rad2 out where none is stated"
+            )
         if self.innovation is not None:
             width = np.shape(self.innovation)[-1]
             freeze(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame
 from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
@@ -88,7 +88,8 @@ def score(
 
     The estimate is interpolated at the truth's stamps, within its span and never across a gap. ``moving`` (N,) says
     which samples of the truth count; by default ``truth.moving``, or outside a reference's rests.
-    Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps.
+    Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps,
+    :class:`BadRecording` for a covariance that is none.
     """
     return score_of(compare(estimated, truth, align, moving), frame)
 
@@ -151,8 +152,14 @@ def _consistency(comparison: Comparison) -> tuple[float | None, float | None]:
     if comparison.cov_b_rad2 is None:
         return None, None
     moving = comparison.moving
-    d_rad = rotation_error_b(comparison.q_est[moving], comparison.q_true[moving])
-    square = normalised_square(d_rad, comparison.cov_b_rad2[moving])
+    d_rad, cov = rotation_error_b(comparison.q_est[moving], comparison.q_true[moving]), comparison.cov_b_rad2[moving]
+    bad = np.linalg.eigvalsh(cov)[:, 0] <= 0
+    if bad.any():
+        raise BadRecording(
+            f"{comparison.estimated} of {comparison.recording}: its covariance is not positive definite at {bad.sum()} "
+            f"of {len(bad)} samples; leave cov_b_rad2 out where none is stated"
+        )
+    square = normalised_square(d_rad, cov)
     return float(square.mean()) / 3.0, float((square <= CHI2_3_95).mean())
 
 

@@ -42,6 +42,13 @@ def quaternions(draw, n):
     return signs * q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
+@st.composite
+def covariances(draw, n):
+    cov = draw(floats(n, 3, 3))
+    cov[:, range(3), range(3)] = draw(floats(n, 3, elements=st.floats(1e-300, 1e3)))
+    return cov
+
+
 def maybe(strategy):
     return st.none() | strategy
 
@@ -131,8 +138,6 @@ def recordings(draw):
 def references(draw):
     t = draw(stamps())
     n = len(t)
-    cov = draw(floats(n, 3, 3))
-    cov[:, range(3), range(3)] = draw(floats(n, 3, elements=st.floats(1e-300, 1e3)))
     calibration = Calibration(
         gyro_matrix=draw(maybe(floats(3, 3))),
         hard_iron_b_ut=draw(maybe(floats(3))),
@@ -145,7 +150,7 @@ def references(draw):
     return Reference(
         t,
         draw(quaternions(n)),
-        cov,
+        draw(covariances(n)),
         draw(floats(n, 3)),
         method=draw(st.text()),
         name=draw(st.text()),
@@ -179,7 +184,7 @@ def estimates(draw):
         q_nb=q_nb,
         angle_rad=angle,
         rate_radps=draw(maybe(floats(n))),
-        cov_b_rad2=None if q_nb is None else draw(maybe(floats(n, 3, 3))),
+        cov_b_rad2=None if q_nb is None else draw(maybe(covariances(n))),
         innovation=draw(maybe(st.integers(0, 3).flatmap(lambda m: floats(n, m, elements=nan_floats)))),
         gyro_bias_b_radps=draw(maybe(floats(n, 3))),
         ready=draw(maybe(arrays(np.bool_, n))),

@@ -63,6 +63,7 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([1e4, 0, 0], (N, 1)))), "mag_uncalibrated"),
         (lambda: Estimate(T_NS, "ekf"), "neither an attitude nor an angle"),
         (lambda: Reference(T_NS, LEVEL, np.zeros((N, 3, 3)), ZERO, "m"), "states its accuracy"),
+        (lambda: Estimate(T_NS, "ekf", LEVEL, cov_b_rad2=np.zeros((N, 3, 3))), "leave cov_b_rad2 out where none is"),
         (lambda: Spin(T_NS[:1], [[0.0, 0.0, 0.0, 0.0, 0.0]], [[0.0, np.inf]], FIVE_ACCELEROMETERS), "infinite"),
         (lambda: replace(FIVE_ACCELEROMETERS, gyro_axis_b=[[0, 1.000001, 0], [0, 0, 1]]), "not of length 1"),
         (lambda: replace(FIVE_ACCELEROMETERS, accel_axis_b=1.000001 * np.eye(3)[[0, 1, 2, 2, 2]]), "not of length 1"),

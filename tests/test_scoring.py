@@ -131,6 +131,18 @@ def test_coverage_counts_up_to_the_95_percent_point_of_chi_square():
     assert pytest.approx(chi2.ppf(0.95, 3), rel=1e-14) == CHI2_3_95
 
 
+def test_a_covariance_that_is_none_is_said_and_not_judged():
+    """Correlated by more than 1: d' C^-1 d could be negative, and would count as covered."""
+    t_ns, q_nb = swing(100)
+    cov = np.tile(np.eye(3), (100, 1, 1))
+    cov[70:, 0, 1] = cov[70:, 1, 0] = 1.5
+    estimate = Estimate(t_ns, "mine", q_nb=q_nb, cov_b_rad2=cov, recording="run7")
+    with pytest.raises(
+        BadRecording, match="mine of run7: its covariance is not positive definite at 30 of 100 samples"
+    ):
+        score(estimate, as_truth(t_ns, q_nb))
+
+
 def test_no_covariance_no_consistency():
     t_ns, q_nb = swing(100)
     found = score(Estimate(t_ns, "e", q_nb=q_nb), as_truth(t_ns, q_nb))
