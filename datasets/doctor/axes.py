@@ -79,8 +79,9 @@ def _agreed_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
         return (scales["truth"], ["truth"]) if off(scales["truth"]) > SCALE_LIMIT and not denied else None
     if "accel" in scales and "mag" in scales:
         both = off(scales["accel"] / scales["mag"]) < AGREEMENT
+        sure = min(off(scales["accel"]), off(scales["mag"])) > SCALE_LIMIT  # each by itself: one may be far off alone
         mean = float(np.sqrt(scales["accel"] * scales["mag"]))
-        return (mean, ["accel", "mag"]) if both and off(mean) > SCALE_LIMIT else None
+        return (mean, ["accel", "mag"]) if both and sure else None
     for name, limit in (("accel", ACCEL_ALONE), ("mag", MAG_ALONE)):
         if name in scales and off(scales[name]) > limit:
             return scales[name], [name]
