@@ -3,6 +3,9 @@
 The IMU sits where nobody has written down. The direction of its lever arm is that of the force while the disc spins;
 its length is a state of the graph. The accelerometers alone do not fix it: the gyro is given to the graph, as an
 encoder would be, over the first part of the flight, and the second part is judged.
+
+The forces hold a line at 1.22 per turn, a wobble that the graph takes for the rate. Air slows a disc smoothly, so what
+the estimated rate does around a parabola is no spin: it is counted in the sd, which takes no gyro.
 """
 
 from dataclasses import dataclass, replace
@@ -50,6 +53,8 @@ class DiscFlight:
     gyro_radps: Floats  # (N,)
     taught: NDArray[np.bool_]  # (N,) samples at which the graph had the gyro
     reference: RollReference
+    sd_radps: Floats  # (N,) of the rate: what the graph states and the wobble together
+    wobble_radps: Floats  # (N,) RMS of the rate around a parabola, in the half of the flight that a sample is in
     arm_m: tuple[float, float]  # length and its sd
 
 
@@ -69,6 +74,7 @@ def disc_flight(file: Path) -> DiscFlight:
     half = replace(flight, encoder=_first(flight.encoder, int(taught.sum())))
     made = roll_graph(half, PARAMS)
     error, sd = made.diagnostics["arm_squared"]
+    wobble = np.where(taught, _wobble_radps(made, taught), _wobble_radps(made, ~taught))
     return DiscFlight(
         all_t_s=t_s[flying],
         all_gyro_radps=spin.gyro_radps[flying, 0],
@@ -77,6 +83,8 @@ def disc_flight(file: Path) -> DiscFlight:
         gyro_radps=spin.gyro_radps[rows, 0],
         taught=taught,
         reference=made,
+        sd_radps=np.hypot(made.rate_sd_radps, wobble),
+        wobble_radps=wobble,
         arm_m=(GUESS_M * (1 + error), GUESS_M * sd),
     )
 
@@ -97,6 +105,12 @@ def _at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> Record
         encoder=Encoder(t_ns, angle, rate),
         info=recording.info,
     )
+
+
+def _wobble_radps(made: RollReference, part: NDArray[np.bool_]) -> float:
+    """RMS of the rate around a parabola."""
+    t_s, rate = (made.t_ns[part] - made.t_ns[part][0]) / 1e9, made.rate_radps[part]
+    return float(np.std(rate - np.polyval(np.polyfit(t_s, rate, 2), t_s)))
 
 
 def _first(encoder: Encoder, count: int) -> Encoder:

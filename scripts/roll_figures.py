@@ -165,8 +165,8 @@ def _disc(flight: DiscFlight) -> Figure:
     rate.set_ylabel("spin rate (deg/s)")
     rate.legend(frameon=False, ncols=3)
     left = np.rad2deg(flight.reference.rate_radps - flight.gyro_radps)
-    band = BAND_SD * np.rad2deg(flight.reference.rate_sd_radps)
-    error.fill_between(flight.t_s, -band, band, color="0.88", label="2 sd, as stated")
+    band = BAND_SD * np.rad2deg(flight.sd_radps)
+    error.fill_between(flight.t_s, -band, band, color="0.88", label="2 sd, with the wobble")
     error.plot(flight.t_s, left, color=COLOURS[0], label="graph less gyro")
     parting = flight.t_s[flight.taught][-1]
     for ax in (rate, error):
@@ -185,11 +185,14 @@ def disc_lines(flight: DiscFlight) -> list[str]:
         f"lever arm {1e3 * flight.arm_m[0]:.2f} mm, sd {1e3 * flight.arm_m[1]:.2f}; settled from {flight.t_s[0]:.2f} s"
     ]
     for name, part in (("with the gyro's angle", flight.taught), ("without it", ~flight.taught)):
-        sd = np.median(np.rad2deg(flight.reference.rate_sd_radps[part]))
+        sd, wobble, both = (
+            np.median(np.rad2deg(one[part]))
+            for one in (flight.reference.rate_sd_radps, flight.wobble_radps, flight.sd_radps)
+        )
         rmse = np.sqrt(np.mean(left[part] ** 2))
         lines.append(
             f"{name}: {part.sum()} samples, mean {left[part].mean():+.2f}, RMSE {rmse:.2f}, "
-            f"largest {np.abs(left[part]).max():.2f}, stated sd {sd:.2f} deg/s"
+            f"largest {np.abs(left[part]).max():.2f}, sd {both:.2f} deg/s (graph {sd:.2f}, wobble {wobble:.2f})"
         )
     return lines
 
