@@ -1,5 +1,6 @@
 """The root of the command line: one line and exit code 2 for what the user can put right, and a light help page."""
 
+import importlib.util
 import json
 import os
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
+from stillpoint.scripts import demo
 from stillpoint.scripts import main as command
 
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
@@ -148,6 +150,12 @@ def test_every_verb_explains_itself_and_its_options(call, verb: str, capsys: pyt
     of_commands = f"Usage: stillpoint {verb} COMMAND" in page
     assert rows, "an empty page"
     assert of_commands or any("--" in row for row in rows), "no option is explained"
+
+
+def test_the_demo_leaves_out_what_is_not_installed(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert demo._installed() == ["cf", "ekf"]
+    assert capsys.readouterr().err.startswith("left out: vqf, offline-vqf, madgwick;")
 
 
 def test_a_defect_is_a_traceback_and_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from stillpoint.datasets import Recording, write
+from stillpoint.datasets.doctor.axes import find_scale_fault
+from stillpoint.datasets.doctor.candidates import choose
 from stillpoint.datasets.doctor.lag import find_lag
-from stillpoint.datasets.doctor.witness import ask_mag
+from stillpoint.datasets.doctor.witness import Witness, ask_mag
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.doctor import examine
 from stillpoint.scripts.rests import rests_of
@@ -78,6 +80,14 @@ def test_still_stretches_do_not_blunt_a_lag():
     lag = find_lag(loss)
     assert lag.lag_s == pytest.approx(0.07, abs=1e-4)
     assert lag.sd_s < 1e-3
+
+
+@pytest.mark.parametrize(("accel", "mag", "wrong"), [(1.174, 1.075, False), (1.13, 1.12, True), (0.5, 0.51, True)])
+def test_two_witnesses_of_a_scale_must_each_see_the_fault(accel, mag, wrong):
+    """Translation that goes with slow turning spoils the accelerometer's scale alone."""
+    one = choose(np.array([[-9.0] * 40, *[[0.0] * 40] * 47]), np.zeros(40), overlap=1.0)
+    finding = find_scale_fault([Witness("accel", one, accel), Witness("mag", one, mag)])
+    assert (finding is not None) == wrong
 
 
 @pytest.fixture

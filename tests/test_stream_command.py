@@ -194,6 +194,12 @@ def test_a_closed_output_ends_it() -> None:
     assert "Exception ignored" not in said
 
 
+def test_an_empty_input_is_said_without_latencies() -> None:
+    done = subprocess.run([*COMMAND, "-e", "gyro"], input="", text=True, capture_output=True, check=True)
+    assert (done.stdout, "nan" in done.stderr) == ("", False)
+    assert done.stderr.startswith("stillpoint: 0 samples, 0 malformed lines, end of input\n")
+
+
 def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
     state = tmp_path / "state.json"
     one = f"{HEADER}\n0,{AT_REST}\n"

@@ -94,6 +94,8 @@ def parse(text: str, where: str, delimiter: str | None = None) -> Table:
     A first row with a cell that is no number is the header. Decimal commas are understood where the delimiter is
     not a comma. Raises :class:`BadSource` for a text without rows.
     """
+    if "\0" in text:
+        raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")
     lines = text.splitlines()
     skipped = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
     if skipped is None:
