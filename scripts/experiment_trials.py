@@ -1,4 +1,4 @@
-"""What the experiments of papers 002, 003 and 004 have alike: how many trials, of which seeds, and where they go."""
+"""What the experiments of all four papers have alike: how many trials, of which seeds, and where they go."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
