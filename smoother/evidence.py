@@ -70,8 +70,8 @@ class Evidence:
 
 
 def with_bias_prior(params: GraphParams, evidence: Evidence) -> GraphParams:
-    """The settings for this evidence: a start value of the gyro's bias that only gravity supports is worth less."""
-    if len(evidence.rests_ns) or evidence.measured is not None or evidence.fixes is not None:
+    """The settings for this evidence: a start value of the gyro's bias that no rest supports is worth less."""
+    if len(evidence.rests_ns):
         return params
     p = params.inertial
     return replace(params, inertial=replace(p, gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps)))

@@ -31,7 +31,7 @@ class InertialNoise(Settings):
     gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate is extended: wrong by this share of it")
     accel_beyond: float = number(2.0, 0.01, 10.0, "and so is a clipped specific force")
     gyro_bias_sd_radps: float = degrees(1.0, 0.01, 20.0, "the gyro's bias around its start value")
-    free_bias_sd_radps: float = degrees(3.0, 0.01, 20.0, "the same where neither rest nor field nor satellites show it")
+    free_bias_sd_radps: float = degrees(3.0, 0.01, 20.0, "the same where there is no rest")
     gyro_bias_walk: float = number(2e-4, 1e-7, 0.1, "rad/s per sqrt(s): its random walk")
     accel_bias_sd_mps2: float = number(0.1, 1e-4, 5.0, "the accelerometer's bias")
     accel_bias_walk: float = number(1e-3, 1e-7, 1.0, "m/s^2 per sqrt(s): its random walk")
