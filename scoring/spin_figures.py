@@ -55,21 +55,28 @@ def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
     d2_m = np.linspace(0.05, 1.2 * limits_m(rig)[1], MAP_POINTS)
     found = [[place(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
     sd_degps = np.rad2deg([[one.filtered_rate_sd_radps for one in row] for row in found])
-    ax.contourf(d1_m, d2_m, [[not one.fits for one in row] for row in found], levels=[0.5, 1.5], colors=["0.85"])
     levels = np.geomspace(sd_degps.min(), sd_degps.max(), LINES + 2)[1:-1]
     lines = ax.contour(d1_m, d2_m, sd_degps, levels=levels, colors=COLOURS[0], linewidths=0.9)
     ax.clabel(lines, fmt="%.2g", fontsize=7)
+    longest_m = [min((1 - rig.headroom) * limit_m, rig.room_m) for limit_m in limits_m(rig)]
+    ax.axvspan(longest_m[0], d1_m[-1], color="0.85", lw=0, zorder=0)
+    ax.axhspan(longest_m[1], d2_m[-1], color="0.85", lw=0, zorder=0)
     ax.plot(chosen.d1_m, chosen.d2_m, CHOSEN, color=COLOURS[1])
+    ax.set(xlim=(d1_m[0], d1_m[-1]), ylim=(d2_m[0], d2_m[-1]))
     ax.set(xlabel="d1 (m)", ylabel="d2 (m)", title="filtered rate, sd (deg/s); grey does not fit")
 
 
 def _range(ax: Axes, limit_m: float, headroom: float) -> None:
-    ax.axvline(limit_m, color="0.3", lw=1, ls=LIMIT)
-    ax.axvspan(limit_m, ax.get_xlim()[1], color="0.85", lw=0)
-    ax.axvline(limit_m * (1 - headroom), color="0.6", lw=1, ls=LIMIT)
-    ax.annotate(
-        "range", (limit_m, 0.98), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", fontsize=7
-    )
+    last_m = ax.get_xlim()[1]
+    ax.axvspan(limit_m, last_m, color="0.85", lw=0)
+    ax.set_xlim(right=last_m)
+    for at_m, colour, label in (
+        (limit_m, "0.3", "range"),
+        (limit_m * (1 - headroom), "0.6", f"{100 * headroom:.0f} % to spare"),
+    ):
+        ax.axvline(at_m, color=colour, lw=1, ls=LIMIT)
+        place_at = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "top", "ha": "right", "fontsize": 8}
+        ax.annotate(label, (at_m, 0.98), **place_at)
 
 
 def draw_variances(ax: Axes, found: Identified, which: str) -> None:
