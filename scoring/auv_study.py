@@ -169,10 +169,10 @@ def measured_deg(recording: Recording) -> Floats:
 
 
 def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapping[str, Gains]) -> Series:
-    assert recording.truth is not None
-    assert recording.truth.position_n_m is not None
-    assert recording.gps is not None
     t_ns, gps, truth = recording.require_imu().t_ns, recording.gps, recording.truth
+    assert gps is not None
+    assert truth is not None
+    assert truth.position_n_m is not None
     start_ns = CASPIAN.start_ns
     true_rad = np.unwrap(euler(truth.q_nb, "ned"), axis=0)
     at_imu = np.column_stack([np.interp(t_ns, truth.t_ns, angle) for angle in true_rad.T])

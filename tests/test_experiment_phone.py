@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import estimate
 from stillpoint.scoring.phone_page import judge_rows, method_rows
 from stillpoint.scoring.phone_study import (
     ACC,
+    ACC_MA,
     CF,
     EXPERIMENTS,
     FILTERS,
@@ -24,6 +26,7 @@ from stillpoint.scoring.phone_study import (
     rms_drift_deg,
     trial,
 )
+from stillpoint.scoring.score import score
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +86,26 @@ def test_a_shaken_hand_is_fast_and_stays_in_its_place():
     hz = np.fft.rfftfreq(int(swing.sum()), 0.01)
     assert 4.0 < np.interp(0.5, np.cumsum(power) / power.sum(), hz) < 7.0
     assert power[hz < 1].sum() < 0.02 * power.sum()
+
+
+def test_a_shake_up_and_down_leaves_a_slow_error_that_one_to_the_sides_does_not():
+    """A tilt measured as a / (g + a_up) has a mean where a and a_up change together; Acc is as wrong without it."""
+    tilt_deg = {}
+    for kind in ("phone-3-shaken", "phone-3-level"):
+        recording = simulate(kind, seed=0, minutes=2.0, sensor="perfect")
+        for name in ("acc", "cf"):
+            tilt_deg[kind, name] = score(estimate(recording, name), recording.truth, "none").inclination_rmse_deg
+    assert tilt_deg["phone-3-level", "acc"] == pytest.approx(tilt_deg["phone-3-shaken", "acc"], rel=0.15)
+    assert tilt_deg["phone-3-level", "cf"] < 0.75 * tilt_deg["phone-3-shaken", "cf"]
+
+
+def test_errors_of_yaw_fold_at_45_deg(tripod):
+    """CF is never off by so much, so nothing folds; Acc_MA is, by more than a right angle."""
+    cf, mean = tripod.scores[CF, "benchmark"], tripod.folded_yaw[ACC_MA]
+    assert tripod.folded_yaw[CF] == pytest.approx((cf.yaw_rmse_deg, cf.yaw_maxae_deg))
+    assert tripod.scores[ACC_MA, "benchmark"].yaw_maxae_deg > 90
+    assert mean.maxae_deg == pytest.approx(45, abs=0.5)
+    assert mean.rmse_deg < tripod.scores[ACC_MA, "benchmark"].yaw_rmse_deg
 
 
 def test_rows_are_means_and_carry_what_the_paper_prints(tripod):
