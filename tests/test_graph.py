@@ -129,3 +129,5 @@ def test_many_returns_do_not_promise_more_than_six() -> None:
     assert scale_of([0.06] * 900, HANDHELD) == pytest.approx(scale_of([0.06] * 6, HANDHELD))
     assert scale_of([], HANDHELD) == pytest.approx(HANDHELD.variance_factor)
     assert scale_of([4.0] * 3, HANDHELD) > HANDHELD.variance_factor > scale_of([0.1] * 3, HANDHELD)
+    for count in (1, 3, 50):  # closing as well as promised says: as promised
+        assert scale_of([1.0] * count, HANDHELD) == pytest.approx(HANDHELD.variance_factor)
