@@ -14,6 +14,7 @@ from stillpoint.scoring.roll_study import Series, Trial
 MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
 GROUP = 0.8  # share of the room of a trial that its bars take
 LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
+OBSERVATION = "observation"  # its noise is several times that of the rest
 WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
 
 
@@ -46,9 +47,13 @@ def _figure(one: Trial, method: str, metric: str) -> float:
 def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int], against: str = "truth") -> None:
     """On top the rates, the truth over them; below, the error of each method on an axis of its own.
 
-    ``methods`` gives each method its colour. All errors share a scale, which a few samples may exceed: glitches.
+    ``methods`` gives each method its colour. The observation has a scale of its own, all others share one, so that what
+    looks smaller is smaller; how many samples exceed it is said.
     """
     truth_degps = np.rad2deg(series.truth_radps)
+    errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
+    limits = {method: error_limit(error) for method, error in errors.items()}
+    shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
     for method, k in methods.items():
         draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
     draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
@@ -56,9 +61,9 @@ def draw_rates(axes: Sequence[Axes], series: Series, methods: Mapping[str, int],
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")
     for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
-        error = np.rad2deg(series.rate_radps[method]) - truth_degps
+        error = errors[method]
         draw_line(ax, series.t_s, error, color=colour_of(k), lw=0.9)
-        limit = error_limit(error)
+        limit = limits[method] if method == OBSERVATION else shared
         ax.set_ylim(-limit, limit)
         ax.set_ylabel("deg/s")
         beyond = int((np.abs(error) > limit).sum())

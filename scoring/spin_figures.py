@@ -75,8 +75,7 @@ def _range(ax: Axes, limit_m: float, headroom: float) -> None:
         (limit_m * (1 - headroom), "0.6", f"{100 * headroom:.0f} % to spare"),
     ):
         ax.axvline(at_m, color=colour, lw=1, ls=LIMIT)
-        place_at = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "top", "ha": "right", "fontsize": 8}
-        ax.annotate(label, (at_m, 0.98), **place_at)
+        ax.text(at_m, 0.98, label, transform=ax.get_xaxis_transform(), rotation=90, va="top", ha="right", fontsize=8)
 
 
 def draw_variances(ax: Axes, found: Identified, which: str) -> None:
