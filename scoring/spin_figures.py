@@ -15,6 +15,7 @@ from stillpoint.scoring.spin_identify import Identified
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110
 CHOSEN, LIMIT = "o", ":"
+BESIDE = 0.2  # of the room of a trial, between its markers
 LABEL_AT = 12  # of the points of a curve
 LINES = 7  # of equal error in a map
 POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
@@ -89,10 +90,10 @@ def draw_variances(ax: Axes, found: Identified, which: str) -> None:
     if which == "tangential":
         alone = [one.tangential_alone_m2ps4 for one in found.trials]
         series.append((alone, {"marker": "^", "color": COLOURS[1], "label": "without the encoder's noise"}))
-    for values, style in series:
-        ax.plot(numbers, values, ls="none", **style)
+    for k, (values, style) in enumerate(series):
+        ax.plot(numbers + BESIDE * (k - (len(series) - 1) / 2), values, ls="none", **style)
     most = found.d4_m2ps4 if which == "radial" else found.d5_m2ps4
-    ax.axhline(most, color=COLOURS[0], lw=1, ls=LIMIT)
+    ax.axhline(most, color=COLOURS[0], lw=1, ls=LIMIT, label="maximum")
     ax.set(xlabel="trial", ylabel="variance ((m/s²)²)", ylim=(0, 1.15 * most))
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_title({"radial": "F4, eq (28)", "tangential": "F5, eq (30)"}[which])
