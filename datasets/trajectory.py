@@ -39,7 +39,7 @@ class BasePoseReturn:
 class Calibration:
     """What the smoother found about the sensor; None where it was not estimated.
 
-    Corrected rate = gyro_matrix @ (measured - bias), specific force likewise.
+    Corrected rate = gyro_matrix @ (measured - bias), specific force likewise, field = mag_matrix @ (measured - iron).
     """
 
     gyro_matrix: Floats | None = None  # (3, 3)
@@ -47,6 +47,7 @@ class Calibration:
     accel_matrix: Floats | None = None  # (3, 3)
     accel_matrix_sd: Floats | None = None  # (3, 3)
     accel_bias_b_mps2: Floats | None = None  # (3,)
+    mag_matrix: Floats | None = None  # (3, 3)
     hard_iron_b_ut: Floats | None = None  # (3,)
     field_n_ut: Floats | None = None  # (3,)
     clock_offset_s: Mapping[str, float] = field(default_factory=dict)  # stream -> late (+) against the gyro

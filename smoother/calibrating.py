@@ -18,7 +18,7 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
 from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, with_bias_prior
-from stillpoint.smoother.field import field_prior
+from stillpoint.smoother.field import field_matrix, field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
 from stillpoint.smoother.plausibility import (
@@ -276,6 +276,7 @@ def _calibration(solution: Solution, bias_step: int, covariance: Floats) -> Cali
         accel_matrix=np.eye(3) - vector[:9].reshape(3, 3),
         accel_matrix_sd=sd[:9].reshape(3, 3),
         accel_bias_b_mps2=solution.values.atConstantBias(B(bias_step)).accelerometer(),
+        mag_matrix=None if field is None else np.asarray(np.linalg.inv(field_matrix(field)), dtype=np.float64),
         hard_iron_b_ut=None if field is None else field[3:6],
         field_n_ut=None if field is None else field[:3],
         clock_offset_s={"accel": float(vector[18])} | ({} if field is None else {"mag": float(field[6])}),

@@ -46,7 +46,7 @@ class Evidence:
     q_nb: Floats  # (n, 4) where the states begin, at the heading that n has
     place_n_m: Floats  # (n, 3)
     velocity_n_mps: Floats  # (n, 3)
-    field_start: Floats | None  # (7,) where field, hard iron and delay begin
+    field_start: Floats | None  # (16,) where field, hard iron, delay and matrix of the magnetometer begin
 
     def within(self, first: int, end: int) -> "Evidence":
         """The same for the window of the states ``first`` to ``end - 1``."""

@@ -1,4 +1,6 @@
-"""The magnetometer in the graph: b(t) = R(t - d)^T m + h; the local field m, the hard iron h, the delay d are unknown.
+"""The magnetometer in the graph: b(t) = (1 + S) R(t - d)^T m + h.
+
+The local field m, the hard iron h, the delay d and the matrix S (scale, axes, soft iron) are unknown: H, 16 numbers.
 
 gtsam has no factor with these unknown; this one is linearised here and handed over as a Jacobian factor in every
 iteration, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity). Over the delay
@@ -20,6 +22,7 @@ from stillpoint.smoother.keys import Keys, Motion
 
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 SHRINK = 0.6  # from iteration to iteration
+UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
 HEADING_SD_UT = 1e-3  # of the field's east part where its direction is north by definition
 LATE_S = 0.04  # a phone's magnetometer is late by so much; the rate is taken over that time before a state
 
@@ -63,16 +66,16 @@ def measurements_at(keys: Keys, motion: Motion, mag: Mag, t0_ns: int, params: Fi
 
 
 def start_of_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
-    """Field, hard iron and delay to begin with, (7,): the median field in n, seen from attitudes ``q_nb`` (K, 4)."""
+    """Where H begins, (16,): the median field in n, seen from attitudes ``q_nb`` (K, 4), and the hard iron (3,)."""
     field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
-    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, [0.0]])
+    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(UNKNOWNS - 6)])
 
 
 def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
     """Around the start; horizontally the field points to ``azimuth_rad`` east of north where n is defined by it."""
     level = np.hypot(start[0], start[1])
     mean = np.concatenate([[level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), start[2]], start[3:]])
-    sizes = np.concatenate([np.full(3, params.field_sd_ut), np.full(3, params.iron_sd_ut), [params.late_sd_s]])
+    sizes = np.repeat([params.field_sd_ut, params.iron_sd_ut, params.late_sd_s, params.matrix_sd], [3, 3, 1, 9])
     covariance = np.diag(sizes**2)
     if azimuth_known:
         across = np.array([np.cos(azimuth_rad), -np.sin(azimuth_rad), 0.0])
@@ -83,9 +86,18 @@ def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: 
 
 
 def residuals(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
-    """R(t - d)^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and field, hard iron and delay (7,)."""
-    then = rotations @ _turn_back(measured, field[6])
-    return np.einsum("kji,j->ki", then, field[:3]) + field[3:6] - measured.field_b_ut
+    """(1 + S) R(t - d)^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and H (16,)."""
+    return _seen(measured, rotations, field) @ field_matrix(field).T + field[3:6] - measured.field_b_ut
+
+
+def field_matrix(field: Floats) -> Floats:
+    """1 + S, (3, 3), of H (16,)."""
+    return np.asarray(np.eye(3) + field[7:].reshape(3, 3))
+
+
+def _seen(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
+    """R(t - d)^T m, (K, 3): the field in the body when it was measured."""
+    return np.einsum("kji,j->ki", rotations @ _turn_back(measured, field[6]), field[:3])
 
 
 def _turn_back(measured: FieldMeasurements, late_s: float) -> Floats:
@@ -101,22 +113,24 @@ def weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
 def linear_factors(
     measured: FieldMeasurements, rotations: Floats, field: Floats, scale_ut: float, params: FieldParams
 ) -> list[gtsam.JacobianFactor]:
-    """The measurement equation linearised at the given attitudes and field (7,), weighted and whitened.
+    """The measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
     With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
-    residual = residuals(measured, rotations, field)
-    seen = residual + measured.field_b_ut - field[3:6]
+    residual, seen = residuals(measured, rotations, field), _seen(measured, rotations, field)
+    matrix = field_matrix(field)
     root = weights(residual, scale_ut, params) / scale_ut
     back = _turn_back(measured, field[6])
     cross = np.zeros((len(seen), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]
     cross[:, 1, 0], cross[:, 1, 2] = seen[:, 2], -seen[:, 0]
     cross[:, 2, 0], cross[:, 2, 1] = -seen[:, 1], seen[:, 0]
-    by_pose = np.concatenate([cross @ back.transpose(0, 2, 1), np.zeros_like(cross)], axis=2)
-    by_late = np.cross(measured.gyro_b_radps, seen)[:, :, None]
+    by_pose = np.concatenate([matrix @ cross @ back.transpose(0, 2, 1), np.zeros_like(cross)], axis=2)
+    by_late = np.cross(measured.gyro_b_radps, seen) @ matrix.T
     identity = np.broadcast_to(np.eye(3), rotations.shape)
-    by_field = np.concatenate([(rotations @ back).transpose(0, 2, 1), identity, by_late], axis=2)
+    by_matrix = np.einsum("ij,kl->kijl", np.eye(3), seen).reshape(-1, 3, 9)
+    by_place = matrix @ (rotations @ back).transpose(0, 2, 1)
+    by_field = np.concatenate([by_place, identity, by_late[:, :, None], by_matrix], axis=2)
     by_pose, by_field = by_pose * root[:, None, None], by_field * root[:, None, None]
     unit = gtsam.noiseModel.Unit.Create(3)
     target = -residual * root[:, None]

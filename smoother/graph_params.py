@@ -57,7 +57,7 @@ class MotionPriors(Settings):
 
 @dataclass(frozen=True)
 class FieldParams(Settings):
-    """Magnetometer: b(t) = R(t - d)^T m + h with the local field m, the hard iron h and the delay d as unknowns."""
+    """Magnetometer: b(t) = (1 + S) R(t - d)^T m + h; field m, hard iron h, delay d and matrix S are unknowns."""
 
     sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
@@ -65,6 +65,7 @@ class FieldParams(Settings):
     field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")
     iron_sd_ut: float = number(50.0, 0.1, 1000.0, "of the hard iron around its start value")
     late_sd_s: float = number(0.03, 1e-5, 0.5, "by which the magnetometer may be late against the gyro")
+    matrix_sd: float = number(0.02, 1e-6, 0.5, "scale, axes and soft iron of the magnetometer, relative")
 
 
 @dataclass(frozen=True)

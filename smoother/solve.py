@@ -131,7 +131,7 @@ class Accuracy:
     attitude_b_rad2: Floats  # (m, 3, 3) of the states asked for, body axes, relative to the mean heading
     heading_rad2: float  # of the mean heading: an error that all states share
     calibration: Floats  # (19, 19)
-    field: Floats | None  # (6, 6) of the local field and the hard iron
+    field: Floats | None  # (16, 16) of the field's unknowns
     closing_squares: tuple[float, ...]  # of each return: its heading error, squared, over what was expected
 
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import quaternion
 from stillpoint.smoother.field import (
     FieldMeasurements,
+    field_matrix,
     field_prior,
     linear_factors,
     next_scale,
@@ -19,7 +20,9 @@ from stillpoint.smoother.field import (
 from stillpoint.smoother.graph_params import FieldParams
 
 PARAMS = FieldParams()
-FIELD = np.array([2.0, 20.0, -40.0, 5.0, -3.0, 8.0, 0.05])  # of the place in n, hard iron in b, delay
+MATRIX = np.array([[0.02, -0.01, 0.005], [0.015, -0.03, 0.01], [0.0, 0.02, 0.01]])
+UNIT_MATRIX = (np.eye(3) + MATRIX) / np.cbrt(np.linalg.det(np.eye(3) + MATRIX))
+FIELD = np.array([2.0, 20.0, -40.0, 5.0, -3.0, 8.0, 0.05, *MATRIX.ravel()])  # place's in n, hard iron, delay, matrix
 RATE = np.array([[2.0, -1.0, 0.5], [0.0, 4.0, 0.0], [-3.0, 0.0, 1.0], [0.3, 0.2, -0.1]])  # rad/s
 
 
@@ -31,8 +34,13 @@ def attitude():
 @pytest.fixture
 def measured(attitude):
     """Taken by a body that turns, of the attitude 50 ms ago."""
-    then = attitude * Rotation.from_rotvec(-FIELD[6] * RATE)
-    return FieldMeasurements(np.arange(4), then.inv().apply(FIELD[:3]) + FIELD[3:6], RATE)
+    return FieldMeasurements(np.arange(4), seen(attitude) + FIELD[3:6], RATE)
+
+
+def seen(attitude, rate=RATE):
+    """What the magnetometer reads without its hard iron, (K, 3): the field 50 ms ago, by axes that are off."""
+    then = attitude * Rotation.from_rotvec(-FIELD[6] * rate)
+    return then.inv().apply(FIELD[:3]) @ (np.eye(3) + MATRIX).T
 
 
 def test_nothing_is_left_at_the_truth(attitude, measured):
@@ -41,8 +49,7 @@ def test_nothing_is_left_at_the_truth(attitude, measured):
 
 def test_a_tilted_attitude_leaves_what_the_model_has_too_much(attitude, measured):
     tilted = attitude * Rotation.from_rotvec([0.01, 0.0, 0.0])
-    then = tilted * Rotation.from_rotvec(-FIELD[6] * RATE)
-    wanted = then.inv().apply(FIELD[:3]) + FIELD[3:6] - measured.field_b_ut
+    wanted = seen(tilted) + FIELD[3:6] - measured.field_b_ut
     np.testing.assert_allclose(residuals(measured, tilted.as_matrix(), FIELD), wanted, atol=1e-12)
 
 
@@ -59,22 +66,48 @@ def test_jacobians_agree_with_central_differences(attitude, measured):
             moved = [residuals(measured, (attitude * Rotation.from_rotvec(s * d)).as_matrix(), FIELD) for s in (1, -1)]
             np.testing.assert_allclose(matrix[:, axis], (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut, atol=1e-6)
         np.testing.assert_allclose(matrix[:, 3:6], 0.0)
-        for axis in range(7):
-            d = np.eye(7)[axis] * h
+        for axis in range(len(FIELD)):
+            d = np.eye(len(FIELD))[axis] * h
             moved = [residuals(measured, attitude.as_matrix(), FIELD + s * d) for s in (1, -1)]
             numeric = (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut
             np.testing.assert_allclose(matrix[:, 6 + axis], numeric, atol=1e-6)
 
 
 def test_one_step_goes_to_the_truth(attitude, measured):
-    """The sign of the right side: from a field that is 0.01 uT off, a solve with the attitudes held finds it."""
-    off = FIELD + np.array([0.01, 0.0, -0.01, 0.0, 0.01, 0.0, -1e-5])
+    """The sign of the right side: from a field that is 0.01 uT off, a solve with the attitudes held leaves nothing.
+
+    Four attitudes make 12 equations for 16 unknowns, so the field itself is theirs but for what a prior adds.
+    """
+    off = FIELD + np.array([0.01, 0.0, -0.01, 0.0, 0.01, 0.0, -1e-5, *np.full(9, 1e-5)])
     system = gtsam.GaussianFactorGraph()
     for factor in linear_factors(measured, attitude.as_matrix(), off, PARAMS.sd_ut, PARAMS):
         system.push_back(factor)
     for k in range(4):
         system.push_back(gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
-    np.testing.assert_allclose(off + system.optimize().at(H(0)), FIELD, atol=1e-6)
+    system.push_back(gtsam.JacobianFactor(H(0), 1e-3 * np.eye(16), np.zeros(16), gtsam.noiseModel.Unit.Create(16)))
+    found = off + system.optimize().at(H(0))
+    before, after = (np.abs(residuals(measured, attitude.as_matrix(), field)).max() for field in (off, found))
+    assert after < 1e-3 * before
+
+
+def test_the_matrix_is_found_but_for_the_size_of_the_field():
+    """From 60 known attitudes, in a few iterations; a common scale of all axes and the field's size are one thing."""
+    attitudes = Rotation.random(60, rng=np.random.default_rng(5))
+    measured = FieldMeasurements(np.arange(60), seen(attitudes, 0.0 * RATE[:1]) + FIELD[3:6], np.zeros((60, 3)))
+    field = start_of_field(measured, quaternion(attitudes), np.zeros(3))
+    for _ in range(6):
+        system = gtsam.GaussianFactorGraph()
+        for factor in linear_factors(measured, attitudes.as_matrix(), field, PARAMS.sd_ut, PARAMS):
+            system.push_back(factor)
+        for k in range(60):
+            held = gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6))
+            system.push_back(held)
+        prior = np.diag([1e-3] * 3 + [1e-3] * 3 + [1.0] + [1e-2] * 9)
+        system.push_back(gtsam.JacobianFactor(H(0), prior, np.zeros(16), gtsam.noiseModel.Unit.Create(16)))
+        field = field + system.optimize().at(H(0))
+    found = field_matrix(field)
+    np.testing.assert_allclose(found / np.cbrt(np.linalg.det(found)), UNIT_MATRIX, atol=1e-5)
+    np.testing.assert_allclose(field[3:6], FIELD[3:6], atol=1e-4)
 
 
 def test_a_magnet_loses_its_weight():
@@ -93,10 +126,10 @@ def test_the_scale_shrinks_to_its_end_and_stays():
 
 
 def test_the_start_is_the_median_field_without_the_iron(attitude):
-    """With no delay: that is for the graph to find."""
+    """With neither delay nor matrix: these are for the graph to find."""
     at_rest = FieldMeasurements(np.arange(4), attitude.inv().apply(FIELD[:3]) + FIELD[3:6], 0 * RATE)
     found = start_of_field(at_rest, quaternion(attitude), FIELD[3:6])
-    np.testing.assert_allclose(found, [*FIELD[:6], 0.0], atol=1e-9)
+    np.testing.assert_allclose(found, [*FIELD[:6], *np.zeros(10)], atol=1e-9)
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 4.0, -20.0])
@@ -110,8 +143,8 @@ def test_a_known_declination_fixes_the_horizontal_direction_only(azimuth_deg):
     at = np.concatenate([level * pointing + [0, 0, FIELD[2]], FIELD[3:]])
     values.insert(H(0), at)
     assert prior.error(values) == pytest.approx(0.0, abs=1e-9)
-    values.update(H(0), at + np.concatenate([PARAMS.field_sd_ut * pointing, np.zeros(4)]))
+    values.update(H(0), at + np.concatenate([PARAMS.field_sd_ut * pointing, np.zeros(len(FIELD) - 3)]))
     assert prior.error(values) == pytest.approx(0.5, rel=1e-6)
     across = np.array([pointing[1], -pointing[0], 0.0])
-    values.update(H(0), at + np.concatenate([across, np.zeros(4)]))
+    values.update(H(0), at + np.concatenate([across, np.zeros(len(FIELD) - 3)]))
     assert prior.error(values) > 1e5
