@@ -30,9 +30,8 @@ def as_reference(t_ns, q_nb, sd_rad=0.01, **more):
     return Reference(t_ns, q_nb, cov, np.zeros((len(t_ns), 3)), "redistribution", name="run", **more)
 
 
-def broad(data_dir, trial):
-    """One trial's truth, and the estimate of offlineVQF 9D, by the independent reader of this test."""
-    vqf = pytest.importorskip("vqf", reason="the peer package vqf is not installed")
+def broad(data_dir, trial, filtered):
+    """One trial's truth, and what ``filtered(gyro, accel, mag, rate_hz)`` makes of it, by an independent reader."""
     (path,) = (data_dir / "broad").glob(f"{trial}_*.mat")
     raw = scipy.io.loadmat(path, squeeze_me=True)
     gyro, accel, mag = (np.ascontiguousarray(raw[name]) for name in ("imu_gyr", "imu_acc", "imu_mag"))
@@ -42,5 +41,9 @@ def broad(data_dir, trial):
     q_true = raw["opt_quat"][known]
     q_true = q_true / np.linalg.norm(q_true, axis=1, keepdims=True)
     truth = Truth(t_ns[known], q_true, raw["movement"].astype(bool)[known])
-    q_est = vqf.offlineVQF(gyro, accel, mag, 1 / rate_hz)["quat9D"]
-    return Estimate(t_ns, "offline-vqf", q_nb=q_est, recording=path.stem), truth
+    return Estimate(t_ns, filtered.__name__, q_nb=filtered(gyro, accel, mag, rate_hz), recording=path.stem), truth
+
+
+def offline_vqf(gyro_b_radps, accel_b_mps2, mag_b_ut, rate_hz):
+    vqf = pytest.importorskip("vqf", reason="the peer package vqf is not installed")
+    return vqf.offlineVQF(gyro_b_radps, accel_b_mps2, mag_b_ut, 1 / rate_hz)["quat9D"]

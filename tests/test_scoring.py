@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mahony import mahony
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from swings import as_reference, as_truth, broad, swing
+from swings import as_reference, as_truth, broad, offline_vqf, swing
 
 from stillpoint.datasets import BadParameter, BadRecording, Estimate, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
@@ -232,7 +233,28 @@ def test_input_arrays_are_left_alone():
 )
 def test_broad_figures_of_offline_vqf(data_dir, trial, total, heading, inclination):
     """The figures of BROAD's own definition with one heading removed, by an independent program."""
-    found = score(*broad(data_dir, trial))
+    found = score(*broad(data_dir, trial, offline_vqf))
     assert found.total_rmse_deg == pytest.approx(total, abs=1e-3)
     assert found.heading_rmse_deg == pytest.approx(heading, abs=1e-3)
     assert found.inclination_rmse_deg == pytest.approx(inclination, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("trial", "total", "heading", "inclination"),
+    [
+        ("02", 2.9662, 2.8909, 0.6642),
+        ("04", 5.3655, 5.1415, 1.5347),
+        ("10", 2.7642, 1.4962, 2.3243),
+        ("21", 12.4438, 9.6489, 7.8675),
+    ],
+)
+def test_broad_figures_that_its_authors_publish(data_dir, trial, total, heading, inclination):
+    """Mahony's filter with the gains of their TAGP (results_mahony_average_rmse.json); nothing is aligned."""
+
+    def tagp(gyro_b_radps, accel_b_mps2, mag_b_ut, rate_hz):
+        return mahony(gyro_b_radps, accel_b_mps2, mag_b_ut, rate_hz, kp_per_s=0.74, ki_per_s2=0.0012)
+
+    found = score(*broad(data_dir, trial, tagp), align="none")
+    assert found.total_rmse_deg == pytest.approx(total, abs=3e-4)
+    assert found.heading_rmse_deg == pytest.approx(heading, abs=3e-4)
+    assert found.inclination_rmse_deg == pytest.approx(inclination, abs=3e-4)
