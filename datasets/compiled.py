@@ -21,31 +21,58 @@ def compiled(function: Function) -> Function:
     """Compile at the first call for the argument types at hand, and keep the machine code on disk.
 
     It lies beside the package, or in numba's user cache where the package cannot be written; where neither can, every
-    process compiles anew. The function is copied into its callers.
+    process compiles anew. The function is copied into its compiled callers.
     """
     return _compiled(function, inline=True)
 
 
-def compiled_apart(function: Function) -> Function:
-    """The same for what runs once in many samples, or is long and called from many places: not copied into callers.
-
-    Copied into ``step``, and with that into ``run``, it would only make both slow to compile.
-    """
+def compiled_entry(function: Function) -> Function:
+    """The same for where Python enters, with a whole recording or a sample: not copied into the entry."""
     return _compiled(function, inline=False)
 
 
-def _compiled(function: Function, inline: bool) -> Function:
+def compiled_inside(function: Function) -> Function:
+    """The same for what only compiled functions call; from Python it raises TypeError.
+
+    An entry makes objects of every field of the structures that a function takes and gives, and back: for a step that
+    takes as long to compile as the step itself.
+    """
+    return _without_entry(_compiled(function, inline=True, has_entry=False))
+
+
+def compiled_apart(function: Function) -> Function:
+    """As :func:`compiled_inside`, for what runs once in many samples, or is long and called from many places.
+
+    It is not copied into callers: copied into ``step``, and with that into ``run``, it would only make both slow to
+    compile.
+    """
+    return _without_entry(_compiled(function, inline=False, has_entry=False))
+
+
+def _compiled(function: Function, inline: bool, has_entry: bool = True) -> Function:
     try:
-        dispatcher = _with_numba(function, inline, cache=True)
+        dispatcher = _with_numba(function, inline, has_entry, cache=True)
     except RuntimeError:  # numba found no folder to write to
-        return cast(Function, _with_numba(function, inline, cache=False))
+        return cast(Function, _with_numba(function, inline, has_entry, cache=False))
     drop_stale(Path(dispatcher.stats.cache_path), Path(function.__code__.co_filename).parent)
     return cast(Function, dispatcher)
 
 
-def _with_numba(function: Callable[..., Any], inline: bool, cache: bool) -> Any:
-    # Steps are chains of small functions that hand structures on: without inlining these go through memory.
-    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=inline)(function)
+def _with_numba(function: Callable[..., Any], inline: bool, has_entry: bool, cache: bool) -> Any:
+    # Steps are chains of small functions that hand structures on: without inlining these go through memory. Nothing
+    # takes a function as an argument, so none needs the entry for that.
+    wrappers: dict[str, Any] = {"no_cpython_wrapper": not has_entry, "no_cfunc_wrapper": True}
+    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=inline, **wrappers)(function)
+
+
+def _without_entry(function: Function) -> Function:
+    def refuse(*args: Any, **names: Any) -> Any:
+        raise TypeError(f"{function.__name__}: only compiled functions can call it; from Python, see compiled_entry")
+
+    # numba's dispatcher would jump to the address of an entry that there is not.
+    dispatcher: Any = function
+    dispatcher._compile_for_args, dispatcher._insert = refuse, lambda *code: None
+    return function
 
 
 def drop_stale(cache: Path, folder: Path) -> None:

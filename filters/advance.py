@@ -14,7 +14,7 @@ from numba import boolean, float64, int64, typeof
 from numba.typed import List
 
 from stillpoint.filters import front
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, like
 from stillpoint.filters.front import State
 from stillpoint.filters.guard import Fix, Raw
 from stillpoint.filters.sample import Sample
@@ -28,7 +28,7 @@ ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
 def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
     """The function that makes the cell of a new stream from both coefficients."""
 
-    @compiled
+    @compiled_entry
     def begin(front_c: Any, c: Any) -> Any:
         zero = like(front_c.guard.gyro_radps, 0.0)
         none = (zero, zero, zero)
@@ -45,7 +45,7 @@ def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
 def advancing(estimator: ModuleType) -> Any:
     """The function that takes the cell and one sample and gives the output."""
 
-    @compiled
+    @compiled_entry
     def advance(
         cell: Any,
         t_ns: int,
@@ -80,13 +80,13 @@ def entry_point(estimator: ModuleType, cell: Any) -> Advance:
     return cast(Advance, advancing(estimator).compile((typeof(cell), *ARGUMENTS)))
 
 
-@compiled
+@compiled_entry
 def look(cell: Any) -> Any:
     """Both coefficients, both states and the newest output; arrays are those of the stream itself."""
     return cell[0]
 
 
-@compiled
+@compiled_entry
 def filled(front_c: Any, c: Any, front_state: State, state: Any, output: Any) -> Any:
     """The cell of a stream that goes on."""
     cell = List()

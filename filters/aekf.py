@@ -28,7 +28,7 @@ import numpy as np
 
 from stillpoint.datasets.settings import choice, number
 from stillpoint.filters import error_model, error_state
-from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
 from stillpoint.filters.covariance import Matrix, widen
 from stillpoint.filters.error_model import HEADING, VELOCITY, Body, ErrorStateParams, Measurement
 from stillpoint.filters.error_state import corrected, gather, is_due, output, turn_errors
@@ -101,7 +101,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     )
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
     zero = like(c.largest_alpha, 0.0)
@@ -129,7 +129,7 @@ def adapted(memory: Memory, nis: float, explained: float, noise: float, c: Coeff
     return memory, Trust(one, min(fade, c.largest_lambda), at_limit)
 
 
-@compiled
+@compiled_inside
 def trust_velocity(
     memory: Memory, p: Matrix, innovations: tuple[float, float], variance: float, c: Coefficients
 ) -> tuple[Memory, Trust]:
@@ -145,7 +145,7 @@ def trust_velocity(
     return memory, trust
 
 
-@compiled
+@compiled_inside
 def trust_heading(
     memory: Memory, x: Matrix, p: Matrix, m: Measurement, nu: float, c: Coefficients
 ) -> tuple[Memory, Trust]:
@@ -160,7 +160,7 @@ def trust_heading(
     return memory, trust
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """As that of ``ekf``, with trust in each sensor as its innovations were."""
     body, velocity, heading = gather(state.body, sample, c.ekf), state.velocity, state.heading
@@ -181,7 +181,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return State(body, velocity, heading), output(body, innovations, c.ekf)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

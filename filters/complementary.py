@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
 from stillpoint.filters.fields import Fields, Fresh, levelled, low_pass, no_fields, tilt_of, turn_to_north, uprighting
 from stillpoint.filters.rotation import (
     Quaternion,
@@ -92,7 +92,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     )
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.kappa, 0.0), like(c.kappa, 0.5**0.5)
@@ -120,7 +120,7 @@ def transition(dt_s: float, c: Coefficients) -> tuple[float, float, float, float
     return even - damped, -odd, c.stiffness * odd, even + damped
 
 
-@compiled
+@compiled_inside
 def correct(e: float, b: float, dt_s: float, rows: tuple[float, float, float, float]) -> tuple[float, float]:
     """One component of (11) over ``dt_s``: by how much to turn the estimate, and the new b.
 
@@ -130,7 +130,7 @@ def correct(e: float, b: float, dt_s: float, rows: tuple[float, float, float, fl
     return e - (rows[0] * before + rows[1] * b), rows[2] * before + rows[3] * b
 
 
-@compiled
+@compiled_inside
 def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, declination_rad: float) -> tuple[Quaternion, bool]:
     """The attitude of the fields; without a field the heading that there was, and False."""
     q_nb = normalise(multiply(uprighting(q_nb, fields.accel), q_nb))
@@ -141,7 +141,7 @@ def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, declination_rad: float
     return q_nb, False
 
 
-@compiled
+@compiled_inside
 def pull(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> tuple[Quaternion, Vector, bool, int]:
     """Turn the predicted attitude towards the fields: attitude, b, is there a heading, fields without one."""
     q_nb, is_headed, n_no_north = state.q_nb, state.is_headed, state.n_no_north
@@ -167,7 +167,7 @@ def pull(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> tuple[Quat
     return q_nb, b_radps, is_headed, n_no_north
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and b, then turn towards the attitude of the fields."""
     fields, fresh = low_pass(state.fields, sample, c.kappa)
@@ -192,7 +192,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

@@ -19,18 +19,10 @@ what is left of the bias about the vertical, which only a rest shows.
 from dataclasses import dataclass
 
 from stillpoint.filters import error_model, error_state
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.error_model import Body, Coefficients, ErrorStateParams
-from stillpoint.filters.error_state import corrected, gather, is_due, output, turn_errors
-from stillpoint.filters.error_updates import (
-    due,
-    heading_innovation,
-    nothing_new,
-    update_bias,
-    update_heading,
-    update_velocity,
-    velocity_innovations,
-)
+from stillpoint.filters.error_state import gather, is_due, output
+from stillpoint.filters.error_updates import nothing_new, updated
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 State = Body
@@ -43,25 +35,16 @@ class Params(ErrorStateParams):
     """Parameters of ``ekf``."""
 
 
-@compiled
+@compiled_inside
 def step(state: Body, sample: Sample, c: Coefficients) -> tuple[Body, Output]:
     """Turn by the rate; at the end of a window predict the errors and update them."""
-    body = gather(state, sample, c)
-    innovations = nothing_new(c)
+    body, innovations = gather(state, sample, c), nothing_new(c)
     if is_due(body.window.turning, c):
-        x, p, one = body.x, body.p, like(c.gate, 1.0)
-        at = due(body, c)
-        east, north = velocity_innovations(x, p, at.velocity_variance)
-        velocity_beyond = update_velocity(x, p, at.velocity_variance, one, c.gate)
-        update_bias(x, p, body.window.turning, at, c)
-        innovations = (east, north, heading_innovation(x, p, at.heading))
-        heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
-        turn_errors(x, p)
-        body = corrected(body, at, (velocity_beyond, heading_beyond), c)
+        body, innovations = updated(body, True, c)
     return body, output(body, innovations, c)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: Body, c: Coefficients, track: Track) -> Body:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

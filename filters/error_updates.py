@@ -4,7 +4,7 @@ from math import cos, nan, sin, sqrt
 
 import numpy as np
 
-from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
 from stillpoint.filters.covariance import (
     Matrix,
     forget,
@@ -24,6 +24,7 @@ from stillpoint.filters.error_model import (
     Status,
     predict,
 )
+from stillpoint.filters.error_state import corrected, turn_errors
 from stillpoint.filters.fields import turn_to_north
 from stillpoint.filters.known_field import KnownField, disturbance_ut2, looks
 from stillpoint.filters.rotation import (
@@ -40,7 +41,7 @@ REST_MPS = 0.02
 LONGEST_HOLD_S = 1.0
 
 
-@compiled
+@compiled_inside
 def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
     """What is seen less what is expected, and its variance by the model."""
     ph = times(p, m.row)
@@ -67,7 +68,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float,
     return is_beyond
 
 
-@compiled
+@compiled_inside
 def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
     """A measurement of x[i] itself."""
     row = np.zeros_like(p[0])
@@ -88,7 +89,7 @@ def due(body: Body, c: Coefficients) -> Due:
     return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
 
 
-@compiled
+@compiled_inside
 def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, float]:
     """East and north, whitened: of variance 1 and independent if the model is right."""
     s_east, s_north = p[VELOCITY, VELOCITY] + variance, p[VELOCITY + 1, VELOCITY + 1] + variance
@@ -149,14 +150,14 @@ def heading_measurement(
     return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square + missed * missed)
 
 
-@compiled
+@compiled_inside
 def nothing_new(c: Coefficients) -> Vector:
     """The innovations of a sample that ends no window."""
     none = like(c.gate, nan)
     return none, none, none
 
 
-@compiled
+@compiled_inside
 def heading_innovation(x: Matrix, p: Matrix, m: Measurement) -> float:
     """Whitened, given what the updates before have moved; NaN without a field."""
     if not m.is_there:
@@ -174,3 +175,21 @@ def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: S
         for i in range(HEADING, BIAS):
             forget(p, i, like(c.gate, UNKNOWN_RAD2))
     return update(x, p, m, False, alpha, c.gate)
+
+
+@compiled_apart
+def updated(body: Body, is_in_body: bool, c: Coefficients) -> tuple[Body, Vector]:
+    """The end of a window, each measurement weighed as the model says: the next window's beginning, the innovations.
+
+    ``is_in_body``: when the attitude is corrected, its covariance stays as it is in the body, not in n.
+    """
+    x, p, one = body.x, body.p, like(c.gate, 1.0)
+    at = due(body, c)
+    east, north = velocity_innovations(x, p, at.velocity_variance)
+    velocity_beyond = update_velocity(x, p, at.velocity_variance, one, c.gate)
+    update_bias(x, p, body.window.turning, at, c)
+    innovations = (east, north, heading_innovation(x, p, at.heading))
+    heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
+    if is_in_body:
+        turn_errors(x, p)
+    return corrected(body, at, (velocity_beyond, heading_beyond), c), innovations

@@ -3,7 +3,7 @@
 from math import atan2, pi, sqrt
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_inside, like
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
@@ -56,7 +56,7 @@ def no_fields(zero: float) -> Fields:
     return Fields(none, none, none, none, zero, zero, False, False, 0, 0)
 
 
-@compiled
+@compiled_inside
 def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fresh]:
     """Eq (9): x_bar_k = kappa x_k + (1 - kappa) x_(k-1), of raw samples, each sensor at its own rate.
 

@@ -42,7 +42,7 @@ from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
 from stillpoint.filters.complementary import LONGEST_HOLD_S, begin
 from stillpoint.filters.fields import Fields, Fresh, low_pass, no_fields, tilt_of, turn_to_north
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, multiply, normalise, rotate, scale
@@ -101,7 +101,7 @@ def settling_s(kp_per_s: float) -> float:
     return min(3.0 / max(kp_per_s, 1e-9), 600.0)
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
@@ -109,7 +109,7 @@ def start(c: Coefficients) -> State:
     return State(no_fields(zero), (half, zero, zero, half), none, zero, False, False, 0, 0)
 
 
-@compiled
+@compiled_inside
 def error_of(
     q_nb: Quaternion, fields: Fields, fresh: Fresh, accel_s: float, is_headed: bool, declination_rad: float
 ) -> Error:
@@ -129,14 +129,14 @@ def error_of(
     return Error(tilt_x, tilt_y, tilt_s, turn, turn_s, is_first, n_no_north)
 
 
-@compiled
+@compiled_inside
 def shares(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float]:
     """Of an error that stands for ``dt_s``: what to turn the estimate by, and what to add to the bias, 1/s."""
     one = like(dt_s, 1.0)
     return min(kp_per_s * dt_s, one), min(ki_per_s2 * dt_s, one / max(dt_s, like(dt_s, 1e-9)))
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
     accel_s = state.fields.since_accel_s + sample.dt_s
@@ -169,7 +169,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

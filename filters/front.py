@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.filters import guard, heading_source
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
 from stillpoint.filters.guard import Fix, Raw
-from stillpoint.filters.sample import Log, Sample
+from stillpoint.filters.sample import Log, Sample, put
 
 
 class Coefficients(NamedTuple):
     """Of both stages."""
 
     guard: guard.Coefficients
-    heading: heading_source.Coefficients
+    heading: heading_source.Coefficients | None  # None: the magnetometer as it is
 
 
 class State(NamedTuple):
@@ -42,13 +42,13 @@ class RawLog(NamedTuple):
     fix_row: NDArray[np.int64]  # (N,) likewise
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    return State(guard.start(c.guard), heading_source.start(c.heading))
+    return State(guard.start(c.guard), heading_source.start(like(c.guard.gyro_radps, 0.0)))
 
 
-@compiled
+@compiled_inside
 def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
     """The sample for the estimator; False: none, as time has not risen."""
     watched, sample, is_taken = guard.step(state.guard, raw, c.guard)
@@ -58,7 +58,7 @@ def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
     return State(watched, heading), sample, is_taken
 
 
-@compiled
+@compiled_inside
 def raw_at(log: RawLog, k: int) -> Raw:
     """Sample ``k`` of the columns."""
     gyro, accel = log.gyro_b_radps, log.accel_b_mps2
@@ -74,26 +74,23 @@ def raw_at(log: RawLog, k: int) -> Raw:
     )
 
 
-@compiled
 def run(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
-    """Every sample of a log, whose time rises: what the estimator gets."""
-    n, zero = len(raw.t_ns), like(c.guard.gyro_radps, 0.0)
-    log = Log(
-        np.full(n, zero),
-        np.full((n, 3), zero),
-        np.full((n, 3), zero),
-        np.full((n, 3), zero),
-        np.full(n, False),
-        np.full(n, False),
-        np.full((n, 3), zero),
-    )
-    for k in range(n):
+    """Every sample of a log, whose time rises: what the estimator gets, in the precision of the log."""
+    n, kind = len(raw.t_ns), raw.gyro_b_radps.dtype
+    gyro, accel, mag, hidden = (np.empty((n, 3), kind) for _ in range(4))
+    log = Log(np.empty(n, kind), gyro, accel, mag, np.empty(n, np.bool_), np.empty(n, np.bool_), hidden)
+    return fill(log, raw, state, c), log
+
+
+@compiled_entry
+def fill(log: Log, raw: RawLog, state: State, c: Coefficients) -> State:
+    """Put what the estimator gets into the columns; the state after it."""
+    for k in range(len(raw.t_ns)):
         state, sample, _ = step(state, raw_at(raw, k), c)
         log.dt_s[k] = sample.dt_s
-        for i in range(3):
-            log.gyro_b_radps[k, i] = sample.gyro_b_radps[i]
-            log.accel_b_mps2[k, i] = sample.accel_b_mps2[i]
-            log.mag_b_ut[k, i] = sample.mag_b_ut[i]
-            log.hidden_b_radps[k, i] = sample.hidden_b_radps[i]
+        put(log.gyro_b_radps, k, sample.gyro_b_radps)
+        put(log.accel_b_mps2, k, sample.accel_b_mps2)
+        put(log.mag_b_ut, k, sample.mag_b_ut)
+        put(log.hidden_b_radps, k, sample.hidden_b_radps)
         log.has_accel[k], log.has_mag[k] = sample.has_accel, sample.has_mag
-    return state, log
+    return state

@@ -9,7 +9,7 @@ from math import nan
 from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Vector
 from stillpoint.filters.sample import GAP_S, Sample
 
@@ -110,7 +110,7 @@ def coefficients(ranges: Ranges) -> Coefficients:
     return Coefficients(ranges.gyro_radps, ranges.accel_mps2, ranges.mag_ut)
 
 
-@compiled
+@compiled_inside
 def start(c: Coefficients) -> Guard:
     """Before the first sample."""
     none = like(c.gyro_radps, nan)  # the same as no vector
@@ -118,7 +118,7 @@ def start(c: Coefficients) -> Guard:
     return Guard(-1, Gyro(last, -1, 0, 0, 0), Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0)
 
 
-@compiled
+@compiled_inside
 def read(v: Vector, last: Vector, limit: float) -> Reading:
     """A vector as it came. NaN is not usable: it is not less than anything."""
     is_usable = abs(v[0]) < LARGEST and abs(v[1]) < LARGEST and abs(v[2]) < LARGEST
@@ -127,13 +127,13 @@ def read(v: Vector, last: Vector, limit: float) -> Reading:
     return Reading(vector, is_usable, is_usable and reaches, is_usable and vector == last)
 
 
-@compiled
+@compiled_inside
 def clipped(rate: float, limit: float) -> float:
     """What a component at the end of its range may hide: as much again."""
     return limit if abs(rate) >= limit else like(limit, 0.0)
 
 
-@compiled
+@compiled_inside
 def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
     """The rate to go by: the one that was read, else the last good one for a while, else rest; and what it hides."""
     last, last_ns, n_bad, n_saturated, n_same = gyro
@@ -152,19 +152,19 @@ def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro
     return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate, hidden
 
 
-@compiled
+@compiled_inside
 def left_out(reading: Reading) -> bool:
     """An accelerometer or magnetometer vector whose direction says nothing."""
     return reading.is_saturated or not reading.is_usable
 
 
-@compiled
+@compiled_inside
 def counted(reading: Reading) -> tuple[int, int, int]:
     """Bad, saturated, the same as before: 1 or 0 each."""
     return 0 if reading.is_usable else 1, 1 if reading.is_saturated else 0, 1 if reading.is_same else 0
 
 
-@compiled
+@compiled_inside
 def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     """The sample that an estimator gets; False: none, as time has not risen."""
     t_ns, gyro, accel, mag, n_gaps, n_out_of_order = guard

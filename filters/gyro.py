@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.euler_axes import GIMBAL, frame_of, tilting, turned_about_up
 from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
-from stillpoint.filters.kf_axis import GIMBAL, frame_of, tilting, turned_about_up
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
@@ -55,20 +55,20 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     return Coefficients(newest, params.kinematics == "euler", declination_rad)
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.newest, 0.0), like(c.newest, 0.5**0.5)
     return State(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), False, False, 0, 0)
 
 
-@compiled
+@compiled_inside
 def turned(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quaternion:
     """By one rotation."""
     return multiply(q_nb, rotation.exp(scale(rate_b_radps, dt_s)))
 
 
-@compiled
+@compiled_inside
 def turned_by_euler(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
     """Eq (1) of paper 004, each angle by its rate at the beginning; one rotation and True where it is singular."""
     up, across, cos_pitch = frame_of(q_nb)
@@ -80,7 +80,7 @@ def turned_by_euler(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tupl
     return turned_about_up(multiply(q_nb, tilting(roll * dt_s, pitch * dt_s, across)), heading * dt_s), False
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Turn by rate times interval."""
     fields, q_nb, _, is_level, is_headed, n_gaps, n_gimbal = state
@@ -105,7 +105,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return state, Output(q_nb, None, None, None, is_level)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

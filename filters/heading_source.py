@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.fields import FREE_FALL_MPS2, tilt_of
 from stillpoint.filters.guard import Fix
 from stillpoint.filters.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
@@ -62,7 +62,6 @@ class Params(Settings):
 class Coefficients(NamedTuple):
     """Derived once from the parameters."""
 
-    is_on: bool  # False: the magnetometer as it is
     least_speed_mps: float
     longest_age_s: float
     course_time_s: float
@@ -101,11 +100,10 @@ class State(NamedTuple):
     n_mag_corrected: int  # fields given without a course, corrected by what was learnt
 
 
-def coefficients(params: Params | None, declination_rad: float | None) -> Coefficients:
-    """Of these parameters, None: the magnetometer as it is; at a place with this declination, None: not known."""
-    p = Params() if params is None else params
+def coefficients(params: Params, declination_rad: float | None) -> Coefficients:
+    """Of these parameters at a place with this declination, None: not known."""
+    p = params
     return Coefficients(
-        params is not None,
         p.least_speed_mps,
         p.longest_age_s,
         p.course_time_s,
@@ -121,15 +119,14 @@ def coefficients(params: Params | None, declination_rad: float | None) -> Coeffi
     )
 
 
-@compiled
-def start(c: Coefficients) -> State:
+@compiled_inside
+def start(zero: float) -> State:
     """Before the first sample."""
-    one, zero = like(c.tilt_time_s, 1.0), like(c.tilt_time_s, 0.0)
-    attitude = Attitude((one, zero, zero, zero), (zero, zero, zero), False, zero)
+    attitude = Attitude((like(zero, 1.0), zero, zero, zero), (zero, zero, zero), False, zero)
     return State(attitude, Courses(zero, 0, 0, 0), uncalibrated(zero), zero, 0, 0)
 
 
-@compiled
+@compiled_inside
 def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
     """Of an error that stands for ``error_s``: what to turn by, and what to take off the bias, 1/s.
 
@@ -141,7 +138,7 @@ def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
     return turn, bias
 
 
-@compiled
+@compiled_inside
 def turned(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
     """Turn by a share of an error, which is a rotation vector in n, and take another share of it off the bias."""
     q_nb, bias, is_level, age_s = attitude
@@ -149,7 +146,7 @@ def turned(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> A
     return Attitude(normalise(multiply(rotation.exp(scale(error_n, share[0])), q_nb)), bias, is_level, age_s)
 
 
-@compiled
+@compiled_inside
 def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
     """Turn with the rate less its bias, then towards the accelerometer's up."""
     q_nb, bias, is_level, age_s = attitude
@@ -166,7 +163,7 @@ def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
     return turned(Attitude(q_nb, bias, True, age_s if is_level else zero), (tilt_x, tilt_y, zero), share)
 
 
-@compiled
+@compiled_inside
 def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
     """Turn towards the course of one fix; False where it does not count."""
     since_s, n_in_row, n_used, n_left_out = courses
@@ -183,10 +180,13 @@ def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) ->
     return turned(attitude, error_n, share), Courses(zero, n_in_row + 1, n_used + 1, n_left_out), True
 
 
-@compiled
-def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients) -> tuple[State, Sample]:
-    """The sample that the estimator gets in place of this one."""
-    if not c.is_on:
+@compiled_inside
+def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients | None) -> tuple[State, Sample]:
+    """The sample that the estimator gets in place of this one; with None the magnetometer as it is.
+
+    numba leaves out what follows a None that it knows of: without courses nothing of it is compiled.
+    """
+    if c is None:
         return state, sample
     dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
     attitude, (since_s, n_in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses

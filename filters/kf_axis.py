@@ -19,20 +19,27 @@ angles and not the biases.
 """
 
 from dataclasses import dataclass
-from math import atan2, cos, nan, pi, sin, sqrt
+from math import atan2, nan, sqrt
 from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.angle_and_bias import ANY_ANGLE_RAD2, Axis, correct, predict, renewed, widened
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.euler_axes import (
+    GIMBAL,
+    Frame,
+    covariance,
+    frame_of,
+    hidden_turns,
+    in_body,
+    tilting,
+    turned_about_up,
+)
 from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, multiply, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 
-# Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.
-GIMBAL = 0.02
-# Variance of a heading of which nothing is known: uniform over a turn.
-ANY_HEADING_RAD2 = pi * pi / 3
 START_S = 2.0
 GRAVITY_MPS2 = 9.80665  # unit of the accelerometer in (14), (15) as printed
 FORMS = ("euler", "roots", "printed")
@@ -76,14 +83,6 @@ class Coefficients(NamedTuple):
     declination_rad: float  # east of true north
 
 
-class Axis(NamedTuple):
-    """Covariance P of (angle, bias) of one Euler angle."""
-
-    p_angle: float
-    p_cross: float
-    p_bias: float
-
-
 class State(NamedTuple):
     """What is remembered."""
 
@@ -115,14 +114,6 @@ class Moved(NamedTuple):
     is_gimbal: bool
 
 
-class Frame(NamedTuple):
-    """Where the Euler angles of an attitude turn, in body axes."""
-
-    up_b: Vector  # axis of heading: (-sin pitch, cos pitch sin roll, cos pitch cos roll)
-    pitch_b: Vector  # axis of pitch: (0, cos roll, -sin roll)
-    cos_pitch: float
-
-
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
     """Of these parameters at a place with this declination (east of true north)."""
     return Coefficients(
@@ -139,104 +130,17 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     )
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.tilt_rad2, 0.0), like(c.tilt_rad2, 0.5**0.5)
     tilt = Axis(c.tilt_rad2, zero, c.bias_rad2ps2)
-    heading = Axis(like(zero, ANY_HEADING_RAD2), zero, c.bias_rad2ps2)
+    heading = Axis(like(zero, ANY_ANGLE_RAD2), zero, c.bias_rad2ps2)
     none = (zero, zero, zero)
     return State((half, zero, zero, half), none, tilt, tilt, heading, zero, zero, False, False, 0, 0, 0, 0, 0)
 
 
-@compiled
-def predict(axis: Axis, dt_s: float, c: Coefficients) -> Axis:
-    """P of (11) after an interval: A P A' + Q dt."""
-    p_angle, p_cross, p_bias = axis
-    grown = p_angle + dt_s * (dt_s * p_bias - p_cross - p_cross) + c.gyro_rad2ps * dt_s
-    return Axis(grown, p_cross - dt_s * p_bias, p_bias + c.walk_rad2ps3 * dt_s)
-
-
-@compiled
-def correct(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float, float]:
-    """One measurement of variance ``r``: P, by how much to turn and to change the bias, the normalised innovation.
-
-    P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
-    """
-    p_angle, p_cross, p_bias = axis
-    per_s = like(r, 1.0) / (p_angle + r)  # one division: they are slow
-    left, by = r * per_s, innovation * per_s
-    determinant = max(p_angle * p_bias - p_cross * p_cross, like(r, 0.0))
-    new = Axis(p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
-    return new, p_angle * by, p_cross * by, innovation * sqrt(per_s)
-
-
-@compiled
-def widened(axis: Axis, turn: float) -> Axis:
-    """P after a turn that the gyro did not tell (sd), which goes on as it began: standard deviations add."""
-    root = sqrt(axis.p_angle) + turn
-    return Axis(max(axis.p_angle, min(root * root, like(turn, ANY_HEADING_RAD2))), axis.p_cross, axis.p_bias)
-
-
-@compiled
-def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
-    """The most that turns about the body's axes, of either sign, make of roll, pitch and heading: (1)."""
-    up, (_, across_y, across_z), cos_pitch = frame_of(q_nb)
-    x, y, z = hidden_b_rad
-    least = like(x, GIMBAL)
-    heading = (abs(up[1]) * y + abs(up[2]) * z) / max(cos_pitch * cos_pitch, least * least)
-    return x + abs(up[0]) * heading, abs(across_y) * y + abs(across_z) * z, heading
-
-
-@compiled
-def renewed(p_angle: float, p_bias: float) -> Axis:
-    """A P whose angle and bias have nothing to do with each other."""
-    return Axis(p_angle, like(p_angle, 0.0), p_bias)
-
-
-@compiled
-def frame_of(q: Quaternion) -> Frame:
-    """Where the Euler angles of an attitude turn; the pitch's axis is arbitrary where x is vertical."""
-    w, x, y, z = q
-    one, two = like(w, 1.0), like(w, 2.0)
-    up_x, up_y, up_z = (x * z - w * y) * two, (y * z + w * x) * two, one - (x * x + y * y) * two
-    square = up_y * up_y + up_z * up_z
-    cos_pitch = sqrt(square)
-    if cos_pitch < like(w, GIMBAL):
-        return Frame((up_x, up_y, up_z), (one - one, one, one - one), cos_pitch)
-    share = cos_pitch * (one / square)  # sooner there than 1 / cos_pitch
-    return Frame((up_x, up_y, up_z), (one - one, up_z * share, -up_y * share), cos_pitch)
-
-
-@compiled
-def half_turn(angle: float) -> tuple[float, float]:
-    """Cosine and sine of half an angle; of small ones by their series, exact to 1e-17."""
-    half = angle * like(angle, 0.5)
-    if abs(half) < like(angle, 0.05):
-        t = half * half
-        one = like(angle, 1.0)
-        even = t * like(angle, 1 / 24) * (one - t * like(angle, 1 / 30) * (one - t * like(angle, 1 / 56)))
-        odd = t * like(angle, 1 / 6) * (one - t * like(angle, 1 / 20) * (one - t * like(angle, 1 / 42)))
-        return one - t * (like(angle, 0.5) - even), half - half * odd
-    return cos(half), sin(half)
-
-
-@compiled
-def tilting(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
-    """A turn by ``pitch`` about the axis of pitch, then by ``roll`` about body x: on the right of an attitude."""
-    (cp, sp), (cr, sr) = half_turn(pitch), half_turn(roll)
-    y, z = pitch_b[1] * sp, pitch_b[2] * sp
-    return cp * cr, cp * sr, y * cr + z * sr, z * cr - y * sr
-
-
-@compiled
-def turned_about_up(q: Quaternion, angle: float) -> Quaternion:
-    """The attitude after a turn about up."""
-    c, s = half_turn(angle)
-    return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
-
-
-@compiled
+@compiled_inside
 def unit(q: Quaternion) -> Quaternion:
     """Length 1 for a quaternion that is off by rounding only: one Newton step, with neither root nor division."""
     half = like(q[0], 0.5)
@@ -244,13 +148,7 @@ def unit(q: Quaternion) -> Quaternion:
     return q[0] * share, q[1] * share, q[2] * share, q[3] * share
 
 
-@compiled
-def in_body(roll: float, pitch: float, frame: Frame) -> Vector:
-    """The body rate of these rates of roll and pitch: the inverse of (1)."""
-    return roll, frame.pitch_b[1] * pitch, frame.pitch_b[2] * pitch
-
-
-@compiled
+@compiled_inside
 def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
     """(14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
     fx, fy, fz = force
@@ -268,28 +166,19 @@ def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
     )
 
 
-@compiled
-def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> tuple[float, ...]:
-    """Variances of the Euler angles as the covariance of a small rotation in body axes."""
-    up, (_, py, pz) = frame.up_b, frame.pitch_b
-    xy, xz, yz = heading * up[0] * up[1], heading * up[0] * up[2], heading * up[1] * up[2] + pitch * py * pz
-    xx, yy = roll + heading * up[0] * up[0], pitch * py * py + heading * up[1] * up[1]
-    return xx, xy, xz, xy, yy, yz, xz, yz, pitch * pz * pz + heading * up[2] * up[2]
-
-
-@compiled
+@compiled_inside
 def without_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
     """Specific force less w x V of (4), for a V along body x."""
     return force[0], force[1] - rate[2] * speed_mps, force[2] + rate[1] * speed_mps
 
 
-@compiled
+@compiled_inside
 def moved(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Moved:
     """The attitude by the gyro, then roll and pitch by the accelerometer."""
     dt_s, none = sample.dt_s, like(sample.dt_s, nan)
     bias = state.bias_b_radps
     rate = add(sample.gyro_b_radps, scale(bias, like(dt_s, -1.0)))
-    q_nb = multiply(state.q_nb, rotation.exp(scale(rate, dt_s)))
+    q_nb = multiply(unit(state.q_nb), rotation.exp(scale(rate, dt_s)))
     frame = frame_of(q_nb)
     if frame.cos_pitch < like(dt_s, GIMBAL):
         return Moved(q_nb, bias, state.roll, state.pitch, none, none, True)
@@ -306,11 +195,30 @@ def moved(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Mov
     return Moved(q_nb, bias, roll, pitch, nu_roll, nu_pitch, False)
 
 
-@compiled
+@compiled_inside
+def predicted(state: State, sample: Sample, is_headed: bool, c: Coefficients) -> tuple[Axis, Axis, Axis, float]:
+    """P of roll, pitch and heading after the interval, and the time since P was renewed."""
+    _, _, roll, pitch, heading, _, since_reset_s, _, _ = state[:9]
+    dt_s = sample.dt_s
+    roll = predict(roll, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    pitch = predict(pitch, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    heading = predict(heading, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    since_reset_s += dt_s
+    if dot(sample.hidden_b_radps, sample.hidden_b_radps) > 0:
+        by_roll, by_pitch, by_heading = hidden_turns(state.q_nb, scale(sample.hidden_b_radps, dt_s))
+        roll, pitch, heading = widened(roll, by_roll), widened(pitch, by_pitch), widened(heading, by_heading)
+    if c.reset_s > 0 and since_reset_s >= c.reset_s:
+        since_reset_s = like(dt_s, 0.0)
+        roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)
+        heading = renewed(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
+    return roll, pitch, heading, since_reset_s
+
+
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Predict all three angles, correct roll and pitch, then the heading."""
-    dt_s, zero, none = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, nan)
-    q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed = state[:9]
+    dt_s, zero, nu_heading = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, nan)
+    q_nb, bias, _, _, _, age_s, _, is_level, is_headed = state[:9]
     n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north = state[9:]
     least = like(dt_s, FREE_FALL_MPS2 * FREE_FALL_MPS2)
     has_accel = sample.has_accel and dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least
@@ -319,16 +227,9 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     n_no_field += sample.has_mag and not has_mag
     if is_level and dt_s > like(dt_s, GAP_S):
         is_level, is_headed, age_s, n_gaps = False, False, zero, n_gaps + 1
-    age_s, since_reset_s = min(age_s + dt_s, like(dt_s, START_S)), since_reset_s + dt_s
-    roll, pitch, heading = predict(roll, dt_s, c), predict(pitch, dt_s, c), predict(heading, dt_s, c)
-    if dot(sample.hidden_b_radps, sample.hidden_b_radps) > 0:
-        by_roll, by_pitch, by_heading = hidden_turns(q_nb, scale(sample.hidden_b_radps, dt_s))
-        roll, pitch, heading = widened(roll, by_roll), widened(pitch, by_pitch), widened(heading, by_heading)
-    if c.reset_s > 0 and since_reset_s >= c.reset_s:
-        since_reset_s = zero
-        roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)
-        heading = renewed(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
-    nu_roll = nu_pitch = nu_heading = none
+    age_s = min(age_s + dt_s, like(dt_s, START_S))
+    roll, pitch, heading, since_reset_s = predicted(state, sample, is_headed, c)
+    nu_roll = nu_pitch = nu_heading
     if is_level:
         before = State(q_nb, bias, roll, pitch, heading, zero, zero, True, is_headed, 0, 0, 0, 0, 0)
         q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = moved(before, sample, has_accel, c)
@@ -336,6 +237,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     elif has_accel:
         q_nb, is_level, age_s = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, zero
         roll, pitch = renewed(c.tilt_rad2, roll.p_bias), renewed(c.tilt_rad2, pitch.p_bias)
+    frame = frame_of(q_nb)  # a turn about up, as that of the heading is, leaves it as it is
     if is_level and has_mag:
         turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if not found:
@@ -345,17 +247,15 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
             q_nb = turned_about_up(q_nb, turn)
         else:
             heading, turn, bias_heading, nu_heading = correct(heading, turn, c.heading_rad2)
-            q_nb = turned_about_up(q_nb, turn)
-            bias = add(bias, scale(frame_of(q_nb).up_b, bias_heading))
-    q_nb = unit(q_nb)
+            q_nb, bias = turned_about_up(q_nb, turn), add(bias, scale(frame.up_b, bias_heading))
     counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
     state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)
-    cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame_of(q_nb))
+    cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
     ready = is_level and age_s >= like(dt_s, START_S)
     return state, Output(q_nb, bias, cov_b, (nu_roll, nu_pitch, nu_heading), ready)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

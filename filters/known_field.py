@@ -12,7 +12,7 @@ same from all sides, another place does.
 from math import atan2, pi, sqrt
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_inside, like
 from stillpoint.filters.rotation import Vector, norm
 
 # Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
@@ -54,26 +54,26 @@ def no_field(zero: float) -> KnownField:
     return KnownField(nothing, nothing, 0, 0)
 
 
-@compiled
+@compiled_inside
 def looks(field_n: Vector, seen_s: float) -> Looks:
     """Of a field that stood for so long."""
     flat = sqrt(field_n[0] * field_n[0] + field_n[1] * field_n[1])
     return Looks(norm(field_n), atan2(-field_n[2], flat), seen_s)
 
 
-@compiled
+@compiled_inside
 def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
     """Whether b looks like a."""
     return abs(b.size_ut - a.size_ut) < c.size * a.size_ut and abs(b.dip_rad - a.dip_rad) < c.dip_rad
 
 
-@compiled
+@compiled_inside
 def towards(a: Looks, b: Looks, share: float, seen_s: float) -> Looks:
     """a moved by a share of the way to b."""
     return Looks(a.size_ut + share * (b.size_ut - a.size_ut), a.dip_rad + share * (b.dip_rad - a.dip_rad), seen_s)
 
 
-@compiled
+@compiled_inside
 def disturbance_ut2(field: KnownField, seen: Looks) -> float:
     """Mean square of one component of a disturbance, by the two that show; 0 before anything is known."""
     known = field.known if field.known.seen_s > 0 else seen
@@ -81,7 +81,7 @@ def disturbance_ut2(field: KnownField, seen: Looks) -> float:
     return (longer * longer + higher * higher) * like(longer, 0.5)
 
 
-@compiled
+@compiled_inside
 def learn(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance) -> KnownField:
     """What is known after the mean field of a window, in which the body turned at this rate."""
     known, other, n_disturbed, n_new_fields = field

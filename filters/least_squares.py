@@ -55,7 +55,7 @@ from typing import NamedTuple
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
 from stillpoint.filters.complementary import begin
 from stillpoint.filters.fields import Fields, low_pass, no_fields
 from stillpoint.filters.fixed_gain import Error, error_of, settling_s, shares
@@ -187,7 +187,7 @@ def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coeff
     )
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
     zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
@@ -198,7 +198,7 @@ def start(c: Coefficients) -> State:
     return State(fields, level, none, none, Parts(part, part, part), zero, False, False, 0, 0, 0, 0)
 
 
-@compiled
+@compiled_inside
 def fitted(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Coefficients) -> Fit:
     """Eq (22) with one more row of H and S, given times T."""
     ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined = fit
@@ -220,7 +220,7 @@ def fitted(fit: Fit, error: float, integral: float, added: float, dt_s: float, c
     return Fit(ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined)
 
 
-@compiled
+@compiled_inside
 def corrected(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Coefficients) -> Part:
     """One part after a sample: the gains fitted to what the last correction left over, then the next correction.
 
@@ -235,7 +235,7 @@ def corrected(part: Part, error: float, integral: float, dt_s: float, follows: b
     return Part(fit, error * dt_s, integral + error * dt_s, error * turned, biased / dt_s)
 
 
-@compiled
+@compiled_inside
 def forward_of(q_nb: Quaternion) -> tuple[float, float]:
     """The horizontal direction (east, north) of the body's x axis; east where that is vertical."""
     w, x, y, z = q_nb
@@ -248,19 +248,19 @@ def forward_of(q_nb: Quaternion) -> tuple[float, float]:
     return half_east * size, half_north * size
 
 
-@compiled
+@compiled_inside
 def to_parts(v_n: Vector, forward: tuple[float, float]) -> Vector:
     """A vector of n along the direction of travel, to its left, and up."""
     return v_n[0] * forward[0] + v_n[1] * forward[1], v_n[1] * forward[0] - v_n[0] * forward[1], v_n[2]
 
 
-@compiled
+@compiled_inside
 def from_parts(v: Vector, forward: tuple[float, float]) -> Vector:
     """The inverse of :func:`to_parts`."""
     return v[0] * forward[0] - v[1] * forward[1], v[0] * forward[1] + v[1] * forward[0], v[2]
 
 
-@compiled
+@compiled_inside
 def correct(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
     """The predicted state turned by (10), with the gains of (22).
 
@@ -300,14 +300,14 @@ def correct(state: State, error: Error, follow_accel: bool, follow_mag: bool, c:
     )
 
 
-@compiled
+@compiled_inside
 def forgotten(part: Part) -> Part:
     """After a gap: the fit goes on, but its next row has no correction before it."""
     zero = like(part.error_rad_s, 0.0)
     return Part(part.fit, zero, part.integral_rad_s, zero, part.ki_per_s2)
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
     accel_s, gap_s = state.fields.since_accel_s + sample.dt_s, like(sample.dt_s, GAP_S)
@@ -335,7 +335,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return state, Output(state.q_nb, scale(state.b_radps, like(dt_s, -1.0)), None, None, is_ready)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):
@@ -344,7 +344,7 @@ def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     return state
 
 
-@compiled
+@compiled_entry
 def run_gains(log: Log, state: State, c: Coefficients, kp_per_s: Floats, ki_per_s2: Floats) -> State:
     """Every sample of a log, to see the gains of roll, pitch and heading after it (N, 3)."""
     for k in range(len(log.dt_s)):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, rotate
 
 # Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
@@ -42,13 +42,13 @@ class Calibration(NamedTuple):
     n_mag_learnt: int  # fields that it was learnt from
 
 
-@compiled
+@compiled_inside
 def uncalibrated(zero: float) -> Calibration:
     """Before the first field."""
     return Calibration(np.full(6, zero), np.full((6, 6), zero), False, 0)
 
 
-@compiled
+@compiled_inside
 def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
     """The prior, if it is not there yet: F as large as this first field, and at the declination."""
     if calibration.is_begun:
@@ -69,7 +69,7 @@ def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior)
     return Calibration(x, cov, True, 0)
 
 
-@compiled
+@compiled_inside
 def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: float, prior: Prior) -> Calibration:
     """Recursive least squares by one field, ``since_s`` after the one before: its three components in turn."""
     x, cov, is_begun, n_learnt = calibration
@@ -93,7 +93,7 @@ def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: floa
     return Calibration(x, cov, is_begun, n_learnt + 1)
 
 
-@compiled
+@compiled_inside
 def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector:
     """The field in b that F makes at this attitude, with its azimuth at the declination."""
     x, zero = calibration.x_ut, like(prior.declination_rad, 0.0)
@@ -103,7 +103,7 @@ def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector
     return rotate(conjugate(q_nb), (flat * sin(prior.declination_rad), flat * cos(prior.declination_rad), up))
 
 
-@compiled
+@compiled_inside
 def corrected(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Vector:
     """A field less the hard iron, turned about the up of this attitude by what F is off the declination."""
     x = calibration.x_ut

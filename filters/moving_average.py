@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import tilt
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
@@ -66,7 +66,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     return Coefficients(tilt.Coefficients(params.kappa, declination_rad), round(params.window_s * 1e9), room)
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
     one, zero = like(c.tilt.kappa, 1.0), like(c.tilt.kappa, 0.0)
@@ -117,7 +117,7 @@ def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     return from_rows(cross(north, up), north, up), True
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """``acc``, then its mean over the window."""
     inner, output = tilt.step(state.tilt, sample, c.tilt)
@@ -130,7 +130,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return State(inner, window, t_ns, q_nb, n_no_mean), Output(q_nb, None, None, None, window.is_full)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

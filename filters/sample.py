@@ -20,7 +20,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled
+from stillpoint.filters.compiled import compiled, compiled_inside
 from stillpoint.filters.rotation import Quaternion, Vector
 
 # A longer interval between two samples is a gap: one rate does not describe it.
@@ -86,7 +86,7 @@ def sample_at(log: Log, k: int) -> Sample:
     )
 
 
-@compiled
+@compiled_inside
 def keep(track: Track, k: int, output: Output) -> None:
     """Put output ``k`` into the columns."""
     put(track.q_nb, k, output.q_nb)

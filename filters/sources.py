@@ -36,9 +36,11 @@ def front_of(
     require_known(heading, HEADINGS, "heading")
     if heading == "mag" and heading_params:
         raise BadParameter("heading mag has no settings; they are those of heading gps-course")
-    by_course = chosen(heading_source.Params(), heading_params, "heading") if heading == "gps-course" else None
-    full_scales = chosen(guard.Ranges(), ranges, "range")
-    return front.Coefficients(guard.coefficients(full_scales), heading_source.coefficients(by_course, declination_rad))
+    full_scales = guard.coefficients(chosen(guard.Ranges(), ranges, "range"))
+    if heading == "mag":
+        return front.Coefficients(full_scales, None)
+    by_course = chosen(heading_source.Params(), heading_params, "heading")
+    return front.Coefficients(full_scales, heading_source.coefficients(by_course, declination_rad))
 
 
 def sources_of(
@@ -55,13 +57,13 @@ def sources_of(
     mag, declination, facts = magnetometer(recording)
     is_true = facts["heading"].startswith("true north")
     coefficients = front_of(heading, heading_params, ranges, declination if is_true else None)
-    if heading == "mag":
+    if coefficients.heading is None:
         return Sources(mag, None, declination, coefficients, facts)
     if recording.gps is None:
         raise BadRecording(f"{recording.name}: has no satellite fixes (gps) to take a course from; use heading mag")
-    c = coefficients.heading
+    least_mps = coefficients.heading.least_speed_mps
     otherwise = "the gyro alone" if mag is None else "the magnetometer, calibrated by them"
-    words = f"true north: gps course while fixes are valid and over {c.least_speed_mps:g} m/s, otherwise {otherwise}"
+    words = f"true north: gps course while fixes are valid and over {least_mps:g} m/s, otherwise {otherwise}"
     return Sources(mag, recording.gps, declination, coefficients, facts | {"heading": words})
 
 

@@ -7,7 +7,7 @@ than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t
 from math import pi
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Vector, cross, dot
 
 # Up and field are seen to turn from there on: noise of a mean over a window is far less.
@@ -42,13 +42,13 @@ class Limits(NamedTuple):
     least_s: float  # a rest counts after so long
 
 
-@compiled
+@compiled_inside
 def moving(zero: float) -> Stillness:
     """No rest so far."""
     return Stillness((zero, zero, zero), (zero, zero, zero), zero)
 
 
-@compiled
+@compiled_inside
 def has_turned(before: Vector, now: Vector) -> bool:
     """Whether a direction differs by more than ``TURN_RAD``; one that is not known does not."""
     across = cross(before, now)
@@ -56,7 +56,7 @@ def has_turned(before: Vector, now: Vector) -> bool:
     return dot(across, across) > most
 
 
-@compiled
+@compiled_inside
 def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
     """The rest after one more window."""
     zero = like(means.length_s, 0.0)
@@ -72,13 +72,13 @@ def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
     return Stillness(up_b, field_b, lasted_s + means.length_s)
 
 
-@compiled
+@compiled_inside
 def is_resting(still: Stillness, c: Limits) -> bool:
     """Whether the rest has lasted long enough to count."""
     return still.lasted_s > 0 and still.lasted_s >= c.least_s
 
 
-@compiled
+@compiled_inside
 def rate_sd(still: Stillness) -> float:
     """How fast the body may turn for all that up and field show, rad/s."""
     return like(still.lasted_s, TURN_RAD) / still.lasted_s

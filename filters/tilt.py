@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
 from stillpoint.filters.fields import Fields, level, low_pass, no_fields, turn_to_north
 from stillpoint.filters.rotation import Quaternion, about_up, multiply, rotate
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
@@ -41,14 +41,14 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     return Coefficients(params.kappa, declination_rad)
 
 
-@compiled
+@compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
     one, zero = like(c.kappa, 1.0), like(c.kappa, 0.0)
     return State(no_fields(zero), (one, zero, zero, zero), 0)
 
 
-@compiled
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """The attitude by this sample alone (and the raw one before it, eq (9))."""
     fields, _ = low_pass(state.fields, sample, c.kappa)
@@ -66,7 +66,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     return State(fields, q_nb, n_no_north), Output(q_nb, None, None, None, fields.has_accel)
 
 
-@compiled
+@compiled_entry
 def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
     """Every sample of a log."""
     for k in range(len(log.dt_s)):

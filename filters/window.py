@@ -7,7 +7,7 @@ so a body that turns within a window does not blur them (as in VQF, Laidig and S
 
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled, compiled_inside, like
 from stillpoint.filters.covariance import Axes, axes_in_n
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
 from stillpoint.filters.sample import Sample
@@ -82,7 +82,7 @@ def turned(sums: Turning, sample: Sample, rate_b: Vector, q_from: Quaternion, q_
     )
 
 
-@compiled
+@compiled_inside
 def is_measured(turning: Turning) -> bool:
     """Whether the gyro has told the turn, all of it."""
     return dot(turning.hidden_b_rad, turning.hidden_b_rad) == 0
@@ -105,7 +105,7 @@ def with_field(sums: FieldSum, field_n: Vector, field_b: Vector) -> FieldSum:
     return FieldSum(add(sums.sum_n_ut, field_n), add(sums.sum_b_ut, field_b), sums.how_many + like(sums.how_many, 1.0))
 
 
-@compiled
+@compiled_inside
 def means(window: Window) -> Means:
     """In body axes, for a window that has a length; the accelerometer's are 0 where it gave nothing."""
     turning, forces, fields = window

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from from_python import from_python
 from matched import FIELD_N, PARAMS, columns, matched, run
 from scipy.spatial.transform import Rotation
 from textbook_ekf import TextbookEkf
@@ -79,7 +80,7 @@ def test_the_transition_over_a_window_is_the_derivative_of_what_the_window_does(
         return rot, velocity
 
     window = window_of(log, start, bias, first, last)
-    a = transition(window, np.eye(8))
+    a = from_python(transition)(window, np.eye(8))
     base_rot, base_v = after(np.zeros(3), np.zeros(3))
     small = 1e-6
     for j in range(6):
@@ -102,6 +103,8 @@ def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
     field_n = Rotation.from_rotvec([0, 0, -declination]).apply(FIELD_N)
     log = log._replace(mag_b_ut=true.inv().apply(field_n))
 
+    measured = from_python(heading_measurement)
+
     def heading(error: np.ndarray) -> float:
         """What the window's field says of a heading whose attitude is wrong by ``error`` (q_true = exp(e) q)."""
         wrong = Rotation.from_rotvec(error).inv() * true
@@ -110,7 +113,7 @@ def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
             turning, forces, fields = window
             field = tuple(wrong[k].apply(log.mag_b_ut[k]))
             window = Window(turning._replace(length_s=0.26), forces, with_field(fields, field, tuple(log.mag_b_ut[k])))
-        m = heading_measurement(np.zeros(8), window, 0.0, no_field(0.0), coefficients)
+        m = measured(np.zeros(8), window, 0.0, no_field(0.0), coefficients)
         rows.append(m.row)
         return m.seen
 
