@@ -24,7 +24,9 @@ that size and dip of the field show (:mod:`stillpoint.filters.known_field`).
 **Rest.** The mean rate is the bias (:mod:`stillpoint.filters.stillness`), and v is 0 to ``REST_MPS``.
 
 **Rates that were clipped or missing** hide a turn. P grows by it, about the body's axes concerned and as one error that
-lasts, and nothing is a rest meanwhile. So what the fields then show goes to the attitude, not to the bias.
+lasts, and nothing is a rest meanwhile. So what the fields then show goes to the attitude, not to the bias. An update
+that turns the attitude far is linear where the turn is not: P grows by the second order of it, and the next windows
+find the rest.
 
 Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of

@@ -77,4 +77,5 @@ class TextbookEkf:
         x = x + gain * (np.arctan2(field[0], field[1]) - h @ x)
         left = np.eye(8) - np.outer(gain, h)
         self.p = left @ self.p @ left.T + np.outer(gain, gain) * r
+        self.p[:3, :3] += np.eye(3) * (x[:3] @ x[:3] / 2) ** 2  # what the update leaves out is of the second order
         self.rot, self.b, self.v = self.rot * Rotation.from_rotvec(x[:3]), self.b + x[3:6], self.v + x[6:]
