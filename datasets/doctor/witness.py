@@ -29,6 +29,7 @@ OVERLAP = 3.0  # windows start every third of their length
 STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
 FEWEST_SWINGS = 6
 HAND_TREMOR_M = 0.02  # displacements below this tell nothing
+CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     weight = robust_solve(at.design(centre), at.change, np.ones(len(grid)))[2]
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
     _, null = solve(_bias_columns(at, centre), at.change, weight)
-    floor = min(float(np.median(residual)) for _, residual in fits) ** 2 + 1e-300
+    noise = min(float(np.median(residual)) for _, residual in fits)
+    floor = noise**2 + (CALIBRATION * np.linalg.norm(at.change, axis=1)) ** 2 + 1e-300
     nothing = np.log(null**2 + floor)
     # A scale below zero is the opposite candidate with one above.
     losses = [np.log(residual**2 + floor) if found[0] > 0 else nothing for found, residual in fits]
