@@ -114,7 +114,12 @@ def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
         raise BadSource(f"{path}: cannot be read as a Qualisys export ({error}); download it again") from None
     late_s = _alignment(folder / "timeAlignment.txt")
     frame_s = np.arange(columns.shape[1]) / rate_hz
+    if columns.ndim != 2 or len(columns) != 9:
+        raise BadSource(
+            f"{path}: holds rotations of shape {columns.shape}, not 9 x frames of one body; export one body"
+        )
     seen = np.isfinite(columns).all(axis=0) & np.isfinite(residual)
+    seen[seen] = np.linalg.det(columns.T[seen].reshape(-1, 3, 3)) > 0.5  # a frame without body may hold zeros
     log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
     scored = np.ones(len(seen), dtype=np.bool_)
     for start, end in EXCLUDED_S.get(folder.name, ()):
