@@ -1,7 +1,7 @@
 """Every estimator of attitude over two hours of a phone at 100 Hz, beside ``vqf`` and the package ``ahrs``.
 
 The packages' loops in Python get a hundredth of the samples, and their seconds count a hundred times. All rows are the
-time that ``estimate`` reports: the filter's own, without the making of arrays around it.
+time that ``estimate`` reports: the filter's own, without the making of arrays around it, which packages do inside.
 """
 
 from collections.abc import Callable
