@@ -48,6 +48,7 @@ VARIANTS = (
     Variant("no calibration matrices", NO_CALIBRATION),
     Variant("no delay of the accelerometer", {"inertial.accel_late_sd_s": 1e-5}),
     Variant("neither matrices nor delay", {**NO_CALIBRATION, "inertial.accel_late_sd_s": 1e-5}),
+    Variant("no delay of the magnetometer", {"magnetic.late_sd_s": 1e-5}),
     Variant("no matrix of the magnetometer", {"magnetic.matrix_sd": 1e-6}),
     Variant("gyro bias constant", {"inertial.gyro_bias_walk": 1e-7}),
     Variant("no magnetometer", magnetometer=False),
