@@ -20,7 +20,8 @@ from stillpoint.filters.guard import Fix, Raw
 from stillpoint.filters.sample import Sample
 
 Advance = Callable[..., Any]
-# Stamp; rate, specific force, field; is there a field; course, speed; is there a fix.
+# Stamp in ns; rate in rad/s, specific force in m/s^2, field in uT, all in b; is there a field; course in rad and speed
+# in m/s; is there a fix.
 ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
 
 

@@ -19,7 +19,8 @@ observation-uncertain mode the paper's filter then leaves for good. Here alpha a
 again. Innovations are given as the model expects them (alpha = 1), so NIS shows what the adaptation answers to. It
 leaves the chi-square band by design: alpha >= 1 never trusts more than the model, and on noise that is as the
 parameters say alpha is still above 1 half of the time (mean 1.1 to 1.2 for M = 10), so the covariance is pessimistic
-(mode observation) and the estimate noisier than that of ``ekf`` (mode system)."""
+(mode observation) and the estimate noisier than that of ``ekf`` (mode system).
+"""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -155,8 +156,7 @@ def trust_heading(
     explained = innovation(x, p, m)[1] - m.variance
     memory, trust = adapted(memory, nu * nu, explained, m.variance, c)
     if trust.fade > 1:
-        for i in range(HEADING, HEADING + 1):
-            widen(p, i, trust.fade)
+        widen(p, HEADING, trust.fade)
     return memory, trust
 
 

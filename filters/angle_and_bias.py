@@ -5,21 +5,19 @@
     (angle, bias)' = A (angle, bias) + (dt rate, 0)    A = [[1, -dt], [0, 1]]    H = [1 0]
 """
 
-from math import pi, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled_inside, like
-
-# Variance of an angle of which nothing is known: uniform over a turn.
-ANY_ANGLE_RAD2 = pi * pi / 3
+from stillpoint.filters.covariance import ANY_ANGLE_RAD2
 
 
 class Axis(NamedTuple):
     """P of (angle, bias)."""
 
-    p_angle: float
-    p_cross: float
-    p_bias: float
+    p_angle: float  # rad^2
+    p_cross: float  # rad^2/s
+    p_bias: float  # (rad/s)^2
 
 
 @compiled_inside

@@ -21,23 +21,12 @@ from typing import Literal, NamedTuple
 from stillpoint.datasets.settings import Settings, choice, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
-from stillpoint.filters.fields import Fields, Fresh, levelled, low_pass, no_fields, tilt_of, turn_to_north, uprighting
-from stillpoint.filters.rotation import (
-    Quaternion,
-    Vector,
-    about_up,
-    add,
-    conjugate,
-    multiply,
-    norm,
-    normalise,
-    rotate,
-    scale,
-)
-from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.fields import LONGEST_HOLD_S, Fresh, levelled, low_pass, tilt_of, turn_to_north
+from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
+from stillpoint.filters.rotation import conjugate, multiply, norm, rotate, scale
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
-# One field stands for at most that long: after a pause of the magnetometer, a single sample is not taken at its word.
-LONGEST_HOLD_S = 1.0
+State = Observer
 
 
 @dataclass(frozen=True)
@@ -56,25 +45,12 @@ class Coefficients(NamedTuple):
     """Derived once from the parameters."""
 
     damping_radps: float  # zeta w0
-    stiffness: float  # w0^2
-    split: float  # w0^2 (zeta^2 - 1): the square of half the distance of the two poles
+    stiffness: float  # w0^2, 1/s^2
+    split: float  # w0^2 (zeta^2 - 1), 1/s^2: the square of half the distance of the two poles
     kappa: float
     level_by_acc: bool
     settling_s: float  # three times the longest time constant of the error, without the slow pole's of the bias
     declination_rad: float  # east of true north
-
-
-class State(NamedTuple):
-    """What is remembered."""
-
-    fields: Fields
-    q_nb: Quaternion
-    b_radps: Vector  # of (11), in body axes: minus the gyro bias
-    age_s: float  # since the start, up to the settling time
-    is_level: bool  # False until the first tilt, and after a gap
-    is_headed: bool  # False until the first heading, and after a gap
-    n_gaps: int
-    n_no_north: int  # magnetometer samples left out: no horizontal field
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
@@ -95,9 +71,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, half = like(c.kappa, 0.0), like(c.kappa, 0.5**0.5)
-    none = (zero, zero, zero)
-    return State(no_fields(zero), (half, zero, zero, half), none, zero, False, False, 0, 0)
+    return unlevelled(like(c.kappa, 0.0))
 
 
 @compiled
@@ -131,65 +105,42 @@ def correct(e: float, b: float, dt_s: float, rows: tuple[float, float, float, fl
 
 
 @compiled_inside
-def begin(fields: Fields, q_nb: Quaternion, fresh: Fresh, declination_rad: float) -> tuple[Quaternion, bool]:
-    """The attitude of the fields; without a field the heading that there was, and False."""
-    q_nb = normalise(multiply(uprighting(q_nb, fields.accel), q_nb))
-    if fresh.mag:
-        turn, found = turn_to_north(rotate(q_nb, fields.mag), declination_rad)
-        if found:
-            return multiply(about_up(turn), q_nb), True
-    return q_nb, False
-
-
-@compiled_inside
-def pull(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> tuple[Quaternion, Vector, bool, int]:
-    """Turn the predicted attitude towards the fields: attitude, b, is there a heading, fields without one."""
-    q_nb, is_headed, n_no_north = state.q_nb, state.is_headed, state.n_no_north
-    up_n = rotate(q_nb, scale(state.fields.accel, like(dt_s, 1.0) / norm(state.fields.accel)))
+def pulled(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
+    """The predicted state turned towards the attitude of the fields."""
+    fields, q_nb, is_headed, n_no_north = state.fields, state.q_nb, state.is_headed, 0
+    up_n = rotate(q_nb, scale(fields.accel_b_mps2, like(dt_s, 1.0) / norm(fields.accel_b_mps2)))
     tilt_x, tilt_y = tilt_of(up_n)
     turn = like(dt_s, 0.0)
-    bx, by, bz = rotate(q_nb, state.b_radps)
+    b_east, b_north, b_up = rotate(q_nb, state.b_radps)
     rows = transition(dt_s, c)
-    tilt_x, bx = correct(tilt_x, bx, dt_s, rows)
-    tilt_y, by = correct(tilt_y, by, dt_s, rows)
+    tilt_x, b_east = correct(tilt_x, b_east, dt_s, rows)
+    tilt_y, b_north = correct(tilt_y, b_north, dt_s, rows)
     if fresh.mag:
-        field_n = rotate(q_nb, state.fields.mag)
+        field_n = rotate(q_nb, fields.mag_b_ut)
         error, found = turn_to_north(levelled(field_n, up_n) if c.level_by_acc else field_n, c.declination_rad)
         if not found:
-            n_no_north += 1
+            n_no_north = 1
         elif is_headed:
             hold_s = min(fresh.mag_hold_s, max(dt_s, like(dt_s, LONGEST_HOLD_S)))
-            turn, bz = correct(error, bz, hold_s, rows if hold_s == dt_s else transition(hold_s, c))
+            turn, b_up = correct(error, b_up, hold_s, rows if hold_s == dt_s else transition(hold_s, c))
         else:  # the first heading is taken, not approached
             turn, is_headed = error, True
-    b_radps = rotate(conjugate(q_nb), (bx, by, bz))
-    q_nb = normalise(multiply(rotation.exp((tilt_x, tilt_y, turn)), q_nb))
-    return q_nb, b_radps, is_headed, n_no_north
+    b_radps = rotate(conjugate(q_nb), (b_east, b_north, b_up))
+    return corrected(state, multiply(rotation.exp((tilt_x, tilt_y, turn)), q_nb), b_radps, is_headed, n_no_north)
 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and b, then turn towards the attitude of the fields."""
     fields, fresh = low_pass(state.fields, sample, c.kappa)
-    _, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north = state
-    dt_s, zero = sample.dt_s, like(sample.dt_s, 0.0)
-    age_s = min(age_s + dt_s, c.settling_s)
-    if is_level and dt_s > like(dt_s, GAP_S):
-        is_level, is_headed, n_gaps = False, False, n_gaps + 1
-    if is_level:
-        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b), dt_s)))
-        if fresh.accel:
-            predicted = State(fields, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north)
-            q_nb, b, is_headed, n_no_north = pull(predicted, dt_s, fresh, c)
-        else:
-            q_nb = normalise(q_nb)
+    state = moved_on(state, fields, sample, c.settling_s)
+    if not state.is_level:
+        state = begun(state, fresh, c.declination_rad)
+    elif fresh.accel:
+        state = pulled(state, sample.dt_s, fresh, c)
     else:
-        age_s = zero
-        if fresh.accel:
-            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
-            is_level = True
-    state = State(fields, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north)
-    return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
+        state = uncorrected(state)
+    return state, said(state, c.settling_s)
 
 
 @compiled_entry

@@ -5,7 +5,7 @@ definite by form, not by luck: prediction is a congruence A P A' + Q, an update 
 triangle and mirror it. What rounding may take off the smallest eigenvalue, :func:`round_up` gives back.
 """
 
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,6 +19,8 @@ Axes: TypeAlias = tuple[Vector, Vector, Vector]
 Six: TypeAlias = tuple[float, float, float, float, float, float]
 Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 
+# The variance of an angle of which nothing is known: even over a whole turn.
+ANY_ANGLE_RAD2 = pi * pi / 3
 # So many units of rounding are added to each variance at a prediction: more than products of this size lose.
 ROUNDINGS = 16
 
@@ -36,18 +38,18 @@ def identity(p: Matrix) -> Matrix:
 def congruence(a: Matrix, p: Matrix) -> None:
     """P becomes A P A'."""
     n = len(p)
-    product = np.empty_like(p)
+    ap = np.empty_like(p)
     for i in range(n):
         for j in range(n):
             total = like(p[0, 0], 0.0)
             for k in range(n):
                 total += a[i, k] * p[k, j]
-            product[i, j] = total
+            ap[i, j] = total
     for i in range(n):
         for j in range(i, n):
             total = like(p[0, 0], 0.0)
             for k in range(n):
-                total += product[i, k] * a[j, k]
+                total += ap[i, k] * a[j, k]
             p[i, j] = total
             p[j, i] = total
 
@@ -65,13 +67,13 @@ def round_up(p: Matrix) -> None:
 @compiled_apart
 def times(p: Matrix, h: Matrix) -> Matrix:
     """P h' of a row h."""
-    product = np.empty_like(h)
+    ph = np.empty_like(h)
     for i in range(len(h)):
         total = like(h[0], 0.0)
         for k in range(len(h)):
             total += p[i, k] * h[k]
-        product[i] = total
-    return product
+        ph[i] = total
+    return ph
 
 
 @compiled_apart

@@ -30,10 +30,10 @@ find the rest.
 
 Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
-the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever."""
+the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever.
+"""
 
 from dataclasses import dataclass
-from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +41,7 @@ import numpy as np
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.filters.compiled import compiled, compiled_apart, like
 from stillpoint.filters.covariance import (
+    ANY_ANGLE_RAD2,
     Matrix,
     axes_in_n,
     congruence,
@@ -50,17 +51,12 @@ from stillpoint.filters.covariance import (
     widen,
 )
 from stillpoint.filters.known_field import KnownField, Tolerance
-from stillpoint.filters.rotation import (
-    Quaternion,
-    Vector,
-)
+from stillpoint.filters.rotation import Quaternion, Vector
 from stillpoint.filters.stillness import Limits, Stillness
 from stillpoint.filters.window import Turning, Window, is_measured
 
 # Where the errors stand in P: attitude 0-2 (2 is the heading), bias 3-5, velocity 6-7.
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
-# The variance of an angle of which nothing is known: even over a whole turn.
-UNKNOWN_RAD2 = pi * pi / 3
 # How far the specific force may be from gravity where the accelerometer gave nothing.
 LOST_MPS2 = 5.0
 
@@ -98,22 +94,22 @@ class ErrorStateParams(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters; variances per second unless said otherwise."""
+    """Derived once from the parameters."""
 
     window_s: float
-    gyro_noise: float
+    gyro_noise: float  # rad^2/s
     turn_error: float  # rad^2 per rad
-    bias_variance: float
-    bias_walk: float
-    accel_noise: float
+    bias_variance: float  # (rad/s)^2
+    bias_walk: float  # (rad/s)^2/s
+    accel_noise: float  # (m/s)^2/s
     velocity_variance: float  # (m/s)^2 s; at first as over 1 s
-    tilt_variance: float
-    heading_variance: float
+    tilt_variance: float  # rad^2
+    heading_variance: float  # rad^2
     field_variance: float  # uT^2 s
     unseen: float  # a square
     tolerance: Tolerance
     limits: Limits
-    rest_variance: float
+    rest_variance: float  # (rad/s)^2
     gate: float  # a square
     tilt_patience_s: float
     heading_patience_s: float
@@ -269,7 +265,7 @@ def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficie
         hide(p, y_n, y_rad, push[2])
         hide(p, z_n, z_rad, push[2])
     round_up(p)
-    unknown = like(c.gate, UNKNOWN_RAD2)
+    unknown = like(c.gate, ANY_ANGLE_RAD2)
     for i in range(BIAS):
         if p[i, i] > unknown:
             widen(p, i, unknown / p[i, i])

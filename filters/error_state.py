@@ -7,6 +7,7 @@ import numpy as np
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
 from stillpoint.filters.covariance import (
+    ANY_ANGLE_RAD2,
     Matrix,
     axes_in_n,
     congruence,
@@ -19,7 +20,6 @@ from stillpoint.filters.error_model import (
     BIAS,
     HEADING,
     SIZE,
-    UNKNOWN_RAD2,
     VELOCITY,
     Body,
     Coefficients,
@@ -60,7 +60,7 @@ def start(c: Coefficients) -> Body:
     zero, half = like(c.gate, 0.0), like(c.gate, 0.5**0.5)
     x, p = np.full(SIZE, zero), np.full((SIZE, SIZE), zero)
     for i in range(BIAS):
-        p[i, i] = like(zero, UNKNOWN_RAD2)
+        p[i, i] = like(zero, ANY_ANGLE_RAD2)
         p[BIAS + i, BIAS + i] = c.bias_variance
     for i in range(VELOCITY, SIZE):
         p[i, i] = c.velocity_variance
@@ -105,7 +105,7 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
 def lose(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
     """After a gap: the bias has walked, all else is unknown."""
     for i in range(BIAS):
-        forget(p, i, like(gap_s, UNKNOWN_RAD2))
+        forget(p, i, like(gap_s, ANY_ANGLE_RAD2))
         p[BIAS + i, BIAS + i] += c.bias_walk * gap_s
     stop(x, p, c)
 
@@ -160,8 +160,7 @@ def to_north(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coeffic
     for i in (0, VELOCITY):
         a[i, i], a[i, i + 1], a[i + 1, i], a[i + 1, i + 1] = cosine, -sine, sine, cosine
     congruence(a, p)
-    for i in range(HEADING, BIAS):
-        forget(p, i, c.heading_variance)
+    forget(p, HEADING, c.heading_variance)
     x[VELOCITY], x[VELOCITY + 1] = (
         x[VELOCITY] * cosine - x[VELOCITY + 1] * sine,
         x[VELOCITY] * sine + x[VELOCITY + 1] * cosine,

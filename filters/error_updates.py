@@ -5,17 +5,11 @@ from math import cos, nan, sin, sqrt
 import numpy as np
 
 from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
-from stillpoint.filters.covariance import (
-    Matrix,
-    forget,
-    joseph,
-    times,
-)
+from stillpoint.filters.covariance import ANY_ANGLE_RAD2, Matrix, forget, joseph, times
 from stillpoint.filters.error_model import (
     BIAS,
     HEADING,
     SIZE,
-    UNKNOWN_RAD2,
     VELOCITY,
     Body,
     Coefficients,
@@ -25,20 +19,14 @@ from stillpoint.filters.error_model import (
     predict,
 )
 from stillpoint.filters.error_state import corrected, turn_errors
-from stillpoint.filters.fields import turn_to_north
+from stillpoint.filters.fields import LONGEST_HOLD_S, turn_to_north
 from stillpoint.filters.known_field import KnownField, disturbance_ut2, looks
-from stillpoint.filters.rotation import (
-    Vector,
-    norm,
-    scale,
-)
+from stillpoint.filters.rotation import Vector, norm, scale
 from stillpoint.filters.stillness import is_resting, moving, rate_sd, watch
 from stillpoint.filters.window import Turning, Window, is_measured, means
 
 # How far from 0 the velocity of a resting body is.
 REST_MPS = 0.02
-# One field stands for at most that long: after a pause of the magnetometer a single sample is not taken at its word.
-LONGEST_HOLD_S = 1.0
 
 
 @compiled_inside
@@ -54,7 +42,10 @@ def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
 
 @compiled_apart
 def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float, gate: float) -> bool:
-    """x and P after a measurement, its innovation's variance times alpha; True when it was beyond the gate."""
+    """x and P after a measurement, its innovation's variance times alpha; True when it was beyond the gate.
+
+    ``gate`` is the square of ``gate_sd``. Without ``moves_tilt`` the first two errors get no share of it.
+    """
     residual, model = innovation(x, p, m)
     variance, square = model * alpha, residual * residual
     is_beyond = square > gate * variance
@@ -94,9 +85,8 @@ def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, 
     """East and north, whitened: of variance 1 and independent if the model is right."""
     s_east, s_north = p[VELOCITY, VELOCITY] + variance, p[VELOCITY + 1, VELOCITY + 1] + variance
     shared = p[VELOCITY, VELOCITY + 1] / s_east
-    return -x[VELOCITY] / sqrt(s_east), (shared * x[VELOCITY] - x[VELOCITY + 1]) / sqrt(
-        s_north - shared * shared * s_east
-    )
+    s_left = s_north - shared * shared * s_east
+    return -x[VELOCITY] / sqrt(s_east), (shared * x[VELOCITY] - x[VELOCITY + 1]) / sqrt(s_left)
 
 
 @compiled_apart
@@ -172,8 +162,7 @@ def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: S
     if not m.is_there:
         return False
     if status.heading_doubt_s >= c.heading_patience_s:
-        for i in range(HEADING, BIAS):
-            forget(p, i, like(c.gate, UNKNOWN_RAD2))
+        forget(p, HEADING, like(c.gate, ANY_ANGLE_RAD2))
     return update(x, p, m, False, alpha, c.gate)
 
 

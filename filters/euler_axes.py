@@ -35,7 +35,7 @@ def frame_of(q: Quaternion) -> Frame:
 
 @compiled_inside
 def half_turn(angle: float) -> tuple[float, float]:
-    """Cosine and sine of half an angle."""
+    """Cosine and sine of half an angle in rad."""
     cosine, share = half_angle(angle * angle)
     return cosine, angle * share
 

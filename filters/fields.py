@@ -20,19 +20,23 @@ from stillpoint.filters.sample import GAP_S, Sample
 
 # Less specific force than that is free fall: its direction says nothing about up.
 FREE_FALL_MPS2 = 1.0
+# Body x within 0.006 deg of the vertical (the square of the sine) has no azimuth to speak of.
+STEEP = 1e-8
 # A field whose horizontal part is a smaller share than that points nowhere: at the poles, or shaken along the field.
 LEAST_HORIZONTAL = 0.01
 # Up this close to straight down: the smallest turn to the true up has no axis of its own, and the one about x is taken.
 UPSIDE_DOWN = -1 + 1e-6
+# One field stands for at most that long: after a pause of the magnetometer, a single sample is not taken at its word.
+LONGEST_HOLD_S = 1.0
 
 
 class Fields(NamedTuple):
     """The last raw vectors, for the low pass (9), and the last usable smoothed ones, held in body axes."""
 
-    raw_accel: Vector
-    raw_mag: Vector
-    accel: Vector
-    mag: Vector
+    raw_accel_b_mps2: Vector
+    raw_mag_b_ut: Vector
+    accel_b_mps2: Vector
+    mag_b_ut: Vector
     since_accel_s: float  # time since the last usable one
     since_mag_s: float
     has_accel: bool  # False before the first usable one
@@ -90,11 +94,11 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
 
 
 @compiled
-def level(accel: Vector) -> Quaternion:
+def level(accel_b: Vector) -> Quaternion:
     """Eq (4) as a rotation: the attitude with this up and the body's x axis over north (the paper's yaw is 0)."""
-    up = scale(accel, like(accel[0], 1.0) / norm(accel))
+    up = scale(accel_b, like(accel_b[0], 1.0) / norm(accel_b))
     one, zero = like(up[0], 1.0), like(up[0], 0.0)
-    if up[1] * up[1] + up[2] * up[2] > like(zero, 1e-8):
+    if up[1] * up[1] + up[2] * up[2] > like(zero, STEEP):
         west = cross(up, (one, zero, zero))
     else:  # x is vertical, its azimuth undefined: y over west, where eq (4) has roll 0
         west = cross(cross(up, (zero, one, zero)), up)
@@ -103,10 +107,10 @@ def level(accel: Vector) -> Quaternion:
 
 
 @compiled
-def uprighting(q_nb: Quaternion, accel: Vector) -> Quaternion:
+def uprighting(q_nb: Quaternion, accel_b: Vector) -> Quaternion:
     """The smallest turn of n that brings the measured up of an attitude to the true one: about a horizontal axis."""
     zero = like(q_nb[0], 0.0)
-    return between(rotate(q_nb, accel), (zero, zero, like(zero, 1.0)))
+    return between(rotate(q_nb, accel_b), (zero, zero, like(zero, 1.0)))
 
 
 @compiled

@@ -43,10 +43,12 @@ from typing import NamedTuple
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
-from stillpoint.filters.complementary import LONGEST_HOLD_S, begin
-from stillpoint.filters.fields import Fields, Fresh, low_pass, no_fields, tilt_of, turn_to_north
-from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, multiply, normalise, rotate, scale
-from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.fields import LONGEST_HOLD_S, Fields, Fresh, low_pass, tilt_of, turn_to_north
+from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
+from stillpoint.filters.rotation import Quaternion, add, conjugate, multiply, rotate
+from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+
+State = Observer
 
 
 @dataclass(frozen=True)
@@ -64,19 +66,6 @@ class Coefficients(NamedTuple):
     ki_per_s2: float
     settling_s: float  # three times the longest time constant of the error, without the slow pole's of the bias
     declination_rad: float  # east of true north
-
-
-class State(NamedTuple):
-    """What is remembered."""
-
-    fields: Fields
-    q_nb: Quaternion
-    b_radps: Vector  # kI times the integral of (10), in body axes: minus the gyro bias
-    age_s: float  # since the start, up to the settling time
-    is_level: bool  # False until the first tilt, and after a gap
-    is_headed: bool  # False until the first heading, and after a gap
-    n_gaps: int
-    n_no_north: int  # magnetometer samples left out: no horizontal field
 
 
 class Error(NamedTuple):
@@ -104,9 +93,7 @@ def settling_s(kp_per_s: float) -> float:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
-    none = (zero, zero, zero)
-    return State(no_fields(zero), (half, zero, zero, half), none, zero, False, False, 0, 0)
+    return unlevelled(like(c.kp_per_s, 0.0))
 
 
 @compiled_inside
@@ -118,10 +105,10 @@ def error_of(
     tilt_x = tilt_y = tilt_s = turn = turn_s = zero
     is_first, n_no_north = False, 0
     if fresh.accel:
-        tilt_x, tilt_y = tilt_of(rotate(q_nb, fields.accel))
+        tilt_x, tilt_y = tilt_of(rotate(q_nb, fields.accel_b_mps2))
         tilt_s = min(accel_s, longest_s)
     if fresh.mag:
-        angle, found = turn_to_north(rotate(q_nb, fields.mag), declination_rad)
+        angle, found = turn_to_north(rotate(q_nb, fields.mag_b_ut), declination_rad)
         if found:
             turn, turn_s, is_first = angle, min(fresh.mag_hold_s, longest_s), not is_headed
         else:
@@ -137,36 +124,33 @@ def shares(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float
 
 
 @compiled_inside
+def pulled(state: State, error: Error, c: Coefficients) -> State:
+    """The predicted state turned by (10)."""
+    q_nb, is_headed = state.q_nb, state.is_headed
+    tilted, tilt_bias = shares(c.kp_per_s, c.ki_per_s2, error.tilt_s)
+    turned, turn_bias = shares(c.kp_per_s, c.ki_per_s2, error.turn_s)
+    if error.is_first:
+        turned, turn_bias, is_headed = like(error.turn, 1.0), like(error.turn, 0.0), True
+    gained_n = error.tilt_x * tilt_bias, error.tilt_y * tilt_bias, error.turn * turn_bias
+    turn_n = error.tilt_x * tilted, error.tilt_y * tilted, error.turn * turned
+    b_radps = add(state.b_radps, rotate(conjugate(q_nb), gained_n))
+    return corrected(state, multiply(rotation.exp(turn_n), q_nb), b_radps, is_headed, error.n_no_north)
+
+
+@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
     accel_s = state.fields.since_accel_s + sample.dt_s
     fields, fresh = low_pass(state.fields, sample, like(sample.dt_s, 1.0))
-    _, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north = state
-    dt_s, zero = sample.dt_s, like(sample.dt_s, 0.0)
-    age_s = min(age_s + dt_s, c.settling_s)
-    if is_level and dt_s > like(dt_s, GAP_S):
-        is_level, is_headed, n_gaps = False, False, n_gaps + 1
-    if is_level:
-        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b), dt_s)))
-        if fresh.accel or fresh.mag:
-            error = error_of(q_nb, fields, fresh, accel_s, is_headed, c.declination_rad)
-            tilted, tilt_bias = shares(c.kp_per_s, c.ki_per_s2, error.tilt_s)
-            turned, turn_bias = shares(c.kp_per_s, c.ki_per_s2, error.turn_s)
-            if error.is_first:
-                turned, turn_bias, is_headed = like(dt_s, 1.0), zero, True
-            gained_n = error.tilt_x * tilt_bias, error.tilt_y * tilt_bias, error.turn * turn_bias
-            b = add(b, rotate(conjugate(q_nb), gained_n))
-            turn_n = error.tilt_x * tilted, error.tilt_y * tilted, error.turn * turned
-            q_nb = multiply(rotation.exp(turn_n), q_nb)
-            n_no_north += error.n_no_north
-        q_nb = normalise(q_nb)
+    state = moved_on(state, fields, sample, c.settling_s)
+    if not state.is_level:
+        state = begun(state, fresh, c.declination_rad)
+    elif fresh.accel or fresh.mag:
+        error = error_of(state.q_nb, fields, fresh, accel_s, state.is_headed, c.declination_rad)
+        state = pulled(state, error, c)
     else:
-        age_s = zero
-        if fresh.accel:
-            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
-            is_level = True
-    state = State(fields, q_nb, b, age_s, is_level, is_headed, n_gaps, n_no_north)
-    return state, Output(q_nb, scale(b, like(dt_s, -1.0)), None, None, is_level and age_s >= c.settling_s)
+        state = uncorrected(state)
+    return state, said(state, c.settling_s)
 
 
 @compiled_entry

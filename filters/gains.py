@@ -9,10 +9,10 @@ import numpy as np
 from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import front, least_squares
+from stillpoint.filters import least_squares
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sources import as_raw_log, sources_of
+from stillpoint.filters.sources import passed, sources_of
 from stillpoint.filters.table import ESTIMATORS, Estimator
 
 
@@ -41,10 +41,9 @@ def gains(
         raise BadParameter(f"{name}: has no adaptive gains; cf-lse and cf-lse-literal have")
     settings = chosen(entry.params(), params, name)
     sources = sources_of(recording, heading, None, None)
-    raw, _ = as_raw_log(recording.require_imu(), sources)
-    front_c = in_precision(sources.front, precision)
-    _, log = front.run(in_precision(raw, precision), in_precision(front.start(front_c), precision), front_c)
+    imu = recording.require_imu()
+    log, _ = passed(imu, sources, precision)
     c = in_precision(entry.coefficients(settings, sources.declination_rad), precision)
-    kp_per_s, ki_per_s2 = np.empty((2, len(raw.t_ns), 3))
+    kp_per_s, ki_per_s2 = np.empty((2, len(imu.t_ns), 3))
     least_squares.run_gains(log, in_precision(entry.start(c), precision), c, kp_per_s, ki_per_s2)
-    return Gains(raw.t_ns, kp_per_s, ki_per_s2)
+    return Gains(imu.t_ns, kp_per_s, ki_per_s2)

@@ -60,7 +60,7 @@ class Coefficients(NamedTuple):
 class Gyro(NamedTuple):
     """What is remembered of the gyro."""
 
-    last: Vector  # good one
+    last_b_radps: Vector  # good one
     last_ns: int  # its stamp, -1 before the first
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
     n_saturated_gyro: int  # used as they are: no better rate is known. The sample says by how much they may be off
@@ -70,7 +70,7 @@ class Gyro(NamedTuple):
 class Accel(NamedTuple):
     """What is remembered of the accelerometer."""
 
-    last: Vector
+    last_b_mps2: Vector
     n_bad_accel: int  # left out
     n_saturated_accel: int  # left out: a clipped vector points elsewhere
     n_same_accel: int  # used
@@ -79,7 +79,7 @@ class Accel(NamedTuple):
 class Mag(NamedTuple):
     """What is remembered of the magnetometer."""
 
-    last: Vector
+    last_b_ut: Vector
     n_bad_mag: int  # left out
     n_saturated_mag: int  # left out
     n_same_mag: int  # used
@@ -175,16 +175,16 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
         return guard, Sample(zero, none, none, none, False, False, none), False
     dt_s = like(zero, (raw.t_ns - t_ns) / 1e9) if t_ns >= 0 else zero
     n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
-    reading = read(raw.gyro_b_radps, gyro.last, c.gyro_radps)
+    reading = read(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps)
     gyro, rate, hidden = rate_of(gyro, reading, raw.t_ns, c.gyro_radps)
-    force = read(raw.accel_b_mps2, accel.last, c.accel_mps2)
+    force = read(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2)
     n_bad, n_saturated, n_same = counted(force)
-    last = force.vector if force.is_usable else accel.last
+    last = force.vector if force.is_usable else accel.last_b_mps2
     accel = Accel(last, accel.n_bad_accel + n_bad, accel.n_saturated_accel + n_saturated, accel.n_same_accel + n_same)
-    field = read(raw.mag_b_ut, mag.last, c.mag_ut)
+    field = read(raw.mag_b_ut, mag.last_b_ut, c.mag_ut)
     if raw.has_mag:
         n_bad, n_saturated, n_same = counted(field)
-        last = field.vector if field.is_usable else mag.last
+        last = field.vector if field.is_usable else mag.last_b_ut
         mag = Mag(last, mag.n_bad_mag + n_bad, mag.n_saturated_mag + n_saturated, mag.n_same_mag + n_same)
     has_accel, has_mag = not left_out(force), raw.has_mag and not left_out(field)
     accel_b, mag_b = force.vector if has_accel else none, field.vector if has_mag else none

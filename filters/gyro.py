@@ -97,9 +97,9 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if not (is_level and is_headed):
         fields, fresh = low_pass(fields, sample, like(c.newest, 1.0))
         if fresh.accel and not is_level:
-            q_nb, is_level = multiply(uprighting(q_nb, fields.accel), q_nb), True
+            q_nb, is_level = multiply(uprighting(q_nb, fields.accel_b_mps2), q_nb), True
         if fresh.mag and is_level:
-            turn, is_headed = turn_to_north(rotate(q_nb, fields.mag), c.declination_rad)
+            turn, is_headed = turn_to_north(rotate(q_nb, fields.mag_b_ut), c.declination_rad)
             q_nb = multiply(about_up(turn), q_nb) if is_headed else q_nb
     state = State(fields, q_nb, sample.gyro_b_radps, is_level, is_headed, n_gaps, n_gimbal)
     return state, Output(q_nb, None, None, None, is_level)

@@ -10,7 +10,8 @@ attitude's error still follows e' = -R (d + noise), whatever the motion.
 Model, prediction and updates are those of :mod:`stillpoint.filters.error_model`, which are in e already. Against
 ``ekf`` one thing differs: a correction leaves the covariance of e as it is in n. So what accelerometers cannot know,
 the heading, stays the third axis of P exactly, however large a correction of the tilt is. Everything else is as in
-``ekf``."""
+``ekf``.
+"""
 
 from dataclasses import dataclass
 

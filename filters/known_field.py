@@ -63,7 +63,7 @@ def looks(field_n: Vector, seen_s: float) -> Looks:
 
 @compiled_inside
 def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
-    """Whether b looks like a."""
+    """Whether ``b`` looks like ``a`` within the tolerance: relative in size, in rad in dip."""
     return abs(b.size_ut - a.size_ut) < c.size * a.size_ut and abs(b.dip_rad - a.dip_rad) < c.dip_rad
 
 

@@ -49,21 +49,20 @@ integral stands in H itself, the bias removed is kI times it, and a jump of kI i
 """
 
 from dataclasses import dataclass
-from math import exp, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
-from stillpoint.filters.complementary import begin
-from stillpoint.filters.fields import Fields, low_pass, no_fields
-from stillpoint.filters.fixed_gain import Error, error_of, settling_s, shares
-from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, multiply, normalise, rotate, scale
+from stillpoint.filters.fields import low_pass
+from stillpoint.filters.fixed_gain import Error, error_of, settling_s
+from stillpoint.filters.gain_fit import Part, Regression, after_sample, interrupted, unfitted
+from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
+from stillpoint.filters.rotation import Quaternion, Vector, conjugate, multiply, rotate
 from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, Track, keep, sample_at
 
-# 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
-LEAST_INDEPENDENT = 1e-5
 # The horizontal part of the body's x axis, squared, below which there is no direction of travel.
 LEAST_FORWARD = 1e-6
 
@@ -96,43 +95,13 @@ class Coefficients(NamedTuple):
 
     kp_per_s: float
     ki_per_s2: float
-    fixed_samples: int
-    memory_s: float
-    kp_low_per_s: float
-    kp_high_per_s: float
-    ki_low_per_s2: float
-    as_printed: bool  # S is what was added, and there are no bounds; else what should have been added
+    regression: Regression  # of the gains after the first samples
     settling_s: float
     declination_rad: float  # east of true north
 
 
-class Fit(NamedTuple):
-    """Sums over the samples so far, with forgetting, that make H^T H and H^T S of (22), and its solution."""
-
-    ee: float
-    ei: float
-    ii: float
-    es: float
-    si: float
-    samples: int
-    kp_per_s: float
-    ki_per_s2: float
-    clipped: int  # fits beyond the bounds
-    undetermined: int  # samples that keep the gains: error and integral are proportional
-
-
-class Part(NamedTuple):
-    """One of roll, pitch, heading between two samples of its sensor."""
-
-    fit: Fit
-    error_rad_s: float  # e T of the last sample: the first column of H, times T
-    integral_rad_s: float  # the second column of H
-    turned_rad: float  # by kp, at the last sample
-    ki_per_s2: float  # in use
-
-
 class Parts(NamedTuple):
-    """The three of them."""
+    """The angles, each with gains of its own."""
 
     roll: Part
     pitch: Part
@@ -142,16 +111,9 @@ class Parts(NamedTuple):
 class State(NamedTuple):
     """What is remembered."""
 
-    fields: Fields
-    q_nb: Quaternion
+    observer: Observer  # its b is kI times the integral
     integral_b_rad_s: Vector  # of e in (10), in body axes
-    b_radps: Vector  # kI times the integral, in body axes: minus the gyro bias
     parts: Parts
-    age_s: float  # since the start, up to the settling time
-    is_level: bool  # False until the first tilt, and after a gap
-    is_headed: bool  # False until the first heading, and after a gap
-    n_gaps: int
-    n_no_north: int  # magnetometer samples left out: no horizontal field
     n_clipped: int  # fits of any part beyond the bounds
     n_undetermined: int  # fits of any part that keep the gains
 
@@ -164,75 +126,21 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     low, high = params.kp_low_per_s, params.kp_high_per_s
     if low > high:
         raise BadParameter(f"cf-lse: kp_low_per_s = {low:g} is above kp_high_per_s = {high:g}; exchange them")
-    return Coefficients(
-        params.kp_per_s,
-        params.ki_per_s2,
-        int(params.fixed_samples),
-        params.memory_s,
-        low,
-        high,
-        params.ki_low_per_s2,
-        False,
-        settling_s(params.kp_per_s),
-        declination_rad,
-    )
+    regression = Regression(int(params.fixed_samples), params.memory_s, low, high, params.ki_low_per_s2, False)
+    return Coefficients(params.kp_per_s, params.ki_per_s2, regression, settling_s(params.kp_per_s), declination_rad)
 
 
 def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coefficients:
-    """Of ``cf-lse-literal``."""
-    settled_s = settling_s(params.kp_per_s)
-    samples, memory_s = int(params.fixed_samples), params.memory_s
-    return Coefficients(
-        params.kp_per_s, params.ki_per_s2, samples, memory_s, 0.0, 0.0, 0.0, True, settled_s, declination_rad
-    )
+    """Of ``cf-lse-literal``, likewise; it has no bounds."""
+    regression = Regression(int(params.fixed_samples), params.memory_s, 0.0, 0.0, 0.0, True)
+    return Coefficients(params.kp_per_s, params.ki_per_s2, regression, settling_s(params.kp_per_s), declination_rad)
 
 
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, half = like(c.kp_per_s, 0.0), like(c.kp_per_s, 0.5**0.5)
-    none = (zero, zero, zero)
-    fit = Fit(zero, zero, zero, zero, zero, 0, c.kp_per_s, c.ki_per_s2, 0, 0)
-    part = Part(fit, zero, zero, zero, c.ki_per_s2)
-    fields, level = no_fields(zero), (half, zero, zero, half)
-    return State(fields, level, none, none, Parts(part, part, part), zero, False, False, 0, 0, 0, 0)
-
-
-@compiled_inside
-def fitted(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Coefficients) -> Fit:
-    """Eq (22) with one more row of H and S, given times T."""
-    ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined = fit
-    fade = exp(-dt_s / c.memory_s)
-    ee, ei, ii = ee * fade + error * error, ei * fade + error * integral, ii * fade + integral * integral
-    es, si = es * fade + error * added, si * fade + integral * added
-    samples += 1
-    if samples >= c.fixed_samples:
-        determinant = ee * ii - ei * ei
-        if determinant > like(ee, LEAST_INDEPENDENT) * ee * ii:
-            kp, ki = (ii * es - ei * si) / determinant, (ee * si - ei * es) / determinant
-            if not c.as_printed:
-                best_kp, best_ki = kp, ki
-                kp = min(max(kp, c.kp_low_per_s), c.kp_high_per_s)
-                ki = min(max(ki, c.ki_low_per_s2), kp * kp * like(kp, 0.25))
-                clipped += 1 if kp != best_kp or ki != best_ki else 0
-        else:
-            undetermined += 1
-    return Fit(ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined)
-
-
-@compiled_inside
-def corrected(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Coefficients) -> Part:
-    """One part after a sample: the gains fitted to what the last correction left over, then the next correction.
-
-    ``integral`` is this part's before this error; ``follows`` is False where the sample before is too old for a row.
-    """
-    fit = part.fit
-    if follows:
-        added = part.turned_rad + part.ki_per_s2 * part.integral_rad_s * dt_s
-        should = added if c.as_printed else added + error
-        fit = fitted(fit, part.error_rad_s, part.integral_rad_s * dt_s, should, dt_s, c)
-    turned, biased = shares(fit.kp_per_s, fit.ki_per_s2, dt_s)
-    return Part(fit, error * dt_s, integral + error * dt_s, error * turned, biased / dt_s)
+    zero, part = like(c.kp_per_s, 0.0), unfitted(c.kp_per_s, c.ki_per_s2)
+    return State(unlevelled(zero), (zero, zero, zero), Parts(part, part, part), 0, 0)
 
 
 @compiled_inside
@@ -261,78 +169,58 @@ def from_parts(v: Vector, forward: tuple[float, float]) -> Vector:
 
 
 @compiled_inside
-def correct(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
+def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
     """The predicted state turned by (10), with the gains of (22).
 
     ``follow_...``: the sample of that sensor before is recent enough for a row of (21).
     """
-    q_nb, is_headed, (roll, pitch, heading) = state.q_nb, state.is_headed, state.parts
+    q_nb, is_headed, (roll, pitch, heading) = state.observer.q_nb, state.observer.is_headed, state.parts
     zero, forward = like(error.turn, 0.0), forward_of(q_nb)
     e_roll, e_pitch, e_turn = to_parts((error.tilt_x, error.tilt_y, error.turn), forward)
     i_roll, i_pitch, i_turn = to_parts(rotate(q_nb, state.integral_b_rad_s), forward)
     roll_turn = pitch_turn = turn = zero
     if error.tilt_s > 0:
-        roll = corrected(roll, e_roll, i_roll, error.tilt_s, follow_accel, c)
-        pitch = corrected(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c)
+        roll = after_sample(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
+        pitch = after_sample(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
         i_roll, roll_turn = roll.integral_rad_s, roll.turned_rad
         i_pitch, pitch_turn = pitch.integral_rad_s, pitch.turned_rad
     if error.is_first:
         turn, is_headed = e_turn, True
         heading = Part(heading.fit, zero, i_turn, zero, heading.ki_per_s2)
     elif error.turn_s > 0:
-        heading = corrected(heading, e_turn, i_turn, error.turn_s, follow_mag, c)
+        heading = after_sample(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
         i_turn, turn = heading.integral_rad_s, heading.turned_rad
     b = i_roll * roll.ki_per_s2, i_pitch * pitch.ki_per_s2, i_turn * heading.ki_per_s2
-    q_bn = conjugate(q_nb)
+    q_bn, turned_n = conjugate(q_nb), from_parts((roll_turn, pitch_turn, turn), forward)
+    b_radps, turned_nb = rotate(q_bn, from_parts(b, forward)), multiply(rotation.exp(turned_n), q_nb)
     return State(
-        state.fields,
-        normalise(multiply(rotation.exp(from_parts((roll_turn, pitch_turn, turn), forward)), q_nb)),
+        corrected(state.observer, turned_nb, b_radps, is_headed, error.n_no_north),
         rotate(q_bn, from_parts((i_roll, i_pitch, i_turn), forward)),
-        rotate(q_bn, from_parts(b, forward)),
         Parts(roll, pitch, heading),
-        state.age_s,
-        state.is_level,
-        is_headed,
-        state.n_gaps,
-        state.n_no_north + error.n_no_north,
         roll.fit.clipped + pitch.fit.clipped + heading.fit.clipped,
         roll.fit.undetermined + pitch.fit.undetermined + heading.fit.undetermined,
     )
 
 
 @compiled_inside
-def forgotten(part: Part) -> Part:
-    """After a gap: the fit goes on, but its next row has no correction before it."""
-    zero = like(part.error_rad_s, 0.0)
-    return Part(part.fit, zero, part.integral_rad_s, zero, part.ki_per_s2)
-
-
-@compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
-    accel_s, gap_s = state.fields.since_accel_s + sample.dt_s, like(sample.dt_s, GAP_S)
-    fields, fresh = low_pass(state.fields, sample, like(sample.dt_s, 1.0))
-    _, q_nb, integral, b, parts, age_s, is_level, is_headed, n_gaps, n_no_north, n_clipped, n_undetermined = state
-    dt_s, zero = sample.dt_s, like(sample.dt_s, 0.0)
-    age_s = min(age_s + dt_s, c.settling_s)
-    if is_level and dt_s > gap_s:
-        is_level, is_headed, n_gaps = False, False, n_gaps + 1
-    if is_level:
-        q_nb = normalise(multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b), dt_s))))
-    else:
-        age_s = zero
+    observer, integral, parts, n_clipped, n_undetermined = state
+    accel_s, gap_s = observer.fields.since_accel_s + sample.dt_s, like(sample.dt_s, GAP_S)
+    fields, fresh = low_pass(observer.fields, sample, like(sample.dt_s, 1.0))
+    observer = moved_on(observer, fields, sample, c.settling_s)
+    if not observer.is_level:
+        observer = begun(observer, fresh, c.declination_rad)
         if fresh.accel:
-            q_nb, is_headed = begin(fields, q_nb, fresh, c.declination_rad)
-            parts = Parts(forgotten(parts.roll), forgotten(parts.pitch), forgotten(parts.heading))
-    was_level, is_level = is_level, is_level or fresh.accel
-    state = State(
-        fields, q_nb, integral, b, parts, age_s, is_level, is_headed, n_gaps, n_no_north, n_clipped, n_undetermined
-    )
-    if was_level and (fresh.accel or fresh.mag):
-        error = error_of(q_nb, fields, fresh, accel_s, is_headed, c.declination_rad)
-        state = correct(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
-    is_ready = is_level and age_s >= c.settling_s
-    return state, Output(state.q_nb, scale(state.b_radps, like(dt_s, -1.0)), None, None, is_ready)
+            parts = Parts(interrupted(parts.roll), interrupted(parts.pitch), interrupted(parts.heading))
+        state = State(observer, integral, parts, n_clipped, n_undetermined)
+    else:
+        observer = uncorrected(observer)
+        state = State(observer, integral, parts, n_clipped, n_undetermined)
+        if fresh.accel or fresh.mag:
+            error = error_of(observer.q_nb, fields, fresh, accel_s, observer.is_headed, c.declination_rad)
+            state = pulled(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
+    return state, said(state.observer, c.settling_s)
 
 
 @compiled_entry

@@ -44,8 +44,8 @@ class Window(NamedTuple):
     stamps_ns: NDArray[np.int64]  # (room,) since the first sample
     oldest: int  # row
     held: int
-    up: Vector  # sums over the window
-    east: Vector
+    up_sum_b: Vector
+    east_sum_b: Vector
     is_full: bool
     n_cut: int  # samples for which the ring had no room for the whole window
 
@@ -68,7 +68,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
+    """Before the first sample: level, x over east."""
     one, zero = like(c.tilt.kappa, 1.0), like(c.tilt.kappa, 0.0)
     none = (zero, zero, zero)
     window = Window(np.full((c.room, 6), zero), np.full(c.room, 0), 0, 0, none, none, False, 0)
@@ -105,11 +105,11 @@ def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     """The attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
     one = like(q_nb[0], 1.0)
     least = one * window.held * like(one, LEAST_SUM)
-    height = norm(window.up)
+    height = norm(window.up_sum_b)
     if height < least:
         return q_nb, False
-    up = scale(window.up, one / height)
-    north = cross(up, window.east)
+    up = scale(window.up_sum_b, one / height)
+    north = cross(up, window.east_sum_b)
     length = norm(north)
     if length < least:
         return q_nb, False

@@ -12,12 +12,12 @@ from stillpoint.datasets import BadParameter, Estimate, Imu, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import front, peers
+from stillpoint.filters import peers
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision, in_precision, off_double
 from stillpoint.filters.roll_run import estimate_roll
 from stillpoint.filters.sample import Log, Track, counts
-from stillpoint.filters.sources import Sources, as_raw_log, learnt, sources_of
+from stillpoint.filters.sources import Sources, passed, sources_of
 from stillpoint.filters.table import Estimator, Peer, RollEstimator, find
 
 PAGE = 4096  # bytes; the least that the system gives at a time
@@ -84,16 +84,19 @@ def estimate(
 
 
 def _attitudes(
-    recording: str, imu: Imu, name: str, entry: Estimator | Peer, settings: Settings, sources: Sources, in_: Precision
+    recording: str,
+    imu: Imu,
+    name: str,
+    entry: Estimator | Peer,
+    settings: Settings,
+    sources: Sources,
+    precision: Precision,
 ) -> Estimate:
-    raw, facts = as_raw_log(imu, sources)
-    front_c = in_precision(sources.front, in_)
-    passed, log = front.run(in_precision(raw, in_), in_precision(front.start(front_c), in_), front_c)
-    facts |= counts(passed) | sources.facts | learnt(passed.heading)
+    log, facts = passed(imu, sources, precision)
     if isinstance(entry, Peer):
         columns, met, elapsed_ns = _run_peer(entry, settings, imu, log, sources)
     else:
-        columns, met, elapsed_ns = _run(entry, log, settings, sources.declination_rad, in_)
+        columns, met, elapsed_ns = _run(entry, log, settings, sources.declination_rad, precision)
     return Estimate(
         t_ns=imu.t_ns,
         name=name,
@@ -105,11 +108,11 @@ def _attitudes(
     )
 
 
-def to_true_north(q_nb: Floats, declination: float) -> Floats:
+def to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
     """Attitudes (N, 4) from magnetic to true East-North-Up; the same bits for a declination of 0."""
-    if declination == 0.0:
+    if declination_rad == 0.0:
         return q_nb
-    return quaternion(heading_rotation(-declination) * rotation(q_nb))
+    return quaternion(heading_rotation(-declination_rad) * rotation(q_nb))
 
 
 def _written_once(shape: tuple[int, int]) -> Floats:
@@ -135,10 +138,10 @@ def _run_peer(
 
 
 def _run(
-    entry: Estimator, log: Log, params: Settings, declination: float, precision: Precision
+    entry: Estimator, log: Log, params: Settings, declination_rad: float, precision: Precision
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Columns of the estimate, counts, and the time of the estimator's compiled run in ns."""
-    c = in_precision(entry.coefficients(params, declination), precision)
+    c = in_precision(entry.coefficients(params, declination_rad), precision)
     n = len(log.dt_s)
     track = Track(
         q_nb=_written_once((n, 4)),

@@ -14,6 +14,8 @@ from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters import front, guard, heading_source
 from stillpoint.filters.front import RawLog
 from stillpoint.filters.heading_source import HEADINGS, Heading
+from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.sample import Log, counts
 
 
 class Sources(NamedTuple):
@@ -54,17 +56,17 @@ def sources_of(
     A magnetometer that is not calibrated is not used: a hard iron of the field's size or more makes every heading
     wrong. Raises :class:`BadParameter`, and :class:`BadRecording` for a course without fixes.
     """
-    mag, declination, facts = magnetometer(recording)
+    mag, declination_rad, facts = magnetometer(recording)
     is_true = facts["heading"].startswith("true north")
-    coefficients = front_of(heading, heading_params, ranges, declination if is_true else None)
+    coefficients = front_of(heading, heading_params, ranges, declination_rad if is_true else None)
     if coefficients.heading is None:
-        return Sources(mag, None, declination, coefficients, facts)
+        return Sources(mag, None, declination_rad, coefficients, facts)
     if recording.gps is None:
         raise BadRecording(f"{recording.name}: has no satellite fixes (gps) to take a course from; use heading mag")
     least_mps = coefficients.heading.least_speed_mps
     otherwise = "the gyro alone" if mag is None else "the magnetometer, calibrated by them"
     words = f"true north: gps course while fixes are valid and over {least_mps:g} m/s, otherwise {otherwise}"
-    return Sources(mag, recording.gps, declination, coefficients, facts | {"heading": words})
+    return Sources(mag, recording.gps, declination_rad, coefficients, facts | {"heading": words})
 
 
 def magnetometer(recording: Recording) -> tuple[Mag | None, float, dict[str, Any]]:
@@ -75,8 +77,16 @@ def magnetometer(recording: Recording) -> tuple[Mag | None, float, dict[str, Any
     if recording.info.mag_uncalibrated:
         facts["n_mag_uncalibrated"] = len(recording.mag.t_ns)
         return None, 0.0, facts | {"heading": "arbitrary: the magnetometer is not calibrated"}
-    declination, heading = local_declination(recording.info)
-    return recording.mag, declination, {"declination_rad": declination, "heading": heading}
+    declination_rad, heading = local_declination(recording.info)
+    return recording.mag, declination_rad, {"declination_rad": declination_rad, "heading": heading}
+
+
+def passed(imu: Imu, sources: Sources, precision: Precision) -> tuple[Log, dict[str, Any]]:
+    """What the estimator gets of a recording, and the diagnostics of what stands in front of it."""
+    raw, facts = as_raw_log(imu, sources)
+    c = in_precision(sources.front, precision)
+    state, log = front.run(in_precision(raw, precision), in_precision(front.start(c), precision), c)
+    return log, facts | counts(state) | sources.facts | learnt(state.heading)
 
 
 def as_raw_log(imu: Imu, sources: Sources) -> tuple[RawLog, dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. That much a
 slow even turn does, too. So neither up nor the field may have turned in the body since the rest began: a turn of less
-than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says."""
+than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says.
+"""
 
 from math import pi
 from typing import NamedTuple
@@ -28,8 +29,8 @@ class Means(NamedTuple):
 class Stillness(NamedTuple):
     """What is remembered of the rest that lasts."""
 
-    up_b: Vector  # specific force when it began, m/s^2
-    field_b: Vector  # field when it began, uT
+    accel_b_mps2: Vector  # mean when it began
+    mag_b_ut: Vector  # mean when it began, 0 for none
     lasted_s: float  # 0: the body moves
 
 
@@ -63,13 +64,13 @@ def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
     quiet = means.gyro_variance < c.gyro_variance and means.accel_variance < c.accel_variance
     if not quiet or dot(means.gyro_b_radps, means.gyro_b_radps) > c.rate_radps * c.rate_radps:
         return moving(zero)
-    up_b, field_b, lasted_s = still
-    turned = has_turned(up_b, means.accel_b_mps2) or has_turned(field_b, means.mag_b_ut)
+    accel_b, mag_b, lasted_s = still
+    turned = has_turned(accel_b, means.accel_b_mps2) or has_turned(mag_b, means.mag_b_ut)
     if lasted_s == 0 or turned:
         return Stillness(means.accel_b_mps2, means.mag_b_ut, means.length_s)
-    if dot(field_b, field_b) == 0:
-        field_b = means.mag_b_ut
-    return Stillness(up_b, field_b, lasted_s + means.length_s)
+    if dot(mag_b, mag_b) == 0:
+        mag_b = means.mag_b_ut
+    return Stillness(accel_b, mag_b, lasted_s + means.length_s)
 
 
 @compiled_inside

@@ -43,7 +43,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
+    """Before the first sample: level, x over east."""
     one, zero = like(c.kappa, 1.0), like(c.kappa, 0.0)
     return State(no_fields(zero), (one, zero, zero, zero), 0)
 
@@ -54,9 +54,9 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     fields, _ = low_pass(state.fields, sample, c.kappa)
     q_nb, n_no_north = state.q_nb, state.n_no_north
     if fields.has_accel:
-        q_level = level(fields.accel)
+        q_level = level(fields.accel_b_mps2)
         if fields.has_mag:
-            turn, found = turn_to_north(rotate(q_level, fields.mag), c.declination_rad)
+            turn, found = turn_to_north(rotate(q_level, fields.mag_b_ut), c.declination_rad)
             if found:
                 q_nb = multiply(about_up(turn), q_level)
             else:

@@ -39,11 +39,11 @@ class FieldSum(NamedTuple):
 
     sum_n_ut: Vector
     sum_b_ut: Vector
-    how_many: float
+    how_many: float  # a whole number, in the precision of the run
 
 
 class Window(NamedTuple):
-    """All of it."""
+    """The three sums of one window."""
 
     turning: Turning
     forces: Forces

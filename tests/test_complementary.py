@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation, wrap
 from stillpoint.filters import estimate
-from stillpoint.filters.complementary import LONGEST_HOLD_S, Params, coefficients, transition
+from stillpoint.filters.complementary import Params, coefficients, transition
+from stillpoint.filters.fields import LONGEST_HOLD_S
 
 STEP_S = 0.01
 DAMPING = [(0.25, 3.0), (1.0, 1.0), (2.0, 0.3), (0.05, 20.0)]

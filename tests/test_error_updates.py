@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from from_python import from_python
 
+from stillpoint.filters import error_updates
 from stillpoint.filters.error_model import HEADING, SIZE, Measurement
-from stillpoint.filters.error_updates import update
 
+update = from_python(error_updates.update)
 GATE = 9.0  # three standard deviations
 VARIANCE = 0.5
 
