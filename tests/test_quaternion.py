@@ -4,21 +4,12 @@ from math import cos, sin
 
 import pytest
 
-from stillpoint.datasets.quaternion import SERIES_BELOW, exp, log
+from stillpoint.datasets.quaternion import HALF_SERIES_BELOW, LOG_SERIES_BELOW, exp, log
 
-BORDER_RAD = SERIES_BELOW**0.5
-ANGLES_RAD = (
-    1e-300,
-    1e-12,
-    1e-6,
-    0.3 * BORDER_RAD,
-    0.999 * BORDER_RAD,
-    1.001 * BORDER_RAD,
-    1.999 * BORDER_RAD,
-    1e-2,
-    1.0,
-    3.1,
-)
+EXP_BORDER_RAD = HALF_SERIES_BELOW**0.5
+LOG_BORDER_RAD = 2 * LOG_SERIES_BELOW**0.5
+AT_BORDERS_RAD = [share * border for border in (LOG_BORDER_RAD, EXP_BORDER_RAD) for share in (0.15, 0.3, 0.999, 1.001)]
+ANGLES_RAD = (1e-300, 1e-12, 1e-6, *AT_BORDERS_RAD, 1e-2, 1.0, 3.1)
 
 
 @pytest.mark.parametrize("angle", ANGLES_RAD)
