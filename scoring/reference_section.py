@@ -27,6 +27,7 @@ def _facts(reference: Reference) -> dict[str, str]:
     accepted = sum(back.accepted for back in reference.returns)
     facts = {
         "heading": str(said.get("heading", "")),
+        "magnetometer left out": str(said.get("magnetometer_left_out", "")),
         "sd of the attitude": f"{np.median(sd_deg):.2f} deg (median), {sd_deg.max():.2f} deg (largest)",
         "rests": f"{len(reference.rests_ns)}, {rested_s:.0f} s in all",
         "returns": f"{accepted} of {len(reference.returns)} to the base pose used",

@@ -54,6 +54,7 @@ class ValidationRow:
     nees_per_dof: float | None = None  # the same
     seconds: float | None = None  # of making the reference or estimate
     found: Found = field(default_factory=Found)
+    magnetometer_left_out: str | None = None  # why, where the method went on without it
     error: str | None = None  # why there are no figures
 
 
@@ -108,6 +109,7 @@ def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: Al
             mounting_deg=float(np.rad2deg(np.linalg.norm(scored.alignment.mounting_rotvec_rad))),
             time_s=scored.alignment.time_offset_s,
         ),
+        magnetometer_left_out=made.diagnostics.get("magnetometer_left_out"),
     )
 
 

@@ -20,6 +20,8 @@ from stillpoint.scripts.tables import print_table
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
+SAID = ("heading", "magnetometer_left_out")  # of a reference's diagnostics
+
 
 def info(
     paths: Inputs,
@@ -72,6 +74,7 @@ def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate
         facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
         facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
+        facts |= {name: thing.diagnostics[name] for name in SAID if name in thing.diagnostics}
     elif isinstance(thing, RollReference):
         sd_deg = np.rad2deg(thing.angle_sd_rad)
         facts |= {"kind": "roll reference", "method": thing.method, "streams": [_clock("angle", thing.t_ns)]}

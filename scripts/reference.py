@@ -19,8 +19,9 @@ from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
 from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import JsonFile
+from stillpoint.scripts.json_file import STDOUT, JsonFile
 from stillpoint.scripts.opened import open_recording
+from stillpoint.scripts.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.graph_params import PRESETS
@@ -118,7 +119,12 @@ def reference(
     roll = bool(rows) and all(row["error"] is not None or row["method"] == DEFAULT_ROLL_METHOD for row in rows)
     if roll:
         return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json)
-    return report_made("references", COLUMNS, rows, _cells, json)
+    code = report_made("references", COLUMNS, rows, _cells, json)
+    if json != STDOUT:
+        made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
+        left_out = "magnetometer_left_out"
+        print_refusals("without magnetometer", ((said[left_out], name) for name, said in made if left_out in said))
+    return code
 
 
 def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str]) -> dict[str, Settings]:

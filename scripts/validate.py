@@ -93,6 +93,8 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -
         for row in means
     ]
     print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below])
+    left_out = ((row.magnetometer_left_out, row.recording) for row in rows if row.magnetometer_left_out is not None)
+    print_refusals("without magnetometer", left_out)
     print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))
 
 

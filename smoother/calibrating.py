@@ -4,6 +4,7 @@ Rests and returns -> start value -> keys -> factors -> optimum -> covariances ->
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 
 import gtsam
@@ -17,6 +18,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
+from stillpoint.smoother.disturbed_field import refuse_wrong_axes, vouched_for, without_magnetometer
 from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, with_bias_prior
 from stillpoint.smoother.field import field_matrix, field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
@@ -24,6 +26,7 @@ from stillpoint.smoother.graph_params import GraphParams
 from stillpoint.smoother.plausibility import (
     DOUBT_SD,
     SURPRISE_LIMIT_SD,
+    Contradiction,
     Fit,
     fit_of,
     judged_again,
@@ -34,7 +37,7 @@ from stillpoint.smoother.plausibility import (
     surprise,
 )
 from stillpoint.smoother.satellite import fix_factors
-from stillpoint.smoother.solve import Solution, accuracy_of, rotations_of, scale_of, solve
+from stillpoint.smoother.solve import NoOptimum, Solution, accuracy_of, rotations_of, scale_of, solve
 from stillpoint.smoother.windows import Past, Piece, attitudes_after, hand_over, joined, resume, split
 
 UNKNOWN_RAD = 2.0  # sd of an attitude that nothing is known of
@@ -42,11 +45,31 @@ DEFINED_RAD = 1e-3  # sd of a heading that is defined by the first attitude
 
 
 def calibrating_graph(recording: Recording, params: GraphParams) -> Reference:
-    """The reference by the calibrating factor graph.
+    """The reference by the calibrating factor graph; without the magnetometer where that stands in disturbed fields.
 
     Raises :class:`Unobservable` when the recording does not fix an attitude, or the sensors contradict each other.
     """
-    return reference_from(recording, gather(recording, params), params)
+    try:
+        made = reference_from(recording, gather(recording, params), params)
+    except (Contradiction, NoOptimum) as contradiction:
+        return _without_magnetometer(recording, contradiction, params)
+    refuse_wrong_axes(recording, made.diagnostics["field_inlier_share"])
+    return made
+
+
+def _without_magnetometer(
+    recording: Recording, contradiction: Contradiction | NoOptimum, params: GraphParams
+) -> Reference:
+    """The reference by all but the magnetometer; raises ``contradiction`` where that is none either."""
+    less, why = without_magnetometer(recording, contradiction)
+    try:
+        evidence = gather(less, params)
+        if not vouched_for(evidence):
+            raise contradiction
+        made = reference_from(less, evidence, params)
+    except Unobservable:
+        raise contradiction from None
+    return replace(made, diagnostics={**made.diagnostics, "magnetometer_left_out": why})
 
 
 def reference_from(recording: Recording, evidence: Evidence, params: GraphParams) -> Reference:

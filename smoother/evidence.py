@@ -138,7 +138,7 @@ def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fi
     if measured is None and fixes is not None:
         return "true north, from the satellite course"
     if measured is None:
-        return "relative to the first attitude: there is no magnetometer"
+        return "relative to the first attitude: no magnetometer is used"
     return local_declination(recording.info)[1]
 
 

@@ -31,8 +31,10 @@ LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rou
 PRIOR_LIMIT_SD = 5.0  # calibration and biases, of their prior's sd
 INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, whose median is small though
 MISFIT_LIMIT_SD = 0.9  # the median size of the field's residuals, of ``FieldParams.sd_ut``
+RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
 DIP_LIMIT_RAD = np.deg2rad(45.0)  # of the field's inclination against the place's
 RETURN_LIMIT_SD = 3.0  # where the robust kernel of a return halves its weight
+ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
 
 KINDS = {
     gtsam.ImuFactor: "imu",
@@ -41,6 +43,14 @@ KINDS = {
     gtsam.GPSFactor: "position",
     gtsam.BetweenFactorPose3: "rests, returns and gaps",
 }
+
+
+class Contradiction(Unobservable):
+    """Sensors contradict each other; ``found`` says which. Without the magnetometer they may not."""
+
+    def __init__(self, name: str, found: str) -> None:
+        super().__init__(f"{name}: {found}; {ADVICE}")
+        self.found = found
 
 
 @dataclass(frozen=True)
@@ -82,13 +92,16 @@ def fit_of(
 def refuse_contradictions(
     fit: Fit, solution: Solution, bias_b_radps: Floats, info: Info, name: str, params: GraphParams
 ) -> None:
-    """Raise :class:`Unobservable` that names the contradiction when no sensor can be as the solution says.
+    """Raise :class:`Contradiction` when no sensor can be as the solution says, :class:`Unobservable` for a wrong sign.
 
     ``bias_b_radps`` (3,) is where the gyro's bias began.
     """
-    found = _inertial(fit, solution, bias_b_radps, params) or _magnetic(fit, solution, info, params)
+    found = _inertial(fit, solution, bias_b_radps, params) or _disturbed(fit, params)
     if found:
-        raise Unobservable(f"{name}: {found}; run the doctor: an axis, sign, scale, unit or clock may be wrong")
+        raise Contradiction(name, found)
+    upside_down = _dip(fit, solution, info)
+    if upside_down:
+        raise Unobservable(f"{name}: {upside_down}; {ADVICE}")
 
 
 def _inertial(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphParams) -> str:
@@ -136,7 +149,7 @@ def refuse_surprise(calibration: Calibration, limit_sd: float, name: str, params
     if found > limit_sd:
         raise Unobservable(
             f"{name}: the gyro's scale or axes contradict the other sensors ({found:.1f} sd from what a gyro may "
-            "have); run the doctor: an axis, sign, scale, unit or clock may be wrong"
+            f"have); {ADVICE}"
         )
 
 
@@ -148,26 +161,31 @@ def raw_sensor(params: GraphParams) -> GraphParams | None:
     return replace(params, inertial=replace(p, gyro_matrix_sd=p.raw_matrix_sd, accel_matrix_sd=p.raw_matrix_sd))
 
 
-def _magnetic(fit: Fit, solution: Solution, info: Info, params: GraphParams) -> str:
+def _disturbed(fit: Fit, params: GraphParams) -> str:
     if fit.field_inlier_share is None or fit.field_misfit_ut is None:
         return ""
-    if fit.field_inlier_share < INLIER_SHARE and fit.field_misfit_ut > MISFIT_LIMIT_SD * params.magnetic.sd_ut:
-        return (
-            f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
-            f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless); leave it out if the place is full of iron"
-        )
-    if info.place_lat_lon_alt is None or not info.date:
+    limit_sd = MISFIT_LIMIT_SD if raw_sensor(params) is not None else RAW_MISFIT_LIMIT_SD
+    if fit.field_inlier_share >= INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
+        return ""
+    return (
+        f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
+        f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless)"
+    )
+
+
+def _dip(fit: Fit, solution: Solution, info: Info) -> str:
+    if fit.field_misfit_ut is None or info.place_lat_lon_alt is None or not info.date:
         return ""
     east, north, up = solution.values.atVector(H(0))[:3]
     there = magnetic_field_n_ut(info.place_lat_lon_alt, info.date)
     found_rad = np.arctan2(-up, np.hypot(east, north))
     known_rad = np.arctan2(-there[2], np.hypot(*there[:2]))
-    if abs(found_rad - known_rad) > DIP_LIMIT_RAD:
-        return (
-            f"the field dips by {np.rad2deg(found_rad):.0f} deg, at this place it does by {np.rad2deg(known_rad):.0f}; "
-            "accelerometer or magnetometer has the wrong sign"
-        )
-    return ""
+    if abs(found_rad - known_rad) <= DIP_LIMIT_RAD:
+        return ""
+    return (
+        f"the field dips by {np.rad2deg(found_rad):.0f} deg, at this place it does by {np.rad2deg(known_rad):.0f}; "
+        "accelerometer or magnetometer has the wrong sign"
+    )
 
 
 def judged_again(base: BasePose, returns: Returns, q_nb: Floats, params: GraphParams) -> tuple[BasePoseReturn, ...]:

@@ -19,6 +19,10 @@ STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short
 ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps that go the same way; ratio of their lengths that is still trusted
 
 
+class NoOptimum(Unobservable):
+    """The iterations did not come to rest."""
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The optimum: values of all states, and the linear system next to it (within ``turn_limit_rad``)."""
@@ -43,7 +47,7 @@ def solve(
 ) -> Solution:
     """Gauss-Newton; the magnetometer is linearised anew in every iteration.
 
-    Raises :class:`Unobservable` when the system is singular or no optimum is found.
+    Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when no optimum is found.
     """
     steps: list[float] = []
     scale_ut = FIRST_SCALE * params.magnetic.sd_ut
@@ -71,7 +75,7 @@ def solve(
         if final and turn < params.turn_limit_rad:
             cost = float(graph.error(values))
             return Solution(values, system, step, ordering, scale_ut, tuple(steps), residual, cost)
-    raise Unobservable(
+    raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
     )

@@ -23,6 +23,7 @@ KEYS = {
     "nees_per_dof",
     "seconds",
     "found",
+    "magnetometer_left_out",
     "error",
 }
 OFFLINE_VQF_DEG = {"02": 0.44, "10": 0.44, "33": 1.28}  # 9D, heading-aligned, total; measured with vqf 2.1.2

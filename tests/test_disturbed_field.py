@@ -1,0 +1,117 @@
+"""A magnetometer that contradicts gyro and accelerometer: a disturbed place costs the heading to north, no more."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_motion import between
+from scipy.spatial.transform import Rotation
+
+from stillpoint.datasets import Mag, Recording, Unobservable
+from stillpoint.datasets.frames import rotation, slerp
+from stillpoint.datasets.importers.table import IMPORTERS
+from stillpoint.datasets.simulate import simulate
+from stillpoint.scoring import score
+from stillpoint.smoother import reference
+
+FLIPPED = np.diag([-1.0, 1.0, 1.0])
+SWAPPED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def table() -> Recording:
+    return replace(simulate("phone-1", seed=2, minutes=2.0), base_pose=None)
+
+
+def with_field(recording: Recording, mag_b_ut: np.ndarray) -> Recording:
+    info = replace(recording.info, mag_uncalibrated=True)
+    return replace(recording, mag=Mag(recording.mag.t_ns, mag_b_ut), info=info)
+
+
+def turning_field(recording: Recording, size_ut: float) -> Recording:
+    """A field that turns in n, once in 40 s: no direction of it stays, and to the graph the gyro seems biased."""
+    mag, truth = recording.mag, recording.truth
+    angle = 2 * np.pi * (mag.t_ns - mag.t_ns[0]) / 40e9
+    added_n = size_ut * np.stack([np.cos(angle), np.sin(angle), np.sin(2 * angle)], axis=1)
+    q_nb = slerp(truth.t_ns, truth.q_nb, np.clip(mag.t_ns, truth.t_ns[0], truth.t_ns[-1]))
+    return with_field(recording, mag.mag_b_ut + rotation(q_nb).inv().apply(added_n))
+
+
+def test_a_disturbed_place_costs_north_and_no_more(table):
+    """The returns hold the heading; what is lost is its direction to north, and both are said."""
+    disturbed = turning_field(table, 40.0)
+    made = reference(disturbed)
+    without = reference(replace(table, mag=None))
+    np.testing.assert_array_equal(made.q_nb, without.q_nb)
+    assert made.diagnostics["heading"].startswith("relative to the first attitude")
+    assert made.diagnostics["magnetometer_left_out"].endswith("the field is disturbed")
+    found = score(made, table.truth, "heading")
+    assert found.total_rmse_deg < 1.0
+    assert found.coverage95 > 0.9
+
+
+def test_a_small_disturbance_leaves_the_magnetometer_in(table):
+    made = reference(turning_field(table, 3.0))
+    assert "magnetometer_left_out" not in made.diagnostics
+    assert made.calibration.field_n_ut is not None
+
+
+@pytest.mark.parametrize("axes", [FLIPPED, SWAPPED], ids=["flipped", "swapped"])
+def test_wrong_axes_are_no_disturbed_place(axes):
+    """They can be mended, so the recording is refused until they are; also where it rests for half of its time."""
+    recording = simulate("phone-3", seed=2, minutes=1.6)
+    with pytest.raises(Unobservable, match="the magnetometer's axes do not turn as the gyro's"):
+        reference(with_field(recording, recording.mag.mag_b_ut @ axes.T))
+
+
+def test_without_a_return_nothing_would_test_the_gyro(table):
+    """Where the magnetometer is out of the question, and no rest comes back, no reference is made."""
+    start_s = json.loads(table.info.extra["rests_s"])[1][0]
+    with pytest.raises(Unobservable, match=r"contradict|would have to be off"):
+        reference(between(turning_field(table, 40.0), 0.0, start_s - 1.0))
+
+
+def test_a_contradiction_that_stays_without_the_magnetometer_is_refused_as_it_was(table):
+    """A gyro with swapped axes in a disturbed place: leaving the magnetometer out does not make it right."""
+    imu = table.imu
+    wrong = replace(turning_field(table, 40.0), imu=replace(imu, gyro_b_radps=imu.gyro_b_radps[:, [2, 1, 0]]))
+    with pytest.raises(Unobservable):
+        reference(wrong)
+
+
+def dipole_n_ut(place_m: np.ndarray, at_m: np.ndarray, direction: np.ndarray, largest_ut: float) -> np.ndarray:
+    """Field (N, 3) of a magnet seen from N places, scaled to its largest size among them."""
+    away = place_m - at_m
+    far = np.linalg.norm(away, axis=1)[:, None]
+    field = (3 * away / far * (away / far @ direction)[:, None] - direction) / far**3
+    return largest_ut * field / np.linalg.norm(field, axis=1).max()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["04_undisturbed_slow_rotation_with_breaks_A", "10_undisturbed_slow_translation_A", "24_disturbed_tapping_A"],
+)
+def test_real_motion_between_magnets(data_dir, name):
+    """Six magnets half a metre around the path that motion capture saw, 60 uT each. Such were refused once."""
+    io = pytest.importorskip("scipy.io")
+    path = data_dir / "broad" / f"{name}.mat"
+    recording = next(iter(IMPORTERS["broad"](path)))
+    content = io.loadmat(path)
+    seen_m, rate = content["opt_pos"], float(np.ravel(content["sampling_rate"])[0])
+    seen = np.isfinite(seen_m).all(axis=1)
+    mag, truth = recording.mag, recording.truth
+    at_s = mag.t_ns / 1e9
+    place_m = np.stack([np.interp(at_s, np.flatnonzero(seen) / rate, axis) for axis in seen_m[seen].T], axis=1)
+    rng = np.random.default_rng(5)
+    added_n = np.zeros_like(place_m)
+    for _ in range(6):
+        side, pole = Rotation.random(2, random_state=rng).apply([0.0, 0.0, 1.0])
+        nearest = place_m[np.argmax((place_m - place_m.mean(axis=0)) @ side)]
+        added_n += dipole_n_ut(place_m, nearest + 0.5 * side, pole, 60.0)
+    q_nb = slerp(truth.t_ns, truth.q_nb, np.clip(mag.t_ns, truth.t_ns[0], truth.t_ns[-1]))
+    made = reference(with_field(recording, mag.mag_b_ut + rotation(q_nb).inv().apply(added_n)))
+    found = score(made, truth, "heading+mounting+time")
+    assert "magnetometer_left_out" in made.diagnostics
+    assert found.total_rmse_deg < 0.70
+    assert found.coverage95 > 0.85
