@@ -18,7 +18,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.disturbed_field import refuse_wrong_axes, vouched_for, without_magnetometer
+from stillpoint.smoother.disturbed_field import refuse_wrong_axes, require_test_of_gyro, without_magnetometer
 from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, with_bias_prior
 from stillpoint.smoother.field import field_matrix, field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
@@ -49,6 +49,7 @@ def calibrating_graph(recording: Recording, params: GraphParams) -> Reference:
 
     Raises :class:`Unobservable` when the recording does not fix an attitude, or the sensors contradict each other.
     """
+    recording = recording if params.magnetic.use else replace(recording, mag=None)
     try:
         made = reference_from(recording, gather(recording, params), params)
     except (Contradiction, NoOptimum) as contradiction:
@@ -62,10 +63,9 @@ def _without_magnetometer(
 ) -> Reference:
     """The reference by all but the magnetometer; raises ``contradiction`` where that is none either."""
     less, why = without_magnetometer(recording, contradiction)
+    evidence = gather(less, params)
+    require_test_of_gyro(evidence, why, recording.name)
     try:
-        evidence = gather(less, params)
-        if not vouched_for(evidence):
-            raise contradiction
         made = reference_from(less, evidence, params)
     except Unobservable:
         raise contradiction from None

@@ -38,12 +38,13 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
         )
 
 
-def vouched_for(evidence: Evidence) -> bool:
-    """Does anything but a magnetometer test the gyro's scale: a return to the base pose, or a satellite course?
+def require_test_of_gyro(evidence: Evidence, why: str, name: str) -> None:
+    """Raise :class:`Contradiction` where neither a return to the base pose nor satellites test the gyro's scale.
 
     Where nothing did, phones whose gyro was 3 % off were wrong by 13 deg, 0.67 of it within the 95 % ellipsoid.
     """
-    return evidence.fixes is not None or bool(evidence.return_states()[1])
+    if evidence.fixes is None and not evidence.return_states()[1]:
+        raise Contradiction(name, f"{why}; without it (--set magnetic.use=false) nothing would test the gyro")
 
 
 def axes_fit(recording: Recording) -> bool:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from stillpoint.datasets.settings import Settings, degrees, number
+from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.smoother.base_pose import ReturnParams
 from stillpoint.smoother.rest import RestParams
 
@@ -59,6 +59,7 @@ class MotionPriors(Settings):
 class FieldParams(Settings):
     """Magnetometer: b(t) = (1 + S) R(t - d)^T m + h; field m, hard iron h, delay d and matrix S are unknowns."""
 
+    use: bool = choice(True, "the magnetometer is used, where there is one")
     sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
     robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
