@@ -25,7 +25,7 @@ from stillpoint.smoother.keys import Keys
 from stillpoint.smoother.solve import Solution
 
 IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, over what the noise sizes allow
-DOUBT_SD = 2.5  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro that is 5 % off: 6.5
+DOUBT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro that is 5 % off: 6.5
 SURPRISE_LIMIT_SD = 3.0  # the same with the prior of a raw sensor
 LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
 PRIOR_LIMIT_SD = 5.0  # calibration and biases, of their prior's sd
