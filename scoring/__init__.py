@@ -1,6 +1,6 @@
 """How good an estimate is: scores against a truth or a reference, pictures, and the report.
 
-score(estimate, truth, align="heading", frame="nwu") -> Score
+score(estimate, truth, align="heading", frame="nwu", over_s=()) -> Score
 score_roll(estimate, truth, zero="start") -> RollScore, of angle and rate about a spin axis
 """
 
@@ -8,6 +8,7 @@ from stillpoint.scoring.align import ALIGN_KINDS, AlignKind, Alignment
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.roll import RollScore, score_roll
 from stillpoint.scoring.score import Score, score, score_of, score_row
+from stillpoint.scoring.turns import TurnError
 
 __all__ = [
     "ALIGN_KINDS",
@@ -16,6 +17,7 @@ __all__ = [
     "Comparison",
     "RollScore",
     "Score",
+    "TurnError",
     "compare",
     "score",
     "score_of",

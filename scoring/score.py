@@ -1,6 +1,7 @@
 """One function, one frozen result: how far an estimate is from a truth or a reference, over the moving samples."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
 from stillpoint.scoring.align import AlignKind, Alignment
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
+from stillpoint.scoring.turns import TurnError, turn_errors
 
 CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
 
@@ -76,6 +78,8 @@ class Score:
     nees_per_dof: float | None  # mean d' C^-1 d / 3: 1 when the covariance is right; None without one
     coverage95: float | None  # share with d' C^-1 d below the 95 % point of chi-square(3)
 
+    turns: tuple[TurnError, ...] = ()  # errors of turns over the times that were asked for
+
 
 def score(
     estimated: Estimate | Reference,
@@ -83,18 +87,20 @@ def score(
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
     moving: NDArray[np.bool_] | None = None,
+    over_s: Sequence[float] = (),
 ) -> Score:
     """Score an estimate (or a reference) against a truth (or a reference).
 
     The estimate is interpolated at the truth's stamps, within its span and never across a gap. ``moving`` (N,) says
-    which samples of the truth count; by default ``truth.moving``, or outside a reference's rests.
+    which samples of the truth count; by default ``truth.moving``, or outside a reference's rests. ``over_s`` are the
+    times over which turns are compared too (:func:`~stillpoint.scoring.turns.turn_errors`).
     Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps,
     :class:`BadRecording` for a covariance that is none.
     """
-    return score_of(compare(estimated, truth, align, moving), frame)
+    return score_of(compare(estimated, truth, align, moving), frame, over_s)
 
 
-def score_of(comparison: Comparison, frame: EulerFrame = "nwu") -> Score:
+def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence[float] = ()) -> Score:
     """The figures of a comparison that is there already."""
     if frame not in EULER_FRAMES:
         raise BadParameter(f"frame: {frame!r} is not one of {', '.join(EULER_FRAMES)}")
@@ -122,6 +128,7 @@ def score_of(comparison: Comparison, frame: EulerFrame = "nwu") -> Score:
         reference_sd_deg=_reference_sd_deg(comparison),
         nees_per_dof=nees,
         coverage95=coverage,
+        turns=turn_errors(comparison, over_s),
         **figures,
     )
 
@@ -172,6 +179,8 @@ def _reference_sd_deg(comparison: Comparison) -> float | None:
 def score_row(score: Score) -> dict[str, Any]:
     """The score for machines: its fields, flat, with ``align`` and what was ``found`` in place of the alignment."""
     named = {"recording": score.recording, "method": score.estimated, "against": score.against}
-    skipped = ("recording", "estimated", "against", "alignment")
+    skipped = ("recording", "estimated", "against", "alignment", "turns")
     figures = {column.name: getattr(score, column.name) for column in fields(score) if column.name not in skipped}
-    return {**named, "align": score.alignment.kind, **figures, "found": score.alignment.found(), "error": None}
+    turns = [asdict(turn) for turn in score.turns]
+    found = score.alignment.found()
+    return {**named, "align": score.alignment.kind, **figures, "turns": turns, "found": found, "error": None}

@@ -30,6 +30,15 @@ COLUMNS = ("recording", "estimate", "found", "total", "heading", "incl.", "95 %"
 WIDE = 130  # columns of a terminal that shows the angles, too
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What the user asked for."""
+
+    align: AlignKind
+    frame: EulerFrame
+    over_s: list[float]
+
+
 @dataclass(frozen=True, eq=False)
 class Judge:
     """What scores: a reference, or the truth of a recording; and what it was made from."""
@@ -46,6 +55,7 @@ def score(
     against: Path | None = None,
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
+    over: str | None = None,
     json: JsonFile = None,
 ) -> int:
     """Score estimates against a reference or a truth.
@@ -66,17 +76,20 @@ def score(
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
     frame
         Frame of roll, pitch and yaw: nwu (paper 002), ned (paper 003) or enu (ROS).
+    over
+        Also compare turns over these times in seconds, with commas between: how fast an estimate drifts, whatever its
+        heading was to begin with (the relative pose error of other tools).
     json
         Also write all figures as JSON to this file; - is the standard output.
     """
-    files = _files(paths)
+    files, asked = _files(paths), _Asked(align, frame, _seconds(over))
     if against is not None and not against.is_file():
         raise BadParameter(f"--against {against}: there is no such file; name a reference, or a recording with a truth")
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
     for file in track(files, "score", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
         try:
-            found = _score_file(file, against, align, frame)
+            found = _score_file(file, against, asked)
         except StillpointError as error:
             if len(files) == 1:
                 raise
@@ -86,7 +99,10 @@ def score(
         row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
         rows.append({**row, "file": str(file)})
     if json != STDOUT:
-        print_scores([s for s in scores if isinstance(s, Score)])
+        attitudes = [s for s in scores if isinstance(s, Score)]
+        print_scores(attitudes)
+        if asked.over_s and attitudes:
+            print_turns(attitudes)
         print_roll_scores([s for s in scores if isinstance(s, RollScore)])
         for row in rows:
             if row["error"] is not None:
@@ -119,6 +135,17 @@ def print_scores(scores: Sequence[Score]) -> None:
             print(note)
 
 
+def print_turns(scores: Sequence[Score]) -> None:
+    """The table of turns over given times: RMSE and largest error, a section per recording, best first."""
+    named = [f"over {turn.over_s:g} s" for turn in scores[0].turns]
+    ordered = sorted(scores, key=lambda s: (s.recording, s.against, s.turns[0].rmse_deg))
+    sections = [
+        [[s.recording, s.estimated, *(f"{t.rmse_deg:.3f} / {t.max_deg:.2f}" for t in s.turns)] for s in rows]
+        for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))
+    ]
+    print_table("errors of turns; RMSE / largest, deg", ["recording", "estimate", *named], sections)
+
+
 def judge_of(path: Path) -> Judge:
     """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
     if is_tum(path):
@@ -139,17 +166,29 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
 
 
-def _score_file(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score | RollScore:
+def _seconds(over: str | None) -> list[float]:
+    try:
+        seconds = [] if over is None else [float(part) for part in over.split(",")]
+    except ValueError:
+        seconds = [0.0]
+    if not all(0 < each < float("inf") for each in seconds):
+        raise BadParameter(f"--over {over}: give seconds above 0 with commas between, for example 1,10,60")
+    return seconds
+
+
+def _score_file(file: Path, against: Path | None, asked: _Asked) -> Score | RollScore:
     if is_tum(file):
-        return _score_tum(file, against, align, frame)
+        return _score_tum(file, against, asked)
     thing = read(file)
     if isinstance(thing, Estimate | RollReference) and is_roll(thing):
-        return score_roll_file(file, thing, against, align)
+        if asked.over_s:
+            raise BadParameter(f"{file}: is an angle about one axis; --over compares turns of attitudes: leave it out")
+        return score_roll_file(file, thing, against, asked.align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
     judge = judge_of(_beside(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
-    return score_against(thing, judge.truth, align, frame)
+    return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
 def is_tum(path: Path) -> bool:
@@ -157,14 +196,14 @@ def is_tum(path: Path) -> bool:
     return path.suffix in (".tum", ".txt")
 
 
-def _score_tum(file: Path, against: Path | None, align: AlignKind, frame: EulerFrame) -> Score:
+def _score_tum(file: Path, against: Path | None, asked: _Asked) -> Score:
     """A trajectory of another program; it cannot say which recording it was made from."""
     if against is None:
         raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")
     poses, judge = read_tum(file), judge_of(against)
     name = judge.truth.name if isinstance(judge.truth, Reference) else against.name.removesuffix(against.suffix)
     made = Estimate(poses.t_ns, file.name.removesuffix(file.suffix), q_nb=poses.q_nb, recording=name)
-    return score_against(made, judge.truth, align, frame)
+    return score_against(made, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
 def _beside(file: Path, thing: Estimate | Reference) -> Path:

@@ -70,6 +70,21 @@ def test_table_has_a_row_per_estimate(call, made, capsys):
     assert "the reference's own sd is" in out
 
 
+def test_turns_are_compared_over_the_times_asked_for(call, made, capsys):
+    assert call("score", made, "--over", "1,10", "--json", "-") == 0
+    for row in json.loads(capsys.readouterr().out)["rows"]:
+        assert [turn["over_s"] for turn in row["turns"]] == [1.0, 10.0]
+        assert all(0 < turn["rmse_deg"] <= turn["max_deg"] for turn in row["turns"])
+    assert call("score", made, "--over", "10") == 0
+    assert "over 10 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("over", ["0", "1,x", "-1", "inf", ""])
+def test_a_time_that_is_none_is_one_line(call, made, capsys, over):
+    assert call("score", made, f"--over={over}") == 2
+    assert "give seconds above 0 with commas between" in capsys.readouterr().err
+
+
 def test_unknown_alignment_is_one_line(call, made, capsys):
     assert call("score", made, "--align", "yaw") == 2
     assert "heading+mounting+time" in capsys.readouterr().err
