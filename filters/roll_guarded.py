@@ -9,8 +9,8 @@ The angle takes part in the update by its covariance with the rate, so the noise
 rate is removed from the angle too; integrating the filtered rate would leave it there. An observation beyond
 ``gate_sd`` standard deviations is left out, and so is an angular acceleration that far from the median of the last
 five. The variance R is widened by alpha as in (16), (17), up to a cap that keeps the filter from running away. After
-``lockout`` observations in a row were left out, the rate starts anew at the median of the last nine. Values that repeat
-to the last bit are a stuck sensor's and count as missing.
+``lockout`` observations in a row were left out, the rate starts anew at the median of the last nine, in the sense that
+it had where it had one. Values that repeat to the last bit are a stuck sensor's and count as missing.
 """
 
 from dataclasses import dataclass
@@ -54,8 +54,19 @@ from stillpoint.filters.roll_sample import (
     roll_sample_at,
     turned,
 )
-from stillpoint.filters.roll_start import MEDIAN_VAR, Start, anew, gather, is_sound, no_start, rate_variance, root
+from stillpoint.filters.roll_start import (
+    MEDIAN_VAR,
+    Start,
+    anew,
+    forgotten,
+    gather,
+    is_sound,
+    no_start,
+    rate_variance,
+    root,
+)
 
+SENSE_SD = 3.0  # a rate has a sense where it is so many standard deviations from 0
 HELD_S = 0.1  # an angular acceleration stands for no longer than that
 
 
@@ -245,13 +256,26 @@ def pushed(state: State, sample: RollSample, c: Coefficients) -> tuple[Push, Acc
 
 
 @compiled
-def restarted(state: State, c: Coefficients) -> State:
+def sense_of(roll: Roll, direction: int, c: Coefficients) -> int:
+    """+1 or -1: as a sensor tells it, else that of the rate where it has one, else the assumed one."""
+    if direction != 0:
+        return direction
+    square, zero = roll.rate_radps * roll.rate_radps, like(roll.rate_radps, 0.0)
+    least = max(like(zero, SENSE_SD**2) * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
+    if square <= least:
+        return c.noise.sense
+    return 1 if roll.rate_radps > zero else -1
+
+
+@compiled
+def restarted(state: State, direction: int, c: Coefficients) -> State:
     """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
     roll, zero = state.roll, like(state.roll.rate_radps, 0.0)
-    rate = median_refused(state.refusals)
-    if roll.rate_radps < zero:
-        rate = -rate
-    lost = (rate - roll.rate_radps) * state.refusals.lasting_s
+    rate = median_refused(state.refusals) * like(zero, sense_of(roll, direction, c))
+    lasting_s = state.refusals.lasting_s
+    if state.refusals.n_restarts == 0 and state.window.seen == state.refusals.in_row:
+        lasting_s += state.start.elapsed_s  # none has passed yet: the start was wrong
+    lost = (rate - roll.rate_radps) * lasting_s
     rate_var = rate_variance(rate, c.noise.square_var)
     roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, zero, rate_var)
     bias = Bias(state.bias.accel_radps2, zero, zero, c.bias_var)
@@ -260,11 +284,38 @@ def restarted(state: State, c: Coefficients) -> State:
 
 
 @compiled
+def unseen(begun: Start, roll: Roll, accel_var: float) -> tuple[Start, Roll]:
+    """After a time without any value, at an angular acceleration that nobody saw: the angle is known less well."""
+    way = like(accel_var, 0.5) * begun.elapsed_s * begun.elapsed_s
+    var = way * way * accel_var
+    rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = begun
+    begun = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var + var)
+    return begun, Roll(roll.turns, roll.rest_rad, roll.rate_radps, roll.angle_var + var, roll.cross_var, roll.rate_var)
+
+
+@compiled
 def begin(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
     """One of the first samples."""
     sense = c.noise.sense if sample.direction == 0 else sample.direction
     square_var = c.noise.square_var * sample.square_widened
-    begun, roll = gather(state.start, sample, state.push.accel_radps2, sense, square_var)
+    was_stuck = state.repeats.same_squares >= c.stuck and repeats.same_squares < c.stuck
+    before = state.start
+    if was_stuck:  # by the sensors' first values nothing is known, nor is their angular acceleration the usual one
+        both = state.repeats.same_accels >= c.stuck
+        before = forgotten(before, both)
+        if both:
+            state = State(
+                before,
+                state.roll,
+                state.bias,
+                state.push,
+                *cleared(state.window, state.refusals, state.accels),
+                repeats,
+                state.tally,
+            )
+    begun, roll = gather(before, sample, state.push.accel_radps2, sense, square_var)
+    if before.held == 0 and begun.held == 1 and not state.push.is_measured:
+        begun, roll = unseen(begun, roll, c.unknown_var)
     push, accels, _ = pushed(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
     state = State(begun, roll, state.bias, push, *guards, tallied(state.tally, sample, False))
@@ -304,7 +355,7 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     tally = tallied(state.tally, sample, is_turned_over)
     state = State(state.start, roll, bias, push, window, refusals, accels, repeats, tally)
     if refusals.in_row >= c.lockout:
-        state = restarted(state, c)
+        state = restarted(state, sample.direction, c)
     return state, RollOutput(state.roll, innovation, True)
 
 

@@ -2,7 +2,9 @@
 
 A single sample may be a glitch, and an adaptive filter that starts on one does not come back. Each sample gives a rate,
 the root of the square; what was gained since by the angular acceleration is taken off, so that the median also holds
-while the body spins up.
+while the body spins up. A square of exactly 0 is no rate to start from: it is what a sensor says that does not live
+yet, and from there the sign of the noise would decide on the sense. The angle is counted from the first sample all the
+same, by the rate that is found.
 """
 
 from math import sqrt
@@ -42,6 +44,15 @@ def anew(start: Start, roll: Roll) -> Start:
     """As before the first sample, with the angle as it is."""
     zero = like(roll.rest_rad, 0.0)
     return Start(start.rates_radps, 0, zero, zero, zero, roll.turns, roll.rest_rad, roll.angle_var)
+
+
+@compiled
+def forgotten(start: Start, also_gained: bool) -> Start:
+    """Without the rates so far, which were none, and what was gained if that was none; the time goes on."""
+    rates, _, gained, gained_rad, elapsed_s, turns, rest, angle_var = start
+    if also_gained:
+        gained, gained_rad = like(gained, 0.0), like(gained, 0.0)
+    return Start(rates, 0, gained, gained_rad, elapsed_s, turns, rest, angle_var)
 
 
 @compiled
@@ -96,7 +107,7 @@ def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, sq
     gained_rad += dt_s * (gained + half * dt_s * accel_radps2)
     gained += dt_s * accel_radps2
     elapsed_s += dt_s
-    if sample.has_square:
+    if sample.has_square and sample.square_rad2ps2 != like(dt_s, 0.0):
         insert(rates, held, root(sample.square_rad2ps2) - sign * gained)
         held += 1
     start = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var)

@@ -155,6 +155,59 @@ def test_a_motor_that_starts_with_a_jerk_is_followed():
     assert (np.abs(c.angle_error_rad[1:]) < 3 * c.angle_sd_rad[1:]).all()
 
 
+@pytest.mark.parametrize("name", ["roll-ekf", "roll-aekf", "roll-guarded"])
+@pytest.mark.parametrize("count", [1, 5, 8, 20, 50])
+def test_a_sensor_that_does_not_live_yet_is_no_start(name, count):
+    """F4 and F5 read 0 at first: neither the sense nor the angle is lost, and the angle is within its sd."""
+
+    for seed in range(3):
+        for direction, sign in (("positive", 1), ("negative", -1)):
+
+            def dead(accel, sign=sign):
+                accel[:, 1] *= sign  # of a body that turns the other way
+                accel[:count] = 0
+
+            recording = spoilt(dead, seed)
+            found = estimate(recording, name, {**CONSTANT, "direction": direction})
+            assert (sign * found.rate_radps[100:] > 30).all()
+            truth = recording.roll_truth
+            error = (sign * found.angle_rad - (truth.angle_rad - truth.angle_rad[0]))[found.ready]
+            assert np.abs(error).max() < np.deg2rad(1.2 if name == "roll-guarded" else 5)
+            assert np.abs(error[-1]) < 3 * found.angle_sd_rad[-1]
+            assert not found.ready[:count].any()
+
+
+@pytest.mark.parametrize("value", [-10.0, 2.0])
+@pytest.mark.parametrize("count", [5, 8, 20, 50])
+def test_one_that_is_stuck_at_first_costs_no_more_than_is_said(value, count):
+    """Eight equal values and more are forgotten once they end; fewer make a wrong start, and the angle's sd says so."""
+
+    def stuck(accel):
+        accel[:count] = value
+
+    for seed in range(3):
+        recording = spoilt(stuck, seed)
+        found = estimate(recording, "roll-guarded", CONSTANT)
+        c = compare_roll(found, recording.roll_truth)
+        assert (found.rate_radps[100:] > 30).all()
+        assert np.abs(c.angle_error_rad[-1]) < 2 * c.angle_sd_rad[-1]
+        assert count < 8 or np.abs(c.angle_error_rad).max() < np.deg2rad(1.2)
+
+
+def test_a_new_start_keeps_a_sense_that_the_rate_had():
+    """Turned over by the angular acceleration alone, and braked unseen later: it still turns the other way."""
+
+    def rate(t):
+        return np.where(t < 3, np.clip(30 - 30 * t, -30, 30), -20)
+
+    def accel(t):
+        return np.where(t <= 2, -30.0, 0.0)
+
+    found = estimate(noisy(exact(rate, accel)), "roll-guarded")
+    assert found.diagnostics["n_restarts"] == 1
+    assert found.rate_radps[-1] == pytest.approx(-20, abs=0.5)
+
+
 def as_matrices(roll: Roll, bias: Bias):
     """State (angle, rate, bias) and its covariance."""
     state = np.array([roll.rest_rad, roll.rate_radps, bias.accel_radps2])
