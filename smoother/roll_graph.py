@@ -107,13 +107,16 @@ def vibration_of(samples: RollSamples, line: Line, params: RollGraphParams) -> t
     return mean, np.array([ripple, ripple, free, free])
 
 
-def untold(linear: "Linear", prior: Prior) -> NDArray[np.bool_]:
+def untold(linear: "Linear", prior: Prior, name: str) -> NDArray[np.bool_]:
     """Which constants (11,) the samples say next to nothing about: their sd is still that of the prior.
 
     A vibration of the squared rate is always among them: what the samples seem to say of it comes from the angle that
-    both vibrations are fitted along, which is not exact.
+    both vibrations are fitted along, which is not exact. Raises :class:`Unobservable` when the system is singular.
     """
-    found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
+    try:
+        found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
+    except RuntimeError as error:
+        raise _rate_not_fixed(name) from error
     held = found > UNTOLD * np.sqrt(np.diag(prior.cov))
     held[[COS_S, SIN_S]] = True
     return np.asarray(held)
@@ -177,9 +180,13 @@ def eliminated(chain: Chain, at: RollFit, roots: Roots, prior: Prior, name: str)
     try:
         return Linear(blocks, graph.eliminateMultifrontal(ordering, gtsam.EliminateQR))
     except RuntimeError as error:
-        raise Unobservable(
-            f"{name}: the samples do not fix the rate; more of them must give the squared rate, within the range"
-        ) from error
+        raise _rate_not_fixed(name) from error
+
+
+def _rate_not_fixed(name: str) -> Unobservable:
+    return Unobservable(
+        f"{name}: the samples do not fix the rate; more of them must give the squared rate, within the range"
+    )
 
 
 def step_of(chain: Chain, linear: Linear, steps: int) -> RollState:

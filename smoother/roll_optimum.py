@@ -56,7 +56,8 @@ def no_optimum(name: str, solution: RollSolution) -> Unobservable:
     count, last_degps = len(solution.steps_radps), np.rad2deg(solution.steps_radps[-1])
     return Unobservable(
         f"{name}: no optimum in {count} iterations, the last changed the rate by {last_degps:.2g} deg/s; "
-        "the accelerometers contradict each other: check lever arms, signs and axes of the geometry"
+        "the accelerometers contradict each other: check units, lever arms, signs and axes of the geometry, and that "
+        "the body neither rests nor turns back"
     )
 
 

@@ -1,24 +1,26 @@
 """From a recording with a spin stream to angle and rate with their accuracy: the steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.roll_chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
-from stillpoint.smoother.roll_encoder import readings_of
+from stillpoint.smoother.roll_encoder import EncoderReadings, readings_of
 from stillpoint.smoother.roll_graph import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
 from stillpoint.smoother.roll_line import Line, find_line, followed
 from stillpoint.smoother.roll_optimum import RollSolution, improved, no_optimum
 from stillpoint.smoother.roll_params import RollGraphParams
 from stillpoint.smoother.roll_rows import roots_of
-from stillpoint.smoother.roll_samples import samples_of, sign_of
+from stillpoint.smoother.roll_samples import RollSamples, samples_of, sign_of
 from stillpoint.smoother.roll_start import start_of, with_gravity, with_vibration
 from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
+from stillpoint.smoother.roll_zero import least_squared, require_spin, smooth_squared, too_slow
 
 ROUGH = 3  # iterations before gravity is looked for
 VIBRATION_ROUNDS = 2  # the rates before the first one follow the vibration, and so does the angle it is fitted along
@@ -38,32 +40,21 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
         if recording.encoder is None:
             raise Unobservable(f"{recording.name}: has no encoder; leave encoder.use off")
         readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
-    chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
+    require_spin(samples, params.calibration, recording.name)
     known = sign_of(recording.spin) if recording.spin is not None else None
-    state = start_of(chain, readings, known or (1.0 if params.direction == "positive" else -1.0))
-    prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
-    # Until the harmonic is found the fit's own residuals are the noise: beside a given one too much would be a glitch.
-    loose = replace(params, noise=replace(params.noise, source="data"))
-    rough = improved(chain, state, prior, recording.name, loose, ROUGH)
-    line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
-    if line is not None and line.is_gravity:
-        chain, state = with_gravity(chain, rough.at.state, line)
-        prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-        rough = improved(chain, state, prior, recording.name, loose, ROUGH)
-    if line is not None and line.is_vibration:
-        for _ in range(VIBRATION_ROUNDS):
-            line = followed(chain, rough.at.state, line, params.harmonic)
-            chain, state = with_vibration(chain, rough.at.state, line)
-            prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-            rough = improved(chain, state, prior, recording.name, loose, ROUGH)
-    # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
-    # counts in the covariance all the same.
-    held = untold(_linear(chain, rough, prior, recording.name), prior)
-    state = replace(rough.at.state, constants=np.where(held, prior.mean, rough.at.state.constants))
-    solution = improved(chain, state, holding(prior, held), recording.name, params, int(params.iterations))
-    if not solution.steps_radps[-1] < params.rate_limit_radps:
-        raise no_optimum(recording.name, solution)
-    accuracy = accuracy_of(chain, _linear(chain, solution, prior, recording.name), recording.name)
+    sign = known or (1.0 if params.direction == "positive" else -1.0)
+    try:
+        found = _solved(samples, readings, sign, params, recording.name)
+    except Unobservable as error:
+        squared, least = smooth_squared(samples), least_squared(samples, params.calibration)
+        raise too_slow(samples, squared, least, readings, recording.name) or error from error
+    chain, solution, line = found.chain, found.solution, found.line
+    least = least_squared(samples, params.calibration, line)
+    slow = too_slow(samples, rates_of(chain, solution.at.state) ** 2, least, readings, recording.name)
+    if slow is not None:
+        raise slow
+    linear = _linear(chain, solution, found.prior, recording.name)
+    accuracy = accuracy_of(chain, linear, recording.name)
     return RollReference(
         t_ns=samples.t_ns,
         angle_rad=angles_of(chain, solution.at.state),
@@ -74,10 +65,51 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
         name=recording.name,
         diagnostics={
             **_diagnostics(chain, solution, accuracy, line),
-            "not_told": [name for name, one in zip(CONSTANTS[:AMPLITUDE], held, strict=False) if one],
+            "not_told": [name for name, one in zip(CONSTANTS[:AMPLITUDE], found.held, strict=False) if one],
             "direction": "as a sensor shows it" if known or readings else f"taken as {params.direction}",
         },
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """The optimum, and what it is the optimum of."""
+
+    chain: Chain
+    prior: Prior  # with nothing held
+    held: NDArray[np.bool_]  # (11,) constants that the samples do not tell
+    line: Line | None
+    solution: RollSolution
+
+
+def _solved(
+    samples: RollSamples, readings: EncoderReadings | None, sign: float, params: RollGraphParams, name: str
+) -> _Solved:
+    chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
+    state = start_of(chain, readings, sign)
+    prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
+    # Until the harmonic is found the fit's own residuals are the noise: beside a given one too much would be a glitch.
+    loose = replace(params, noise=replace(params.noise, source="data"))
+    rough = improved(chain, state, prior, name, loose, ROUGH)
+    line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
+    if line is not None and line.is_gravity:
+        chain, state = with_gravity(chain, rough.at.state, line)
+        prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
+        rough = improved(chain, state, prior, name, loose, ROUGH)
+    if line is not None and line.is_vibration:
+        for _ in range(VIBRATION_ROUNDS):
+            line = followed(chain, rough.at.state, line, params.harmonic)
+            chain, state = with_vibration(chain, rough.at.state, line)
+            prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
+            rough = improved(chain, state, prior, name, loose, ROUGH)
+    # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
+    # counts in the covariance all the same.
+    held = untold(_linear(chain, rough, prior, name), prior, name)
+    state = replace(rough.at.state, constants=np.where(held, prior.mean, rough.at.state.constants))
+    solution = improved(chain, state, holding(prior, held), name, params, int(params.iterations))
+    if not solution.steps_radps[-1] < params.rate_limit_radps:
+        raise no_optimum(name, solution)
+    return _Solved(chain, prior, held, line, solution)
 
 
 def _linear(chain: Chain, solution: RollSolution, prior: Prior, name: str) -> Linear:

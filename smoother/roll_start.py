@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.roll_chain import Chain, angles_of
@@ -22,16 +21,13 @@ from stillpoint.smoother.roll_state import (
     RollState,
     in_blocks,
 )
-
-MEDIAN_OF = 25  # samples of the squared rate: a glitch, or a run of them, does not move the start
+from stillpoint.smoother.roll_zero import smooth_squared
 
 
 def start_rates(samples: RollSamples, sign: float) -> Floats:
     """Mean rates x (N + 1,) to begin with."""
     rows = np.arange(len(samples))
-    valid = samples.squared_valid
-    squared = median_filter(samples.squared_rad2ps2[valid], MEDIAN_OF, mode="nearest")
-    rate = sign * np.sqrt(np.maximum(np.interp(rows, rows[valid], squared), 0.0))
+    rate = sign * np.sqrt(np.maximum(smooth_squared(samples), 0.0))
     return np.asarray(np.interp(np.arange(len(rows) + 1) - 0.5, rows, rate))
 
 
