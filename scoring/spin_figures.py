@@ -93,8 +93,10 @@ def draw_variances(ax: Axes, found: Identified, which: str) -> None:
     for k, (values, style) in enumerate(series):
         ax.plot(numbers + BESIDE * (k - (len(series) - 1) / 2), values, ls="none", **style)
     most = found.d4_m2ps4 if which == "radial" else found.d5_m2ps4
+    highest = max(most, *(max(values) for values, _ in series))
     ax.axhline(most, color=COLOURS[0], lw=1, ls=LIMIT, label="maximum")
-    ax.set(xlabel="trial", ylabel="variance ((m/s²)²)", ylim=(0, 1.15 * most))
+    ax.set(xlabel="trial", ylabel="variance ((m/s²)²)", ylim=(0, 1.15 * highest))
+    ax.set_xlim(0.5, len(residuals) + 0.5)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_title({"radial": "F4, eq (28)", "tangential": "F5, eq (30)"}[which])
     ax.legend(frameon=False)

@@ -1,10 +1,16 @@
-"""Noise variances of the accelerometers on a shaft, from trials with an encoder (paper 000, eqs (28)-(31))."""
+"""Noise variances of the accelerometers on a shaft, from trials with an encoder (paper 000, eqs (28)-(31)).
+
+Of an encoder that gives its angle alone, the rate is a difference of counts: at 4096 a turn and 4 ms its noise makes
+a D5 of 1000 (m/s^2)^2. Rate and angular acceleration are then taken from the angle over a window, by a parabola, just
+as long as the noise of the counts needs. Motion that is faster than the window counts as the accelerometers'.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
@@ -13,6 +19,13 @@ from stillpoint.datasets.spin import TERMS, channels, coefficients, saturated
 MAD_TO_SD = 1.4826  # of a normal distribution
 GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
 FEWEST = 100  # samples below which a variance says little
+TOLD_SDS = 5.0  # a variance is told from the encoder's where it is so many of its own standard deviations
+DIFFERENT_SDS, DIFFERENT = 6.0, 1.5  # sd and ratio, beyond which robust variances of two trials are of two rigs
+ROBUST_SD = 2.33  # standard deviation of a robust variance, relative, times the root of the number of samples
+ENCODER_SHARE = 0.02  # of the variance of F5, which the noise of a smoothed angle may reach
+LONGEST_S = 0.2  # over which an angle is smoothed
+SHORTEST = 5  # samples
+FOURTH = 70.0  # sum of the squares of 1, -4, 6, -4, 1
 
 
 @dataclass(frozen=True)
@@ -36,6 +49,9 @@ class Trial:
     radial: Residual  # eq (28): d1 w^2 + F4
     tangential: Residual  # eq (30): d2 w' - F5, w' the difference of the encoder's rates over T
     encoder_m2ps4: float  # the part of (30) that is the encoder's own noise
+    encoder_radial_m2ps4: float  # the part of (28)
+    smoothed_s: float  # the window over which an angle was smoothed that came without a rate; 0 where there is one
+    smoothed_samples: float  # of the accelerometers, in it
     d1_m: float
     d2_m: float
 
@@ -49,6 +65,13 @@ class Trial:
         """The tangential accelerometer's variance without the encoder's part."""
         return max(self.tangential.variance_m2ps4 - self.encoder_m2ps4, 0.0)
 
+    @property
+    def tells_tangential(self) -> bool:
+        """Whether the encoder leaves enough of (30) to tell the accelerometer's variance."""
+        sd = np.sqrt(2 / self.samples) * self.tangential.variance_m2ps4
+        sd += np.sqrt(2 * self.smoothed_samples / self.samples) * self.encoder_m2ps4
+        return bool(self.tangential_alone_m2ps4 > TOLD_SDS * sd)
+
 
 @dataclass(frozen=True)
 class Identified:
@@ -61,6 +84,18 @@ class Identified:
     r_rad2ps4: float
     q_rad2ps4: float
     q_alone_rad2ps4: float
+
+    @property
+    def tells_tangential(self) -> bool:
+        """Whether the encoders of all trials leave enough of (30) to tell F5's variance."""
+        return all(one.tells_tangential for one in self.trials)
+
+    def differing(self, which: str) -> tuple[Trial, Trial] | None:
+        """The trials with the least and the most noise of "radial" or "tangential", where these cannot be one rig's."""
+        ordered = sorted(self.trials, key=lambda one: getattr(one, which).robust_m2ps4)
+        low, high = (getattr(one, which).robust_m2ps4 for one in (ordered[0], ordered[-1]))
+        sd = ROBUST_SD * (low**2 / ordered[0].samples + high**2 / ordered[-1].samples) ** 0.5
+        return (ordered[0], ordered[-1]) if high - low > DIFFERENT_SDS * sd and high > DIFFERENT * low else None
 
 
 def identify(recordings: Sequence[Recording], by_truth: bool = False) -> Identified:
@@ -105,27 +140,36 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
         what = "truth of its roll" if by_truth else "encoder to compare with"
         raise BadRecording(f"{recording.name}: has no {what}; import the trial with its column")
     radial, tangential = _which(spin, recording.name)
-    rate, turning, inside = _of_encoder(spin, reference)
+    seen = coefficients(spin.geometry)
+    arm1, arm2 = -seen[radial, TERMS.index("omega_x^2")], seen[tangential, TERMS.index("omega_x dot")]
+    window_s = 0.0
+    if _is_angle_alone(reference):
+        window_s = _window_s(reference, float(np.nanvar(spin.accel_mps2[:, tangential]) / arm2**2))
+        rate, turning, inside = _smoothed(spin, reference, window_s)
+    else:
+        rate, turning, inside = _of_encoder(spin, reference)
     use = inside & np.isfinite(spin.accel_mps2).all(axis=1) & ~saturated(spin).any(axis=1)
     if use.sum() < FEWEST:
         raise BadRecording(
             f"{recording.name}: {int(use.sum())} samples can be used and {FEWEST} are needed; check ranges and the "
             "encoder's time"
         )
-    seen = coefficients(spin.geometry)
-    arm1, arm2 = -seen[radial, TERMS.index("omega_x^2")], seen[tangential, TERMS.index("omega_x dot")]
-    inward = arm1 * rate[use] ** 2 + spin.accel_mps2[use, radial]
+    along, felt_along = arm1 * rate[use] ** 2, spin.accel_mps2[use, radial]
     angle = np.interp(spin.t_ns[use], reference.t_ns, reference.angle_rad)
     ahead, felt = arm2 * turning[use], spin.accel_mps2[use, tangential]
     # Noise of encoder and accelerometer are independent: what they share beside gravity is motion.
     shared = np.cov(_without_turns(ahead, angle), _without_turns(felt, angle))
+    shared_along = np.cov(_without_turns(along, angle), -_without_turns(felt_along, angle))
     return Trial(
         recording=recording.name,
         samples=int(use.sum()),
         left_out=int((~use).sum()),
-        radial=_residual(inward, angle),
+        radial=_residual(along + felt_along, angle),
         tangential=_residual(ahead - felt, angle),
         encoder_m2ps4=max(float(shared[0, 0] - shared[0, 1]), 0.0),
+        encoder_radial_m2ps4=max(float(shared_along[0, 0] - shared_along[0, 1]), 0.0),
+        smoothed_s=window_s,
+        smoothed_samples=window_s / (float(np.median(np.diff(spin.t_ns))) / 1e9),
         d1_m=float(arm1),
         d2_m=float(arm2),
     )
@@ -149,6 +193,44 @@ def _of_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray[n
     inside = (spin.t_ns >= encoder.t_ns[0]) & (spin.t_ns <= encoder.t_ns[-1])
     inside[0] = False  # has no step before it
     return rate, np.asarray(turning), inside
+
+
+def _is_angle_alone(encoder: Encoder) -> bool:
+    """Whether its rate was made from its angle, as an import does where a log has none."""
+    if len(encoder.t_ns) < FEWEST:
+        return False
+    made = np.diff(encoder.angle_rad) / (np.diff(encoder.t_ns) / 1e9)
+    return bool(np.allclose(encoder.rate_radps[1:], made, rtol=1e-9, atol=1e-9))
+
+
+def _window_s(encoder: Encoder, accel_var: float) -> float:
+    """The shortest over which the angle's noise leaves a small part of the variance of the angular acceleration.
+
+    A parabola through n angles with noise s at steps of T has the second derivative to 720 s^2 / (T^4 n^5).
+    """
+    step_s = float(np.median(np.diff(encoder.t_ns))) / 1e9
+    noise_var = float(np.var(np.diff(_evenly(encoder)[1], 4))) / FOURTH
+    needed = (720 * noise_var / (step_s**4 * ENCODER_SHARE * max(accel_var, 1e-12))) ** 0.2
+    most = max(LONGEST_S / step_s, SHORTEST)
+    return float(np.clip(needed, SHORTEST, most)) * step_s
+
+
+def _evenly(encoder: Encoder) -> tuple[Floats, Floats]:
+    """Times in s from its first stamp, at its median step, and its angles there."""
+    t_s = (encoder.t_ns - encoder.t_ns[0]) / 1e9
+    even_s = np.arange(0, t_s[-1], float(np.median(np.diff(t_s))))
+    return even_s, np.interp(even_s, t_s, encoder.angle_rad)
+
+
+def _smoothed(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """As :func:`_of_encoder`, by parabolas through the angles of a window."""
+    even_s, angle = _evenly(encoder)
+    step_s = float(even_s[1])
+    length = 2 * min(round(window_s / step_s / 2), (len(angle) - 1) // 2) + 1
+    rate, turning = (savgol_filter(angle, length, 2, deriv=order, delta=step_s) for order in (1, 2))
+    t_s, half_s = (spin.t_ns - encoder.t_ns[0]) / 1e9, length // 2 * step_s
+    inside = (t_s >= half_s) & (t_s <= even_s[-1] - half_s)
+    return np.interp(t_s, even_s, rate), np.interp(t_s, even_s, turning), inside
 
 
 def _residual(values: Floats, angle_rad: Floats) -> Residual:

@@ -10,7 +10,9 @@ import numpy as np
 from cyclopts import Parameter
 from matplotlib.figure import Figure
 
+from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.spin import G_MPS2
+from stillpoint.filters.roll_noise import RollParams
 from stillpoint.scoring.spin_figures import DPI, STYLE, draw_variances
 from stillpoint.scoring.spin_identify import Identified, Trial, identify
 from stillpoint.scripts.flags import Inputs, OutDir
@@ -33,6 +35,7 @@ TRIAL_COLUMNS = (
     "left out",
 )
 TURNING_SHARE = 0.1  # of D4, from which on it is said that it turns with the shaft
+ENCODER_SHARE = 0.1  # of D4, from which on it is said that it is the encoder's
 
 
 def spin_identify(
@@ -85,14 +88,52 @@ def _show_variances(found: Identified) -> None:
                 f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
                 f"tilted by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"
             )
-    print(
-        f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)², {found.q_alone_rad2ps4:.3g} by F5 alone"
-    )
-    print(
-        "for `stillpoint estimate -e roll-guarded` (or another): "
-        f"--set roll-guarded.radial_var_m2ps4={found.d4_m2ps4:.3g} "
-        f"--set roll-guarded.tangential_var_m2ps4={found.d5_alone_m2ps4:.3g}"
-    )
+    for note in _encoder_notes(found):
+        print(f"note: {note}")
+    alone = f", {found.q_alone_rad2ps4:.3g} by F5 alone" if found.tells_tangential else ""
+    print(f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)²{alone}")
+    settings = [("radial_var_m2ps4", found.d4_m2ps4)]
+    settings += [("tangential_var_m2ps4", found.d5_alone_m2ps4)] if found.tells_tangential else []
+    flags = " ".join(f"--set roll-guarded.{name}={value:.3g}" for name, value in settings if _is_allowed(name, value))
+    if flags:
+        print(f"for `stillpoint estimate -e roll-guarded` (or another): {flags}")
+
+
+def _is_allowed(name: str, value: float) -> bool:
+    """Whether the estimators take a variance; sensors without noise have one that they refuse."""
+    try:
+        RollParams(**{name: float(f"{value:.3g}")})
+    except BadParameter:
+        return False
+    return True
+
+
+def _encoder_notes(found: Identified) -> list[str]:
+    """What of the variances is the encoder's, and whether the trials are of one rig."""
+    notes = []
+    for one in found.trials:
+        if one.smoothed_s:
+            notes.append(
+                f"{one.recording}: the encoder gives an angle and no rate: smoothed over {one.smoothed_s:.2g} s; "
+                "motion that is faster counts as noise of F4 and F5"
+            )
+        share = one.encoder_radial_m2ps4 / one.radial.variance_m2ps4
+        if share > ENCODER_SHARE:
+            notes.append(f"{one.recording}: {100 * share:.0f} % of D4 is the encoder's noise: D4 is too large by it")
+        if not one.tells_tangential:
+            notes.append(
+                f"{one.recording}: the encoder's noise makes up D5 ({one.encoder_m2ps4:.3g} of "
+                f"{one.tangential.variance_m2ps4:.3g} (m/s²)²): it cannot tell the noise of F5. Take it from the data "
+                "sheet or from a rest, or use a finer encoder"
+            )
+    for which, name in (("radial", "F4"), ("tangential", "F5")):
+        pair = found.differing(which)
+        if pair is not None:
+            low, high = (f"{getattr(one, which).robust_m2ps4:.3g} ({one.recording})" for one in pair)
+            notes.append(
+                f"the noise of {name} differs between trials, robust variance {low} to {high}: are they one rig?"
+            )
+    return notes
 
 
 def _trial_row(one: Trial) -> Sequence[str]:

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from stillpoint.datasets import BadRecording, write
+from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, EncoderModel, SpinAccel
+from stillpoint.scoring.spin_figures import draw_variances
 from stillpoint.scoring.spin_identify import identify
 
 PERFECT = CONSTANT["perfect"]
@@ -56,6 +59,61 @@ def test_the_encoders_noise_is_told_from_the_accelerometers(kind):
     alone = [one.tangential_alone_m2ps4 for one in found.trials]
     assert np.mean(alone) == pytest.approx(0.12, rel=0.08)
     assert found.q_alone_rad2ps4 < 0.6 * found.q_rad2ps4
+
+
+def angle_alone(recording, counts):
+    """The encoder's angle in whole counts, its rate the difference of it, as an import makes it."""
+    step = 2 * np.pi / counts
+    angle = np.floor(recording.roll_truth.angle_rad / step) * step
+    rate = np.diff(angle) / (np.diff(recording.roll_truth.t_ns) / 1e9)
+    return replace(recording, encoder=Encoder(recording.roll_truth.t_ns, angle, np.append(rate[0], rate)))
+
+
+@pytest.mark.parametrize("kind", ["spin-constant", "spin-variable"])
+@pytest.mark.parametrize(("counts", "within"), [(1024, 0.2), (4096, 0.04)])
+def test_an_encoder_that_gives_counts_alone_tells_them_too(kind, counts, within):
+    """Differences of the counts make a D5 of 1000 and more; a parabola over 0.1 to 0.2 s leaves the sensors' own."""
+    found = identify([angle_alone(one, counts) for one in trials(noisy(0.8, 0.12), kind=kind)])
+    assert np.mean([one.radial.variance_m2ps4 for one in found.trials]) == pytest.approx(0.8, rel=0.04)
+    assert np.mean([one.tangential_alone_m2ps4 for one in found.trials]) == pytest.approx(0.12, rel=within)
+    assert found.tells_tangential
+    assert all(0.05 < one.smoothed_s <= 0.2 for one in found.trials)
+
+
+def test_one_with_few_counts_says_that_it_cannot(call, tmp_path, capsys):
+    write(tmp_path / "coarse.mcap", angle_alone(trials(noisy(0.8, 1e-4), 1)[0], 16))
+    assert call("spin", "identify", tmp_path, "-o", tmp_path) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the encoder's noise makes up D5" in text
+    assert "tangential_var_m2ps4" not in text
+    assert "by F5 alone" not in text
+
+
+def test_trials_whose_noise_cannot_be_one_rigs_are_named(call, tmp_path, capsys):
+    for d4, name in ((0.8, "loud"), (0.05, "quiet")):
+        write(tmp_path / f"{name}.mcap", replace(simulate("spin-constant", 0, sensor=noisy(d4, 0.12)), name=name))
+    assert call("spin", "identify", tmp_path, "-o", tmp_path) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(
+        r"the noise of F4 differs between trials, robust variance 0\.0\d+ \(quiet\) to 0\.\d+ \(loud\)", text
+    )
+    assert "the noise of F5 differs" not in text
+
+
+@pytest.mark.parametrize("sensor", ["white", "glitch", "vibration", "adxl345"])
+def test_trials_of_one_rig_are_not(sensor):
+    found = identify(trials(sensor, 6))
+    assert found.differing("radial") is None
+    assert found.differing("tangential") is None
+
+
+def test_the_picture_of_one_trial_shows_all_its_markers():
+    (one,) = identify(trials("white", 1)).trials
+    heavy = replace(one, tangential=replace(one.tangential, robust_m2ps4=3 * one.tangential.variance_m2ps4))
+    ax = Figure().subplots()
+    draw_variances(ax, replace(identify(trials("white", 1)), trials=(heavy,)), "tangential")
+    assert ax.get_xlim() == (0.5, 1.5)
+    assert ax.get_ylim()[1] > heavy.tangential.robust_m2ps4
 
 
 def test_glitches_are_counted_and_the_robust_variance_has_none():
