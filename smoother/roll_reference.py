@@ -41,7 +41,7 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
             raise Unobservable(f"{recording.name}: has no encoder; leave encoder.use off")
         readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
     require_spin(samples, params.calibration, recording.name)
-    known = sign_of(recording.spin) if recording.spin is not None else None
+    known = sign_of(recording.spin, params.calibration) if recording.spin is not None else None
     sign = known or (1.0 if params.direction == "positive" else -1.0)
     try:
         found = _solved(samples, readings, sign, params, recording.name)

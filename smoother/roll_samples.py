@@ -8,8 +8,8 @@ from scipy.special import binom
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
-from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure
-from stillpoint.smoother.roll_params import RollNoise
+from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, saturated
+from stillpoint.smoother.roll_params import RollCalibration, RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
@@ -17,6 +17,7 @@ ROUNDING = 1e-9  # relative
 RUN = 8  # equal values in a row
 COARSE = 0.3  # share of values that repeat the one before
 LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
+SIGN_SD = 5.0  # by which the products must differ from zero
 FEWEST = 50  # valid samples of a channel
 LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # of the channel: what stamps, arms and axes that are never exact add
 
@@ -86,15 +87,43 @@ def stuck(values: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.bincount(run)[run] >= RUN)
 
 
-def sign_of(spin: Spin) -> float | None:
-    """The sign of the spin about x by the gyro that sees most of it, +1.0 or -1.0; None where none sees any."""
+def sign_of(spin: Spin, params: RollCalibration) -> float | None:
+    """The sign of the spin about x, +1.0 or -1.0: by the gyro that sees most of it, else by its products with the rates
+    about y and z; None where none tells."""
     along = spin.geometry.gyro_axis_b[:, 0]
     if not len(along) or np.abs(along).max() < LEAST_ALONG:
-        return None
+        return sign_by_products(spin, params)
     best = int(np.abs(along).argmax())
     seen = spin.gyro_radps[:, best]
     seen = seen[np.isfinite(seen)]
     return float(np.sign(np.median(seen) * along[best])) or None if len(seen) else None
+
+
+def sign_by_products(spin: Spin, params: RollCalibration) -> float | None:
+    """The sign of the sum of w_x w_y * w_y and w_x w_z * w_z over the recording, as accelerometers and gyros show them.
+
+    None where it is not clear beside the noise, the biases and the scales of the accelerometers.
+    """
+    by = channels(spin.geometry)
+    rates = np.stack([spin.gyro_radps[:, one != 0] @ one[one != 0] for one in by.transverse])  # (2, N)
+    full = saturated(spin)
+    total, noise_var = 0.0, 0.0
+    by_bias, by_scale = np.zeros((2, spin.accel_mps2.shape[1]))  # of the total, by what is one number all along
+    for channel, weights, rate in zip((by.omega_xy, by.omega_xz), by.transverse, rates, strict=True):
+        if channel is None or not weights.any():
+            continue
+        used = channel.accel != 0
+        shown = channel.value(spin.accel_mps2, rates.T)
+        good = np.isfinite(shown) & np.isfinite(rate) & ~full[:, used].any(axis=1)
+        if good.sum() < FEWEST:
+            continue
+        shown, rate = shown[good], rate[good]
+        total += float(shown @ rate)
+        noise_var += white_sd(shown, np.ones(len(shown), dtype=np.bool_), 0.0) ** 2 * float(rate @ rate)
+        by_bias += channel.accel * rate.sum()
+        by_scale[used] += channel.accel[used] * (rate @ spin.accel_mps2[good][:, used])
+    off_var = params.accel_bias_sd_mps2**2 * by_bias @ by_bias + params.lever_arm_sd**2 * by_scale @ by_scale
+    return float(np.sign(total)) if abs(total) > SIGN_SD * np.sqrt(noise_var + off_var) else None
 
 
 def white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:

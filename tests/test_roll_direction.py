@@ -9,6 +9,7 @@ from stillpoint.datasets.recording import Spin, SpinGeometry
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
+from stillpoint.smoother import reference
 
 
 def with_gyro(sense: float) -> Recording:
@@ -39,23 +40,43 @@ def test_without_it_the_sense_is_assumed_and_said(name):
     assert estimate(recording, name, {"direction": "negative"}).rate_radps[-1] == pytest.approx(-30)
 
 
-def test_the_sense_is_seen_by_an_accelerometer_off_the_plane():
-    """An accelerometer along y at r_x = 0.2 m reads r_x w_x w_y + r_x w_z' - ...; beside w_y it has the sign of w_x."""
-    geometry = FIVE_ACCELEROMETERS
-    arms = np.vstack([geometry.accel_r_b_m, [0.2, 0, 0], [-0.2, 0, 0], [0, 0.2, 0]])
-    axes = np.vstack([geometry.accel_axis_b, [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]])
-    wide = SpinGeometry(arms, axes, geometry.gyro_axis_b)
-    assert channels(wide).omega_xy is not None or channels(wide).omega_xz is not None
+ARMS = np.vstack([FIVE_ACCELEROMETERS.accel_r_b_m, [0.2, 0, 0], [-0.2, 0, 0], [0, 0.2, 0]])
+AXES = np.vstack([FIVE_ACCELEROMETERS.accel_axis_b, [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]])
+WIDE = SpinGeometry(ARMS, AXES, FIVE_ACCELEROMETERS.gyro_axis_b)
+
+
+def wide(sense: float, across_radps: float = 0.5, noise_mps2: float = 0.0) -> Recording:
+    """At 30 rad/s, turning about y and z besides, with an accelerometer along y at r_x = 0.2 m."""
     t_s = np.arange(0, 2, 0.004)
-    for sense in (1.0, -1.0):
-        rate = np.column_stack([np.full(len(t_s), 30 * sense), 0.5 * np.ones(len(t_s)), 0.3 * np.ones(len(t_s))])
-        felt = [
-            specific_force(arm, np.zeros(3), rate, np.zeros(3)) @ axis for arm, axis in zip(arms, axes, strict=True)
-        ]
-        t_ns = np.round(t_s * 1e9).astype(np.int64)
-        found = estimate(Recording("wide", spin=Spin(t_ns, np.column_stack(felt), rate[:, 1:], wide)), "roll-ekf")
-        assert found.rate_radps[-1] == pytest.approx(30 * sense, rel=1e-3)
-        assert "products" in found.diagnostics["direction"]
+    still = np.ones(len(t_s))
+    rate = np.column_stack([30 * sense * still, across_radps * still, 0.6 * across_radps * still])
+    felt = [specific_force(arm, np.zeros(3), rate, np.zeros(3)) @ axis for arm, axis in zip(ARMS, AXES, strict=True)]
+    noise = np.random.default_rng(0).normal(0, noise_mps2, (len(t_s), len(ARMS)))
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+    return Recording("wide", spin=Spin(t_ns, np.column_stack(felt) + noise, rate[:, 1:], WIDE))
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_sense_is_seen_by_an_accelerometer_off_the_plane(sense):
+    """An accelerometer along y at r_x = 0.2 m reads r_x w_x w_y + r_x w_z' - ...; beside w_y it has the sign of w_x."""
+    assert channels(WIDE).omega_xy is not None or channels(WIDE).omega_xz is not None
+    found = estimate(wide(sense), "roll-ekf", CONSTANT)
+    assert found.rate_radps[-1] == pytest.approx(30 * sense, rel=1e-3)
+    assert "products" in found.diagnostics["direction"]
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_reference_sees_it_too(sense):
+    made = reference(wide(sense, noise_mps2=0.05))
+    assert made.rate_radps == pytest.approx(30 * sense, rel=1e-3)
+    assert made.diagnostics["direction"] == "as a sensor shows it"
+
+
+def test_the_reference_takes_no_bias_for_the_sense():
+    """w_x w_y is 30 * 0.05 = 1.5 rad^2/s^2, and a bias of 0.4 m/s^2 at 0.2 m makes 2."""
+    made = reference(wide(-1.0, across_radps=0.05, noise_mps2=0.05))
+    assert made.diagnostics["direction"] == "taken as positive"
+    assert made.rate_radps[-1] > 0
 
 
 def test_a_filter_goes_through_zero_by_the_angular_acceleration_and_says_so():
