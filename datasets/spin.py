@@ -164,8 +164,9 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
     unknown = np.flatnonzero(np.isnan(geometry.accel_r_b_m).any(axis=1)) + 1
     if len(unknown):
         raise Unobservable(
-            f"the lever arm of accelerometer {', '.join(map(str, unknown))} is not known: measure it, or let the "
-            "smoother find it from a recording whose gyro sees the spin"
+            f"the lever arm of accelerometer {', '.join(map(str, unknown))} is not known: measure it and write it into "
+            "the geometry; or, beside an encoder or the angle of a gyro, write a guess and let roll-graph find the "
+            "length, by encoder.use=true and a wide calibration.lever_arm_sd (docs/roll.md, A disc in flight)"
         )
     variance = np.broadcast_to(np.asarray(accel_variance_m2ps4, dtype=np.float64), (k,))
     if not (np.isfinite(variance) & (variance > 0)).all():
