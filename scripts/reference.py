@@ -1,6 +1,6 @@
 """``stillpoint reference``: make the reference trajectory of recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from stillpoint.scripts.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.graph_params import PRESETS
-from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, default_method, settings_of
+from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
 
 COLUMNS = (
     "recording",
@@ -60,14 +60,6 @@ class _Job:
     source: Path
     target: Path
     method: str
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """What the user asked for."""
-
-    settings: dict[str, Settings]  # of each method
-    by_stream: bool  # nothing was named: each recording gets the method of its streams
 
 
 def reference(
@@ -106,18 +98,21 @@ def reference(
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
-    methods = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
     changes = assignments(set_, "returns.tilt_gate_rad=0.02")
-    asked = _Choice(_settings(methods, preset, changes), by_stream=method is None and preset is None and not changes)
     sources = inputs.recordings(paths)
-    work = _jobs(sources, methods, inputs.output_dir(out))
-    outcomes = run_jobs(partial(_make, asked=asked), work, jobs, "reference")
+    if method is None and preset is None:
+        methods = _by_streams(sources, bool(changes))
+    else:
+        named = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
+        methods = dict.fromkeys(sources, named)
+    settings = _settings(list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes)
+    work = _jobs(methods, inputs.output_dir(out))
+    outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
-    roll = bool(rows) and all(row["error"] is not None or row["method"] == DEFAULT_ROLL_METHOD for row in rows)
-    if roll:
+    if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
         return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json)
     code = report_made("references", COLUMNS, rows, _cells, json)
     if json != STDOUT:
@@ -138,22 +133,29 @@ def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str
     return {"graph": chosen(PRESETS[preset], changes, "graph")}
 
 
-def _jobs(sources: Sequence[Path], methods: Sequence[str], folder: Path) -> list[_Job]:
+def _by_streams(sources: Sequence[Path], changed: bool) -> dict[Path, list[str]]:
+    """The method of each recording's streams; changed settings are of one method, the spin's where all are of spin."""
+    spins = {source: inputs.is_of_spin(source) for source in sources}
+    if changed:
+        spins = dict.fromkeys(sources, all(spins.values()))
+    return {source: [DEFAULT_ROLL_METHOD if spin else DEFAULT_METHOD] for source, spin in spins.items()}
+
+
+def _jobs(methods: Mapping[Path, Sequence[str]], folder: Path) -> list[_Job]:
     work = [
-        _Job(source, folder / f"{source.stem}{f'.{name}' if len(methods) > 1 else ''}.reference.mcap", name)
-        for source in sources
-        for name in methods
+        _Job(source, folder / f"{source.stem}{f'.{name}' if len(names) > 1 else ''}.reference.mcap", name)
+        for source, names in methods.items()
+        for name in names
     ]
     require_distinct(job.target for job in work)
     return work
 
 
-def _make(job: _Job, asked: _Choice) -> dict[str, Any]:
+def _make(job: _Job, settings: Mapping[str, Settings]) -> dict[str, Any]:
     """Read, make, write; the facts of the table."""
     recording = open_recording(job.source)
-    name = default_method(recording) if asked.by_stream else job.method
     begun = perf_counter()
-    made = make_reference(recording, name, asked.settings.get(name))
+    made = make_reference(recording, job.method, settings[job.method])
     seconds = perf_counter() - begun
     made = replace(made, made_from={job.source.name: sha256(job.source)})
     write(job.target, made)

@@ -1,6 +1,7 @@
 """``reference`` by name, its settings, and the verb that writes references."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,34 @@ def test_one_refused_recording_is_one_line(call, tmp_path, capsys):
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("stillpoint: restless: no rest")
+
+
+def of_spin(name, sign=1.0):
+    made = simulate("spin-constant", seed=0, sensor="white", minutes=0.1)
+    accel = made.spin.accel_mps2 * np.array([sign, 1.0])
+    return replace(made, name=name, spin=replace(made.spin, accel_mps2=accel))
+
+
+def test_settings_without_a_method_are_those_of_the_streams(call, tmp_path, folder, capsys):
+    spins = folder / "spins"
+    spins.mkdir()
+    write(spins / "a.mcap", of_spin("a"))
+    assert call("reference", spins, "-o", tmp_path, "--set", "encoder.use=true") == 0
+    assert read(tmp_path / "a.reference.mcap").params["encoder"]["use"] is True
+    assert call("reference", spins, "-o", tmp_path, "--set", "encoder.usee=true") == 2
+    assert "roll-graph: no setting 'encoder.usee'; did you mean 'encoder.use'" in capsys.readouterr().err
+    # Beside a recording of attitude they are those of the method graph, as before.
+    assert call("reference", folder, "-o", tmp_path, "--set", "encoder.use=true") == 2
+    assert "stillpoint: graph: no setting 'encoder.use'" in capsys.readouterr().err
+
+
+def test_a_refused_spin_is_named_with_its_method(call, tmp_path, folder, capsys):
+    write(folder / "bad.mcap", of_spin("bad", sign=-1.0))
+    write(folder / "fine.mcap", of_spin("fine"))
+    assert call("reference", folder, "-o", tmp_path / "out", "--json", tmp_path / "r.json") == 2
+    assert "not made (roll-graph): bad: the squared rate is negative" in " ".join(capsys.readouterr().out.split())
+    rows = {row["recording"]: row["method"] for row in json.loads((tmp_path / "r.json").read_text())["rows"]}
+    assert rows == {"bad": "roll-graph", "fine": "roll-graph", "good": "graph"}
 
 
 def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, recording, capsys):
