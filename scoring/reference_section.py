@@ -31,6 +31,7 @@ def _facts(reference: Reference) -> dict[str, str]:
         "sd of the attitude": f"{np.median(sd_deg):.2f} deg (median), {sd_deg.max():.2f} deg (largest)",
         "rests": f"{len(reference.rests_ns)}, {rested_s:.0f} s in all",
         "returns": f"{accepted} of {len(reference.returns)} to the base pose used",
+        "gaps in the stamps": _gaps(said),
         "closing squares": ", ".join(f"{square:.2f}" for square in said.get("closing_squares", ())),
         "gyro bias": _bias(reference.gyro_bias_b_radps),
         "iterations": str(said.get("iterations", "")),
@@ -40,6 +41,10 @@ def _facts(reference: Reference) -> dict[str, str]:
     late = reference.calibration.clock_offset_s.items()
     facts["clocks"] = ", ".join(f"{stream} {1e3 * seconds:+.1f} ms late against the gyro" for stream, seconds in late)
     return {title: fact for title, fact in facts.items() if fact}
+
+
+def _gaps(said: Mapping[str, Any]) -> str:
+    return f"{said['gaps']}, the longest {said['longest_gap_s']:.2f} s" if said.get("gaps") else ""
 
 
 def _bias(gyro_bias_b_radps: Floats) -> str:

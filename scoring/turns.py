@@ -28,8 +28,8 @@ class TurnError:
 def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnError, ...]:
     """For each time in seconds, the errors of the turns over it. Both ends move; what lies between may rest.
 
-    Raises :class:`BadParameter` for a time that is not positive, :class:`Unobservable` where no two samples are so far
-    apart.
+    Raises :class:`BadParameter` for a time that is not longer than half a step, or not finite, :class:`Unobservable`
+    where no two samples are so far apart.
     """
     return tuple(_turn_error(comparison, seconds) for seconds in over_s)
 
@@ -37,15 +37,19 @@ def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnEr
 def _turn_error(comparison: Comparison, seconds: float) -> TurnError:
     if not (np.isfinite(seconds) and seconds > 0):
         raise BadParameter(f"over: {seconds:g} is no time that a turn can take; give seconds above 0")
+    whose = f"{comparison.estimated} of {comparison.recording}"
     t_ns = comparison.t_ns[comparison.moving]
-    step_ns = np.median(np.diff(comparison.t_ns)) if len(comparison.t_ns) > 1 else 0.0
+    if 1e9 * seconds > t_ns[-1] - t_ns[0]:
+        raise Unobservable(f"{whose}: no two scored samples are {seconds:g} s apart; give a shorter time")
+    step_ns = float(np.median(np.diff(comparison.t_ns)))
+    if 1e9 * seconds < step_ns:
+        raise BadParameter(f"over: {seconds:g} s is less than a step of {step_ns / 1e9:.3g} s; give a longer time")
     wanted_ns = t_ns + round(1e9 * seconds)
     after = np.clip(np.searchsorted(t_ns, wanted_ns), 1, max(len(t_ns) - 1, 1))
     end = after - (wanted_ns - t_ns[after - 1] < t_ns[after] - wanted_ns) if len(t_ns) > 1 else after - 1
     start = np.flatnonzero((np.abs(t_ns[end] - wanted_ns) <= step_ns / 2) & (end > np.arange(len(t_ns))))
     if not len(start):
-        whose = f"{comparison.estimated} of {comparison.recording}"
-        raise Unobservable(f"{whose}: no two scored samples are {seconds:g} s apart; give a shorter time")
+        raise Unobservable(f"{whose}: no two scored samples are {seconds:g} s apart; give another time")
     turned = [
         rotation(q[comparison.moving][start]).inv() * rotation(q[comparison.moving][end[start]])
         for q in (comparison.q_est, comparison.q_true)

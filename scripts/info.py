@@ -20,7 +20,7 @@ from stillpoint.scripts.tables import print_table
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
-SAID = ("heading", "magnetometer_left_out")  # of a reference's diagnostics
+SAID = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
 
 
 def info(

@@ -36,7 +36,7 @@ class _Asked:
 
     align: AlignKind
     frame: EulerFrame
-    over_s: list[float]
+    over_s: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +139,12 @@ def print_turns(scores: Sequence[Score]) -> None:
     """The table of turns over given times: RMSE and largest error, a section per recording, best first."""
     named = [f"over {turn.over_s:g} s" for turn in scores[0].turns]
     ordered = sorted(scores, key=lambda s: (s.recording, s.against, s.turns[0].rmse_deg))
-    sections = [
-        [[s.recording, s.estimated, *(f"{t.rmse_deg:.3f} / {t.max_deg:.2f}" for t in s.turns)] for s in rows]
-        for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))
-    ]
-    print_table("errors of turns; RMSE / largest, deg", ["recording", "estimate", *named], sections)
+    sections = [[_turn_cells(s) for s in rows] for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))]
+    print_table("errors of turns; RMSE / largest, deg", ["recording", "estimate", "against", *named], sections)
+
+
+def _turn_cells(s: Score) -> list[str]:
+    return [s.recording, s.estimated, s.against, *(f"{t.rmse_deg:.3f} / {t.max_deg:.2f}" for t in s.turns)]
 
 
 def judge_of(path: Path) -> Judge:
@@ -166,14 +167,14 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
 
 
-def _seconds(over: str | None) -> list[float]:
+def _seconds(over: str | None) -> tuple[float, ...]:
     try:
-        seconds = [] if over is None else [float(part) for part in over.split(",")]
+        seconds = () if over is None else tuple(float(part) for part in over.split(","))
+        if all(0 < each < float("inf") for each in seconds):
+            return seconds
     except ValueError:
-        seconds = [0.0]
-    if not all(0 < each < float("inf") for each in seconds):
-        raise BadParameter(f"--over {over}: give seconds above 0 with commas between, for example 1,10,60")
-    return seconds
+        pass
+    raise BadParameter(f"--over {over}: give seconds above 0 with commas between, for example 1,10,60")
 
 
 def _score_file(file: Path, against: Path | None, asked: _Asked) -> Score | RollScore:

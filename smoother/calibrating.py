@@ -16,10 +16,11 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
 from stillpoint.smoother import attitude_graph as factors
 from stillpoint.smoother.disturbed_field import refuse_wrong_axes, require_test_of_gyro, without_magnetometer
-from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, with_bias_prior
+from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, turned_round, with_bias_prior
 from stillpoint.smoother.field import field_matrix, field_prior
 from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
 from stillpoint.smoother.graph_params import GraphParams
@@ -61,12 +62,15 @@ def calibrating_graph(recording: Recording, params: GraphParams) -> Reference:
 def _without_magnetometer(
     recording: Recording, contradiction: Contradiction | NoOptimum, params: GraphParams
 ) -> Reference:
-    """The reference by all but the magnetometer; raises ``contradiction`` where that is none either."""
+    """The reference by all but the magnetometer; raises ``contradiction`` where that is none either.
+
+    Nothing vouches for the gyro's scale then but what its returns show, so it is taken for a raw sensor's.
+    """
     less, why = without_magnetometer(recording, contradiction)
     evidence = gather(less, params)
-    require_test_of_gyro(evidence, why, recording.name)
+    require_test_of_gyro(evidence, contradiction, recording.name)
     try:
-        made = reference_from(less, evidence, params)
+        made = reference_from(less, evidence, raw_sensor(params) or params)
     except Unobservable:
         raise contradiction from None
     return replace(made, diagnostics={**made.diagnostics, "magnetometer_left_out": why})
@@ -77,16 +81,39 @@ def reference_from(recording: Recording, evidence: Evidence, params: GraphParams
     params = with_bias_prior(params, evidence)
     raw = raw_sensor(params)
     try:
-        pieces, fit = _windows_solved(recording, evidence, params)
+        pieces, fit = _solved(recording, evidence, params)
         if raw is not None:
             refuse_surprise(pieces[-1].calibration, DOUBT_SD, recording.name, params)
         return _reference_of(recording, evidence, pieces, fit, params)
     except Unobservable:
         if raw is None:
             raise
-    pieces, fit = _windows_solved(recording, evidence, raw)
+    pieces, fit = _solved(recording, evidence, raw)
     refuse_surprise(pieces[-1].calibration, SURPRISE_LIMIT_SD, recording.name, raw)
     return _reference_of(recording, evidence, pieces, fit, raw)
+
+
+def _solved(recording: Recording, evidence: Evidence, params: GraphParams) -> tuple[list[Piece], Fit]:
+    """From the start value; once more from half a turn away where the field that is found points away from north.
+
+    So it does where the magnetometer covers little of the recording and the start value's heading is none.
+    """
+    pieces, fit = _windows_solved(recording, evidence, params)
+    if _points_north(pieces, recording, evidence):
+        return pieces, fit
+    pieces, fit = _windows_solved(recording, turned_round(evidence), params)
+    if not _points_north(pieces, recording, evidence):
+        raise Contradiction(recording.name, "the field points away from north, wherever the heading begins")
+    return pieces, fit
+
+
+def _points_north(pieces: list[Piece], recording: Recording, evidence: Evidence) -> bool:
+    """Is the field that was found on the side of north that the declination says? True where it is not the heading."""
+    field_n_ut = pieces[-1].calibration.field_n_ut
+    if field_n_ut is None or _posed(recording, evidence) or evidence.fixes is not None:
+        return True
+    azimuth, _ = local_declination(recording.info)
+    return bool(field_n_ut[0] * np.sin(azimuth) + field_n_ut[1] * np.cos(azimuth) > 0)
 
 
 def _windows_solved(recording: Recording, evidence: Evidence, params: GraphParams) -> tuple[list[Piece], Fit]:
@@ -146,8 +173,7 @@ def own_factors(
         graph.push_back(factor)
     if evidence.field_start is not None and keys.first == 0:
         azimuth, _ = local_declination(recording.info)
-        known = recording.base_pose is None
-        graph.push_back(field_prior(evidence.field_start, azimuth, known, params.magnetic))
+        graph.push_back(field_prior(evidence.field_start, azimuth, not _posed(recording, evidence), params.magnetic))
     return graph
 
 
@@ -177,11 +203,16 @@ def start_of(evidence: Evidence, past: Past | None, params: GraphParams) -> gtsa
     return values
 
 
+def _posed(recording: Recording, evidence: Evidence) -> bool:
+    """Is the heading that of the base pose that the recording carries?"""
+    return recording.base_pose is not None and evidence.base is not None
+
+
 def _anchors(recording: Recording, evidence: Evidence, params: GraphParams) -> factors.Anchors:
     """Rests in the base pose as states, and how well the first attitude is known."""
     keys = evidence.keys
     base, returns = evidence.return_states()
-    posed = recording.base_pose is not None and base is not None
+    posed = _posed(recording, evidence)
     absolute = evidence.field_start is not None or evidence.fixes is not None or posed
     spread = np.diag([UNKNOWN_RAD**2, UNKNOWN_RAD**2, UNKNOWN_RAD**2 if absolute else DEFINED_RAD**2])
     turn = rotation(evidence.q_nb[0]).as_matrix()
@@ -237,6 +268,7 @@ def _reference_of(
 ) -> Reference:
     """The pieces as one, with what was found about the sensor."""
     whole = joined(pieces, evidence.motion.t_s)
+    gap = gaps(recording.require_imu().t_ns)
     verdicts = _verdicts(evidence, whole.q_nb, params)
     closing = _closing_squares(evidence, verdicts, pieces)
     scale = scale_of(closing, params)
@@ -255,6 +287,8 @@ def _reference_of(
             "heading": evidence.heading,
             "sign_of_gravity": sign_of_gravity(recording, evidence),
             "n_rests_under_way": evidence.n_rests_under_way,
+            "gaps": int(gap.sum()),
+            "longest_gap_s": float(evidence.motion.dt_s[1:][gap].max(initial=0.0)),
             "windows": len(pieces),
             "iterations": whole.iterations,
             "cost": whole.cost,

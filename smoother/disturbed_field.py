@@ -17,13 +17,32 @@ from stillpoint.smoother.evidence import Evidence
 from stillpoint.smoother.plausibility import INLIER_SHARE, Contradiction
 from stillpoint.smoother.solve import NoOptimum
 
+LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
+
 
 def without_magnetometer(recording: Recording, contradiction: Contradiction | NoOptimum) -> tuple[Recording, str]:
     """The recording less its magnetometer, and why; raises ``contradiction`` where its axes are to blame."""
     if recording.mag is None or not axes_fit(recording):
         raise contradiction
-    found = contradiction.found if isinstance(contradiction, Contradiction) else "no optimum is found with it"
-    return replace(recording, mag=None), f"{found}; as its axes are right, the field is disturbed"
+    why = f"with it, {_found(contradiction)}; its own axes fit the gyro, so the field is disturbed"
+    return replace(recording, mag=None), why
+
+
+def _found(contradiction: Contradiction | NoOptimum) -> str:
+    return contradiction.found if isinstance(contradiction, Contradiction) else "no optimum is found"
+
+
+def require_test_of_gyro(evidence: Evidence, contradiction: Contradiction | NoOptimum, name: str) -> None:
+    """Raise :class:`Contradiction` where neither a return to the base pose nor satellites test the gyro.
+
+    Where nothing did, phones whose gyro was 3 % off were wrong by 13 deg, 0.67 of it within the 95 % ellipsoid.
+    """
+    if evidence.fixes is not None or evidence.return_states()[1]:
+        return
+    if isinstance(contradiction, Contradiction) and not contradiction.of_field:
+        raise contradiction
+    found = f"{_found(contradiction)}; the field is disturbed, and no return to the base pose tests the gyro instead"
+    raise Contradiction(name, found, of_field=True, advice=LEAVE_OUT)
 
 
 def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
@@ -33,18 +52,8 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
     """
     if inlier_share is not None and inlier_share < INLIER_SHARE and not axes_fit(recording):
         useless = 100 * (1 - inlier_share)
-        raise Contradiction(
-            recording.name, f"the magnetometer's axes do not turn as the gyro's ({useless:.0f} % are useless)"
-        )
-
-
-def require_test_of_gyro(evidence: Evidence, why: str, name: str) -> None:
-    """Raise :class:`Contradiction` where neither a return to the base pose nor satellites test the gyro's scale.
-
-    Where nothing did, phones whose gyro was 3 % off were wrong by 13 deg, 0.67 of it within the 95 % ellipsoid.
-    """
-    if evidence.fixes is None and not evidence.return_states()[1]:
-        raise Contradiction(name, f"{why}; without it (--set magnetic.use=false) nothing would test the gyro")
+        found = f"the magnetometer's axes do not turn as the gyro's ({useless:.0f} % are useless)"
+        raise Contradiction(recording.name, found, of_field=True)
 
 
 def axes_fit(recording: Recording) -> bool:

@@ -77,6 +77,18 @@ def with_bias_prior(params: GraphParams, evidence: Evidence) -> GraphParams:
     return replace(params, inertial=replace(p, gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps)))
 
 
+def turned_round(evidence: Evidence) -> Evidence:
+    """The same with the states, and the field, beginning half a turn about up away."""
+    turn = heading_rotation(np.pi)
+    place, velocity = turn.apply(evidence.place_n_m), turn.apply(evidence.velocity_n_mps)
+    q_nb = quaternion(turn * rotation(evidence.q_nb))
+    measured = evidence.measured
+    field_start = evidence.field_start
+    if measured is not None:
+        field_start = start_of_field(measured, q_nb[measured.state], evidence.start.hard_iron_b_ut)
+    return replace(evidence, q_nb=q_nb, place_n_m=place, velocity_n_mps=velocity, field_start=field_start)
+
+
 def gather(recording: Recording, params: GraphParams) -> Evidence:
     """Rests, returns, keys, start value and field measurements of a recording."""
     imu = recording.require_imu()
@@ -103,7 +115,7 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     field_start = None
     if measured is not None:
         field_start = start_of_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
-    heading = _heading(recording, measured, fixes)
+    heading = _heading(recording, base, measured, fixes)
     place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
     return Evidence(
         motion,
@@ -132,8 +144,10 @@ def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[B
     return base, find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
 
 
-def _heading(recording: Recording, measured: FieldMeasurements | None, fixes: Fixes | None) -> str:
-    if recording.base_pose is not None:
+def _heading(
+    recording: Recording, base: BasePose | None, measured: FieldMeasurements | None, fixes: Fixes | None
+) -> str:
+    if recording.base_pose is not None and base is not None:
         return "of the base pose that the recording carries"
     if measured is None and fixes is not None:
         return "true north, from the satellite course"

@@ -10,10 +10,10 @@ from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.smoother.clipping import extended
 from stillpoint.smoother.graph_params import KeyParams
+from stillpoint.smoother.missing import LONG_GAP_S, bridged
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
-LONG_GAP_S = 0.5  # a longer gap is not integrated across
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Motion:
     gyro_b_radps: Floats  # (N, 3) extended where clipped
     accel_b_mps2: Floats  # (N, 3) the same
     at_rest: NDArray[np.bool_]  # (N,)
-    gyro_beyond_radps: Floats  # (N, 3) by how much an extended reading may be wrong, 0 elsewhere
+    gyro_beyond_radps: Floats  # (N, 3) by how much an extended or bridged reading may be wrong, 0 elsewhere
     accel_beyond_mps2: Floats  # (N, 3)
 
 
@@ -41,7 +41,9 @@ class Keys:
     t_s: Floats  # (n,)
     at_rest: NDArray[np.bool_]  # (n - 1,) no motion in the interval
     gap: NDArray[np.bool_]  # (n - 1,) samples are missing for more than LONG_GAP_S
-    gyro_clipped_rad: Floats  # (n - 1, 3) by how much an axis may be wrong, summed over the time it was clipped
+    gyro_clipped_rad: (
+        Floats  # (n - 1, 3) by how much an axis may be wrong, summed over the time it was clipped or missing
+    )
     accel_clipped_mps: Floats  # (n - 1, 3)
     gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
     accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
@@ -88,7 +90,10 @@ def motion_of(imu: Imu, rests_ns: Times) -> Motion:
     accel, accel_beyond = extended(t_s, imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
     step_s = np.diff(t_s)
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
-    return Motion(t_s, dt_s, gyro, accel, at_rest, gyro_beyond, accel_beyond)
+    gyro, gyro_missed = bridged(dt_s, gyro, ~at_rest)
+    accel, accel_missed = bridged(dt_s, accel, ~at_rest)
+    beyond = np.maximum(gyro_beyond, gyro_missed), np.maximum(accel_beyond, accel_missed)
+    return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:

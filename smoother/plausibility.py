@@ -46,11 +46,15 @@ KINDS = {
 
 
 class Contradiction(Unobservable):
-    """Sensors contradict each other; ``found`` says which. Without the magnetometer they may not."""
+    """Sensors contradict each other, as ``found`` says. Without the magnetometer they may not.
 
-    def __init__(self, name: str, found: str) -> None:
-        super().__init__(f"{name}: {found}; {ADVICE}")
+    ``of_field``: gyro and accelerometer agree.
+    """
+
+    def __init__(self, name: str, found: str, of_field: bool = False, advice: str = ADVICE) -> None:
+        super().__init__(f"{name}: {found}; {advice}")
         self.found = found
+        self.of_field = of_field
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,10 @@ def refuse_contradictions(
 
     ``bias_b_radps`` (3,) is where the gyro's bias began.
     """
-    found = _inertial(fit, solution, bias_b_radps, params) or _disturbed(fit, params)
+    inertial = _inertial(fit, solution, bias_b_radps, params)
+    found = inertial or _disturbed(fit, params)
     if found:
-        raise Contradiction(name, found)
+        raise Contradiction(name, found, of_field=not inertial)
     upside_down = _dip(fit, solution, info)
     if upside_down:
         raise Unobservable(f"{name}: {upside_down}; {ADVICE}")

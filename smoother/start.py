@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
 from stillpoint.datasets.recording import Floats, Mag
-from stillpoint.smoother.keys import LONG_GAP_S, Motion
+from stillpoint.smoother.keys import Motion
+from stillpoint.smoother.missing import LONG_GAP_S
 from stillpoint.smoother.strapdown import integrate
 
 BLOCKS_S = (3.0, 12.0, 24.0)
@@ -259,5 +260,7 @@ def _agreed(angles: Floats) -> Floats:
 def _level_like(up: Floats, before: Rotation | None, rate: Floats, dt_s: float) -> Rotation:
     """Block to level, with the heading that continues the attitude before it."""
     predicted = Rotation.identity() if before is None else before * Rotation.from_rotvec(rate * min(dt_s, LONG_GAP_S))
+    if not up.any():
+        return predicted  # a sensor that reads nothing but zeros
     tilt = Rotation.align_vectors([[0.0, 0.0, 1.0]], [predicted.apply(up / np.linalg.norm(up))])[0]
     return tilt * predicted

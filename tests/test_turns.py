@@ -1,4 +1,4 @@
-"""Errors of turns over a given time: closed forms, and the figures of another program."""
+"""Errors of turns over a given time: closed forms, which samples count, and times that are none."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,15 @@ def test_a_time_that_is_none_is_named(seconds):
         score(Estimate(t_ns, "exact", q_nb=q_true), as_truth(t_ns, q_true), over_s=(seconds,))
 
 
-def test_a_time_longer_than_the_recording_is_said():
+@pytest.mark.parametrize("seconds", [1000.0, 1e10, 1e30])
+def test_a_time_longer_than_the_recording_is_said(seconds):
     t_ns, q_true = swing(100)
-    with pytest.raises(Unobservable, match="no two scored samples are 1000 s apart"):
-        score(Estimate(t_ns, "exact", q_nb=q_true), as_truth(t_ns, q_true), over_s=(1000.0,))
+    with pytest.raises(Unobservable, match="give a shorter time"):
+        score(Estimate(t_ns, "exact", q_nb=q_true), as_truth(t_ns, q_true), over_s=(seconds,))
+
+
+def test_a_time_shorter_than_a_step_is_said():
+    t_ns, q_true = swing(100)
+    step_s = (t_ns[1] - t_ns[0]) / 1e9
+    with pytest.raises(BadParameter, match="less than a step"):
+        score(Estimate(t_ns, "exact", q_nb=q_true), as_truth(t_ns, q_true), over_s=(0.4 * step_s,))

@@ -1,0 +1,45 @@
+"""Short stretches of missing samples: bridged by what was read on either side, and how far that may be off.
+
+A reading holds for the interval that ends at its stamp. Where samples are missing that interval is long, and one
+reading says little of it: in its place stands the mean of the readings before and after. How far the true mean over so
+long a time is from that of its ends, the recording itself shows wherever nothing is missing.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.times import GAP_STEPS
+
+LONG_GAP_S = 0.5  # a longer gap is not integrated across
+
+
+def bridged(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Readings (N, 3) with those after a short gap replaced, and by how much they may be wrong there: 0 elsewhere.
+
+    ``dt_s`` (N,) are the intervals that end at the samples; ``moving`` (N,) where the recording shows how it moves.
+    """
+    wrong = np.zeros_like(values)
+    step_s = float(np.median(dt_s))
+    gaps = np.flatnonzero((dt_s > GAP_STEPS * step_s) & (dt_s <= LONG_GAP_S))
+    gaps = gaps[gaps > 0]
+    if not len(gaps):
+        return values, wrong
+    filled = values.copy()
+    filled[gaps] = (values[gaps - 1] + values[gaps]) / 2
+    missed = np.round(dt_s[gaps] / step_s).astype(np.int64)
+    for steps in np.unique(missed):
+        wrong[gaps[missed == steps]] = _deviation(values, moving, int(steps))
+    return filled, wrong
+
+
+def _deviation(values: Floats, moving: NDArray[np.bool_], steps: int) -> Floats:
+    """RMS (3,) of the mean over ``steps`` intervals less the mean of its ends, in motion where there is any."""
+    if len(values) <= steps + 1:
+        return np.asarray(values.std(axis=0))
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
+    mean = (total[steps + 1 :] - total[1:-steps]) / steps
+    ends = (values[:-steps] + values[steps:]) / 2
+    whole = moving[:-steps] & moving[steps:]
+    off = (mean - ends)[whole if whole.any() else slice(None)]
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
