@@ -120,3 +120,14 @@ def test_real_motion_between_magnets(data_dir, name):
     assert "magnetometer_left_out" in made.diagnostics
     assert found.total_rmse_deg < 0.70
     assert found.coverage95 > 0.85
+
+
+@pytest.mark.parametrize("first", [6100, 6500, 6900])
+def test_a_magnetometer_for_a_part_of_the_time_points_north_not_south(first):
+    """Where it sees little the start value has no heading: north came out half a turn off, and as sure as ever."""
+    hand = replace(simulate("phone-3", seed=1, minutes=1.6), base_pose=None)
+    rows = slice(first, first + 1500)
+    made = reference(replace(hand, mag=Mag(hand.mag.t_ns[rows], hand.mag.mag_b_ut[rows])))
+    assert made.calibration.field_n_ut[1] > 0
+    found = score(made, hand.truth, "none")
+    assert found.heading_rmse_deg < 4 * np.rad2deg(made.heading_sd_rad)

@@ -208,3 +208,18 @@ def test_a_refused_contradiction_leaves_no_file(call, tmp_path, capsys, hand):
     assert call("reference", tmp_path / "swapped.mcap", "-o", tmp_path / "out") == 2
     assert "contradict" in capsys.readouterr().err
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_a_base_pose_that_was_not_met_gives_no_heading(hand):
+    """The recording carries one, but this stretch of it never rests: the heading is not that of the pose."""
+    rests = rests_of(hand)
+    moving = replace(between(hand, rests[0, 1] + 1, rests[1, 0] - 1), mag=None, base_pose=hand.base_pose)
+    made = reference(moving)
+    assert made.diagnostics["heading"].startswith("relative to the first attitude")
+
+
+def test_an_accelerometer_that_reads_zeros_for_a_while_is_refused_in_words(hand):
+    t_s = (hand.imu.t_ns - hand.imu.t_ns[0]) / 1e9
+    dead = np.where(((t_s > 62) & (t_s < 87))[:, None], 0.0, hand.imu.accel_b_mps2)
+    with pytest.raises(Unobservable, match=r"contradict|would have to be|no optimum"):
+        reference(with_imu(hand, accel=dead))
