@@ -17,8 +17,14 @@ from stillpoint.datasets.recording import Encoder, Floats, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, RollReference
 
-AngleZero = Literal["start", "mean", "none"]
+AngleZero = Literal["start", "mean", "turns", "none"]
 ANGLE_ZEROS: tuple[AngleZero, ...] = get_args(AngleZero)
+ZERO_WORDS: dict[AngleZero, str] = {
+    "start": "the angle counts from the first sample",
+    "mean": "the angle is free of its mean error",
+    "turns": "absolute angles, whole turns aside",
+    "none": "absolute angles",
+}
 SD_95 = float(ndtri(0.975))
 
 
@@ -51,7 +57,7 @@ class RollScore:
     estimated: str
     against: str
     recording: str
-    zero: AngleZero  # what was taken off the angle: the error at the start, the mean error, or nothing
+    zero: AngleZero  # what was taken off the angle: the error at the start, the mean error, whole turns, or nothing
     angle_offset_deg: float
 
     samples: int
@@ -81,9 +87,10 @@ def score_roll(
     """Score angle and rate of an estimate or a roll reference against a truth, an encoder or a roll reference.
 
     ``zero``: the angle counts from the first common sample ("start", as in paper 000), is free of a mean error
-    ("mean"), or is absolute ("none"). ``against`` names the truth; "" takes a reference's method, else "truth".
-    Raises :class:`BadParameter`, :class:`BadRecording` for an estimate without angle and rate, and
-    :class:`Unobservable` when no sample can be scored.
+    ("mean"), or is absolute, but for whole turns ("turns") or altogether ("none"); :func:`usual_zero` says which is
+    usual. ``against`` names the truth; "" takes a reference's method, else "truth". Raises :class:`BadParameter`,
+    :class:`BadRecording` for an estimate without angle and rate, and :class:`Unobservable` when no sample can be
+    scored.
     """
     return roll_score_of(compare_roll(estimated, truth, zero, against))
 
@@ -110,7 +117,9 @@ def compare_roll(
         raise Unobservable(f"{name}: none of {len(t)} samples can be scored ({counts}); are both on one clock?")
     angle, rate = _read(truth, t[known])
     angle_error = estimated.angle_rad[known] - angle
-    offset = {"start": angle_error[0], "mean": angle_error[ready[known]].mean(), "none": 0.0}[zero]
+    mean = angle_error[ready[known]].mean()
+    turns = 2 * np.pi * np.round(mean / (2 * np.pi))
+    offset = {"start": angle_error[0], "mean": mean, "turns": turns, "none": 0.0}[zero]
     reference = truth if isinstance(truth, RollReference) else None
     return RollComparison(
         estimated=name,
@@ -130,6 +139,25 @@ def compare_roll(
         samples_unready=int((known & ~ready).sum()),
         samples_interpolated=int((left != right)[kept].sum()),
     )
+
+
+def usual_zero(estimated: Estimate | RollReference, truth: Encoder | RollReference, against: str = "") -> AngleZero:
+    """What is taken off by default.
+
+    A reference that has its angle from gravity is absolute and judged so, whole turns aside; the error of its first
+    sample would be laid on all others. An encoder's zero is where its index is: against it such an angle is free of a
+    mean. All else counts from the first sample.
+    """
+    if not (isinstance(estimated, RollReference) and is_absolute(estimated)):
+        return "start"
+    if isinstance(truth, RollReference):
+        return "turns" if is_absolute(truth) else "start"
+    return "mean" if against == "encoder" else "turns"
+
+
+def is_absolute(reference: RollReference) -> bool:
+    """Whether gravity gave it its angle: 0 where z points up."""
+    return str(reference.diagnostics.get("angle", "")).startswith("from gravity")
 
 
 def _read(truth: Encoder | RollReference, t_ns: Times) -> tuple[Floats, Floats]:

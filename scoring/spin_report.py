@@ -12,7 +12,15 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.figures import COLOURS, ON_DARK
 from stillpoint.scoring.pictures import Picture, picture
 from stillpoint.scoring.report import dotted, facts_of_recording, template, versions
-from stillpoint.scoring.roll import AngleZero, RollComparison, RollScore, compare_roll, roll_score_of
+from stillpoint.scoring.roll import (
+    ZERO_WORDS,
+    AngleZero,
+    RollComparison,
+    RollScore,
+    compare_roll,
+    roll_score_of,
+    usual_zero,
+)
 from stillpoint.scoring.roll_figures import draw_rates
 from stillpoint.scoring.spin_report_figures import draw_accelerometers, draw_error_band, series_of
 
@@ -37,8 +45,11 @@ class SpinVerdict:
     scores: tuple[RollScore, ...]
 
 
-def judge_spin(material: SpinMaterial, zero: AngleZero = "start") -> tuple[SpinVerdict, ...]:
-    """Score everything against the truth, else the encoder, and everything else against the first reference."""
+def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[SpinVerdict, ...]:
+    """Score everything against the truth, else the encoder, and everything else against the first reference.
+
+    ``zero`` as in :func:`stillpoint.scoring.roll.score_roll`; None takes what is usual for each.
+    """
     recording, first = material.recording, material.references[:1]
     made: tuple[RollReference | Estimate, ...] = (*material.references, *material.estimates)
     judges: list[tuple[str, Encoder | RollReference | None, tuple[RollReference | Estimate, ...]]] = [
@@ -50,7 +61,9 @@ def judge_spin(material: SpinMaterial, zero: AngleZero = "start") -> tuple[SpinV
     for name, truth, judged in judges:
         if truth is None or not judged:
             continue
-        comparisons = tuple(compare_roll(thing, truth, zero, name) for thing in judged)
+        comparisons = tuple(
+            compare_roll(thing, truth, zero or usual_zero(thing, truth, name), name) for thing in judged
+        )
         scores = tuple(roll_score_of(c) for c in comparisons)
         verdicts.append(SpinVerdict(comparisons[0].against, truth, comparisons, scores))
     return tuple(verdicts)
@@ -67,13 +80,27 @@ def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) 
         references=[{"name": _name(one), "facts": _reference_facts(one)} for one in material.references],
         met={_name(one): _met(one) for one in material.estimates},
         sections=[
-            {"against": verdict.against, "scores": sorted(verdict.scores, key=lambda s: s.rate_rmse_degps)}
+            {
+                "against": verdict.against,
+                "scores": sorted(verdict.scores, key=lambda s: s.rate_rmse_degps),
+                "zero": _zeros(verdict.scores),
+            }
             for verdict in verdicts
         ],
         pictures=_pictures(material.recording, verdicts[0]),
         files=dict(material.sha256),
         params={_name(thing): dict(dotted("", thing.params)) for thing in made},
         versions=versions(),
+    )
+
+
+def _zeros(scores: Sequence[RollScore]) -> str:
+    """What is taken off the angles, in words; by name where it is not the same for all."""
+    zeros = dict.fromkeys(s.zero for s in scores)
+    if len(zeros) == 1:
+        return ZERO_WORDS[scores[0].zero]
+    return "; ".join(
+        f"{', '.join(s.estimated for s in scores if s.zero == zero)}: {ZERO_WORDS[zero]}" for zero in zeros
     )
 
 

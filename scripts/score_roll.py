@@ -10,7 +10,7 @@ from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.store import read, read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.roll import AngleZero, RollScore, score_roll
+from stillpoint.scoring.roll import ZERO_WORDS, AngleZero, RollScore, score_roll, usual_zero
 from stillpoint.scripts import inputs
 from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.tables import print_table
@@ -27,7 +27,7 @@ COLUMNS = (
     "95 %",
     "rate",
 )
-ZEROS: dict[AlignKind, AngleZero] = {"heading": "start", "none": "none"}
+ZEROS: dict[AlignKind, AngleZero | None] = {"heading": None, "none": "none"}  # None: the usual one of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +50,15 @@ def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path |
     zero = zero_of(align, str(file))
     judge = roll_judge_of(_beside(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
-    return score_roll(thing, judge.truth, zero, judge.name)
+    return score_roll(thing, judge.truth, zero or usual_zero(thing, judge.truth, judge.name), judge.name)
 
 
-def zero_of(align: AlignKind, where: str) -> AngleZero:
-    """What is taken off an angle for ``--align``; raises :class:`BadParameter` for what an angle does not have."""
+def zero_of(align: AlignKind, where: str) -> AngleZero | None:
+    """What is taken off an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
     if align not in ZEROS:
         raise BadParameter(
             f"{where}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
-            "(the angle counts from the first sample) or none"
+            "(the angle counts from the first sample, or is absolute where gravity fixes it) or none"
         )
     return ZEROS[align]
 
@@ -80,13 +80,13 @@ def roll_judge_of(path: Path) -> RollJudge:
 
 
 def print_roll_scores(scores: Sequence[RollScore]) -> None:
-    """A table per judge, a section per recording, best rate first; then what was left out."""
+    """A table per judge and per what is taken off, a section per recording, best rate first; then what was left out."""
     ordered = sorted(scores, key=lambda s: (s.against, s.recording, s.rate_rmse_degps))
-    for against, same in groupby(ordered, key=lambda s: s.against):
+    ordered.sort(key=lambda s: (s.against, s.zero))
+    for (against, taken_off), same in groupby(ordered, key=lambda s: (s.against, s.zero)):
         judged = list(same)
         sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=lambda s: s.recording)]
-        zero = {"start": "the angle counts from the first sample", "none": "absolute angles"}[judged[0].zero]
-        print_table(f"roll against the {against}, {zero}; deg and deg/s", COLUMNS, sections)
+        print_table(f"roll against the {against}, {ZERO_WORDS[taken_off]}; deg and deg/s", COLUMNS, sections)
         for s in judged:
             for note in _notes(s):
                 print(note)

@@ -11,7 +11,7 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll
+from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll, usual_zero
 from stillpoint.scripts.jobs import run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.opened import open_recording
@@ -53,4 +53,5 @@ def _scored(job: tuple[Path, str], align: AlignKind) -> RollScore:
     recording = open_recording(source)
     made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
     assert isinstance(made, RollReference | Estimate)
-    return score_roll(made, judge.truth, zero_of(align, source.name), judge.name)
+    zero = zero_of(align, source.name) or usual_zero(made, judge.truth, judge.name)
+    return score_roll(made, judge.truth, zero, judge.name)

@@ -14,7 +14,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.roll import compare_roll, roll_score_row, score_roll
+from stillpoint.scoring.roll import compare_roll, roll_score_row, score_roll, usual_zero
 
 T_NS = np.arange(0, 2_000_000_000, 4_000_000)
 T_S = T_NS / 1e9
@@ -50,8 +50,58 @@ def test_what_is_taken_off_the_angle():
     planted = made(0.3 + 0.1 * T_S)
     assert score_roll(planted, truth(), "none").angle_max_deg == pytest.approx(np.rad2deg(0.3 + 0.1 * T_S[-1]))
     assert score_roll(planted, truth(), "mean").angle_offset_deg == pytest.approx(np.rad2deg(0.3 + 0.1 * T_S.mean()))
-    with pytest.raises(BadParameter, match="start, mean, none"):
+    with pytest.raises(BadParameter, match="start, mean, turns, none"):
         score_roll(planted, truth(), "middle")
+
+
+def from_gravity(angle_error, diagnostics="from gravity: 0 where the z axis points up most") -> RollReference:
+    at, sd = truth(), np.full(len(T_NS), np.deg2rad(0.4))
+    return RollReference(
+        name="planted",
+        method="roll-graph",
+        t_ns=T_NS,
+        angle_rad=at.angle_rad + angle_error,
+        rate_radps=at.rate_radps,
+        angle_sd_rad=sd,
+        rate_sd_radps=sd,
+        diagnostics={"angle": diagnostics},
+    )
+
+
+def test_an_angle_from_gravity_is_judged_as_what_it_says_to_be():
+    """Its first sample's error is no zero: 1 deg there and nothing after is 1 deg at one sample, not at all others."""
+    reference = from_gravity(np.where(T_NS == 0, np.deg2rad(1.0), 0.0) + 4 * np.pi)
+    drifting = from_gravity(0.0, "from 0 at the first sample; the angle drifts")
+    zero = usual_zero(reference, truth(), "truth")
+    assert zero == "turns"
+    found = score_roll(reference, truth(), zero)
+    assert found.angle_offset_deg == pytest.approx(720)
+    assert found.angle_max_deg == pytest.approx(1.0)
+    assert found.angle_nees == pytest.approx(1 / 0.4**2 / len(T_NS), rel=1e-6)
+    assert usual_zero(reference, truth(), "encoder") == "mean"  # whose zero is its index
+    assert usual_zero(reference, reference) == "turns"
+    assert usual_zero(reference, drifting) == "start"
+    assert usual_zero(drifting, truth(), "truth") == "start"
+    assert usual_zero(made(), truth(), "truth") == "start"
+
+
+def test_the_verbs_take_it_so_and_say_it(call, tmp_path, capsys):
+    """NEES of the horizontal bench: 6.4 when the first sample's error was taken off, below 1.5 as it is stated."""
+    recording = simulate("spin-constant", 0, sensor="horizontal")
+    path = tmp_path / "trial.mcap"
+    write(path, replace(recording, name="trial"))
+    assert call("reference", path, "-o", tmp_path) == 0
+    assert call("estimate", path, "-e", "roll-obs", "-o", tmp_path) == 0
+    capsys.readouterr()
+    assert call("score", tmp_path / "trial.reference.mcap", "--json", tmp_path / "s.json") == 0
+    assert "absolute angles, whole turns aside" in capsys.readouterr().out
+    (row,) = json.loads((tmp_path / "s.json").read_text())["rows"]
+    assert row["zero"] == "turns"
+    assert row["angle_nees"] < 1.5
+    assert call("report", path, "-o", tmp_path) == 0
+    page = (tmp_path / "trial.report.html").read_text()
+    assert "reference (roll-graph): absolute angles, whole turns aside" in page
+    assert "roll-obs: the angle counts from the first sample" in page
 
 
 def test_the_truth_is_read_between_its_stamps_and_the_estimate_is_not():
