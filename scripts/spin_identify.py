@@ -101,8 +101,9 @@ def _show_variances(found: Identified) -> None:
 
 def _is_allowed(name: str, value: float) -> bool:
     """Whether the estimators take a variance; sensors without noise have one that they refuse."""
+    setting: dict[str, Any] = {name: float(f"{value:.3g}")}
     try:
-        RollParams(**{name: float(f"{value:.3g}")})
+        RollParams(**setting)
     except BadParameter:
         return False
     return True
