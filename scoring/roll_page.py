@@ -53,6 +53,7 @@ def roll_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], o
         facts=_facts(scenario, first, online, methods, trials),
         scenario=scenario.name,
         counted=_counted(scenario, trials, online),
+        shaken=_shaken(trials.get("vibration", ())),
         metrics=NAMED,
         of_paper=OF_PAPER,
         has_smoother=SMOOTHER in methods,
@@ -92,6 +93,17 @@ def _counted(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], on
     }
     printed = scenario.printed[online].wins["rate_rmse_degps"].get("AEKF", 0)
     return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
+
+
+def _shaken(trials: Sequence[Trial]) -> str:
+    """Who of the paper's three has the least errors of the rate where D5 is the vibration of the motor, as counted."""
+    if not trials:
+        return ""
+    least = []
+    for metric, name in (("rate_rmse_degps", "RMSE"), ("rate_max_degps", "largest error")):
+        counts = ", ".join(f"{method} in {n}" for method, n in wins(trials, metric, OF_PAPER).items() if n)
+        least.append(f"the least {name} of the rate has {counts}")
+    return f"Where D5 is the vibration of the motor, of {len(trials)} trials {'; '.join(least)}."
 
 
 def _worst_rows(

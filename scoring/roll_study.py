@@ -101,7 +101,10 @@ def trial(
 
 
 def settings_of(scenario: Scenario, method: str, printed: bool) -> dict[str, Any]:
-    """The parameters of one filter, in its own reading or as the paper prints its equations."""
+    """The parameters of one filter, in its own reading or as the paper prints its equations.
+
+    All but lambda: in (19) and again in (20), as printed, it makes the variance negative, and there would be no score.
+    """
     settings = dict(scenario.settings)
     if method in OF_PAPER:
         settings["saturated"] = "use"

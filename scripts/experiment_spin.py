@@ -46,7 +46,8 @@ class SpinTrials(Trials):
         What the noise is made of: white, vibration (of the motor, on F5), glitch (of the slip rings, on F4) or replica
         (nearest to the paper's numbers); by default all four, one after the other.
     reading
-        The paper's equations as printed, or by default as this project reads them; replica takes them as printed.
+        The paper's equations as printed, or by default as this project reads them; replica takes them as printed. One
+        stays as it is read: lambda of (23) once. In (19) and again in (20), as printed, the variance turns negative.
     """
 
     trials: Whole | None = None  # type: ignore[assignment]  # a number before any trial is made

@@ -6,6 +6,7 @@ from importlib import import_module
 
 import pytest
 
+from stillpoint.scoring.roll_page import roll_page
 from stillpoint.scoring.roll_study import CONSTANT, METRICS, OF_PAPER, VARIABLE, Trial, in_order, trial, wins, worst
 from stillpoint.scripts.experiment import EXPERIMENTS
 
@@ -79,3 +80,11 @@ def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
     assert made["EKF"].rate_rmse_degps == pytest.approx(made["observation"].rate_rmse_degps, rel=0.005)
     ours = trial(VARIABLE, "white", 0, online=True).scores
     assert ours["EKF"].rate_rmse_degps < 0.5 * ours["observation"].rate_rmse_degps
+
+
+def test_the_page_says_of_the_vibration_what_its_table_counts():
+    trials = [trial(CONSTANT, "vibration", seed, online=True) for seed in (0, 1)]
+    page = roll_page(CONSTANT, {"vibration": trials}, True, "command")
+    for metric, name in (("rate_rmse_degps", "RMSE"), ("rate_max_degps", "largest error")):
+        counts = ", ".join(f"{method} in {n}" for method, n in wins(trials, metric, OF_PAPER).items() if n)
+        assert f"the least {name} of the rate has {counts}" in page
