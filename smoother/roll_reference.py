@@ -20,11 +20,11 @@ from stillpoint.smoother.roll_rows import roots_of
 from stillpoint.smoother.roll_samples import RollSamples, samples_of, sign_of
 from stillpoint.smoother.roll_start import start_of, with_gravity, with_vibration
 from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
+from stillpoint.smoother.roll_trust import GLITCH, require_agreement
 from stillpoint.smoother.roll_zero import least_squared, require_spin, smooth_squared, too_slow
 
 ROUGH = 3  # iterations before gravity is looked for
 VIBRATION_ROUNDS = 2  # the rates before the first one follow the vibration, and so does the angle it is fitted along
-GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
 
 
 def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
@@ -53,6 +53,8 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     slow = too_slow(samples, rates_of(chain, solution.at.state) ** 2, least, readings, recording.name)
     if slow is not None:
         raise slow
+    least_radps = float(np.sqrt(least_squared(samples, params.calibration))) / 2
+    require_agreement(chain, solution, found.prior, least_radps, recording.name)
     linear = _linear(chain, solution, found.prior, recording.name)
     accuracy = accuracy_of(chain, linear, recording.name)
     return RollReference(

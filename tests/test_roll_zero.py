@@ -117,6 +117,24 @@ def test_a_spin_above_the_limit_is_made_within_its_sd(rate_radps, tilt_deg):
     assert (np.abs(made.rate_radps - rate_radps) < 4 * made.rate_sd_radps).all()
 
 
+def turned_back(rate_radps, accel_radps2, before_s=5.0):
+    """Steady, then through zero at a constant angular acceleration, then as fast the other way."""
+    turn_s = 2 * rate_radps / accel_radps2
+    return exact(
+        lambda t: rate_radps - accel_radps2 * np.clip(t - before_s, 0, turn_s),
+        lambda t: -accel_radps2 * ((t >= before_s) & (t < before_s + turn_s)).astype(float),
+        before_s + turn_s + 5,
+    )
+
+
+@pytest.mark.parametrize("rate_radps", [10.0, 20.0])
+def test_a_turn_too_fast_to_be_slow_for_long_is_seen_by_the_acceleration(rate_radps):
+    """At 300 rad/s^2 it is below the limit for six samples; the rate was made 2300 deg/s off, of stated sd 6."""
+    with pytest.raises(Unobservable, match=r"differ by \d+ deg/s|tells no rate there") as caught:
+        reference(felt(turned_back(rate_radps, 300.0)))
+    assert "between 5.0" in str(caught.value)
+
+
 def test_the_limit_is_three_sd_of_bias_and_noise():
     recording = simulate("spin-constant", seed=0, sensor="white", minutes=0.1)
     samples = samples_of(recording, RollNoise(source="given", squared_sd_rad2ps2=9.0))

@@ -1,0 +1,65 @@
+"""Whether the optimum of a spinning body's graph is one to trust: what a spin that rests or turns back unseen leaves.
+
+A rate that is mirrored at zero contradicts the angular acceleration for as long as the turn lasts, and the robust
+weights take that for glitches; a rest is explained by biases and arms that no calibration allows.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.smoother.roll_chain import Chain
+from stillpoint.smoother.roll_graph import Prior
+from stillpoint.smoother.roll_optimum import RollSolution
+from stillpoint.smoother.roll_rows import roots_of
+from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS
+
+GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
+RUN = 8  # glitches in a row are more than that
+APART = 3  # samples between glitches of one run
+BIASED_SD = 5.0  # of the prior: as far as a bias or an arm may be off
+SCATTER = 5.0  # times what the samples show by themselves
+OR_ELSE = "the spin rests, turns back or is too slow for its square"
+
+
+def require_agreement(chain: Chain, solution: RollSolution, prior: Prior, least_radps: float, name: str) -> None:
+    """Raises :class:`Unobservable` where the channels contradict each other, or what is known of the sensors.
+
+    ``least_radps`` is the change of the rate that a run of glitches may leave unexplained.
+    """
+    if chain.readings is not None:  # the encoder has the word
+        return
+    at, sizes, n = solution.at, solution.sizes, len(chain.samples)
+    off = np.abs(at.state.constants - prior.mean)[:, :AMPLITUDE] / np.sqrt(np.diag(prior.cov))[:AMPLITUDE]
+    most = int(off.max(axis=0).argmax())
+    if off.max() > BIASED_SD:
+        raise Unobservable(
+            f"{name}: the optimum has {CONSTANTS[most]} {off.max():.0f} sd from what `calibration` expects: {OR_ELSE}, "
+            "or the calibration is worse than said; cut the recording to a fast spin, or widen the calibration"
+        )
+    ratio = sizes.accel_radps2 / chain.samples.accel_sd
+    if ratio > SCATTER:
+        raise Unobservable(
+            f"{name}: around the optimum the angular acceleration scatters {ratio:.0f} times as much as by itself: "
+            f"{OR_ELSE}; cut the recording to a fast spin, and check lever arms, signs and axes of the geometry"
+        )
+    weight = roots_of(chain, at, sizes).accel * sizes.accel_radps2
+    glitch = ((weight < GLITCH) & chain.accel_seen).ravel()[:n]
+    missing = (chain.span_s * at.accel_residual).ravel()[:n]
+    for first, last in _runs(glitch):
+        change = abs(float(missing[first : last + 1][glitch[first : last + 1]].sum()))
+        if glitch[first : last + 1].sum() >= RUN and change > least_radps:
+            t_s = (chain.samples.t_ns[[first, last]] - chain.samples.t_ns[0]) / 1e9
+            raise Unobservable(
+                f"{name}: between {t_s[0]:.2f} and {t_s[1]:.2f} s the angular acceleration and the squared rate differ "
+                f"by {np.rad2deg(change):.0f} deg/s: {OR_ELSE}, or F5 is disturbed; cut the recording there"
+            )
+
+
+def _runs(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last of the samples that are near each other."""
+    rows = np.flatnonzero(wanted)
+    if not len(rows):
+        return []
+    breaks = np.flatnonzero(np.diff(rows) > APART)
+    return list(zip(rows[np.r_[0, breaks + 1]].tolist(), rows[np.r_[breaks, len(rows) - 1]].tolist(), strict=True))
