@@ -34,10 +34,11 @@ from stillpoint.smoother.plausibility import (
     mean_fit,
     raw_sensor,
     refuse_contradictions,
+    refuse_fixes,
     refuse_surprise,
     surprise,
 )
-from stillpoint.smoother.satellite import fix_factors
+from stillpoint.smoother.satellite import believed_share, fix_factors
 from stillpoint.smoother.solve import NoOptimum, Solution, accuracy_of, rotations_of, scale_of, solve
 from stillpoint.smoother.windows import Past, Piece, attitudes_after, hand_over, joined, resume, split
 
@@ -133,6 +134,8 @@ def _windows_solved(recording: Recording, evidence: Evidence, params: GraphParam
         fits.append(fit_of(graph, inherited, solution, window.keys, params))
         found_bias = evidence.start.gyro_bias_b_radps
         refuse_contradictions(fits[-1], solution, found_bias, recording.info, recording.name, params)
+        if window.fixes is not None:
+            refuse_fixes(believed_share(window.fixes, solution.values, params.gps), recording.name)
         pieces.append(_piece_of(recording, window, solution, until, params))
         if until < end:
             past = hand_over(summed(before, None, past), closed, window.keys, solution, params)

@@ -109,6 +109,13 @@ def refuse_contradictions(
         raise Unobservable(f"{name}: {upside_down}; {ADVICE}")
 
 
+def refuse_fixes(believed_share: float, name: str) -> None:
+    """Raise :class:`Contradiction` when most of a window's satellite fixes are not believed."""
+    if believed_share < INLIER_SHARE:
+        useless = 100 * (1 - believed_share)
+        raise Contradiction(name, f"the satellite fixes contradict gyro and accelerometer ({useless:.0f} % are off)")
+
+
 def _inertial(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphParams) -> str:
     p = params.inertial
     if fit.squares.get("imu", 0.0) > IMU_LIMIT:

@@ -14,6 +14,8 @@ from stillpoint.datasets.recording import Floats, Gps, Times
 from stillpoint.smoother.graph_params import GpsParams
 from stillpoint.smoother.keys import Keys, Motion
 
+FIX_LOSS_SD = 3.0  # a fix that is so far off has half its weight
+FIX_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(FIX_LOSS_SD)
 VERTICAL = 3.0  # a fix is so many times worse in height
 NEAR_S = 0.15  # a fix belongs to a state that is so close in time
 UNDER_WAY_MPS = 0.5  # a receiver at rest shows less
@@ -70,13 +72,21 @@ def fixes_at(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes | Non
 
 
 def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFactor]:
-    """The place of each fix, and the velocity of each with a course."""
+    """The place of each fix, robustly, for a reflected signal is off by far; and the velocity of each with a course."""
     place = gtsam.noiseModel.Diagonal.Sigmas(params.position_sd_m * np.array([1.0, 1.0, VERTICAL]))
+    robust = gtsam.noiseModel.Robust.Create(FIX_LOSS, place)
     speed = gtsam.noiseModel.Isotropic.Sigma(3, params.velocity_sd_mps)
     for state, position, velocity in zip(fixes.state, fixes.position_n_m, fixes.velocity_n_mps, strict=True):
-        yield gtsam.GPSFactor(X(int(state)), position, place)
+        yield gtsam.GPSFactor(X(int(state)), position, robust)
         if np.isfinite(velocity).all():
             yield gtsam.PriorFactorVector(V(int(state)), velocity, speed)
+
+
+def believed_share(fixes: Fixes, values: gtsam.Values, params: GpsParams) -> float:
+    """Of the fixes at states that ``values`` has: the share that keeps more than half of its weight."""
+    sd_m = params.position_sd_m * np.array([1.0, 1.0, VERTICAL])
+    at = np.array([values.atPose3(X(int(state))).translation() for state in fixes.state])
+    return float(np.mean(np.linalg.norm((at - fixes.position_n_m) / sd_m, axis=1) < FIX_LOSS_SD))
 
 
 def path_of_fixes(fixes: Fixes, keys: Keys) -> tuple[Floats, Floats]:
