@@ -276,6 +276,10 @@ def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str
         return f"{missing}: {'; '.join(misplaced(geometry))}"
     unknown = [one for one in PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
     remedy = "or set fixed_axis for a motor's shaft"
-    if unknown and not known:
-        return f"{missing} apart from {', '.join(unknown)}: add gyros about y and z, {remedy}"
+    others = [one for one in free if one not in PRODUCTS]
+    are_enough = all(_channel(geometry, np.ones(len(seen)), term, others, PRODUCTS) for term in terms)
+    if unknown and (are_enough or not known):
+        lacking = [axis for axis in "yz" if f"omega_{axis}^2" not in known]
+        gyros = "gyros about y and z" if len(lacking) == 2 else f"a gyro about {lacking[0]}"
+        return f"{missing} apart from {', '.join(unknown)}: add {gyros}, {remedy}"
     return f"{missing} apart from the force at the centre: add accelerometers there, {remedy}"

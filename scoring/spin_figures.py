@@ -15,6 +15,7 @@ from stillpoint.scoring.spin_identify import Identified
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110
 CHOSEN, LIMIT = "o", ":"
+ABOVE, BELOW = (4, 4), (-40, -32)  # of a curve, its label in points; filtered and raw may lie close
 BESIDE = 0.2  # of the room of a trial, between its markers
 LABEL_AT = 12  # of the points of a curve
 LINES = 7  # of equal error in a map
@@ -24,16 +25,16 @@ POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
 def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Error of the rate over d1: of one sample, of the filter, and for a bias of 1 mg."""
     limit_m = limits_m(rig)[0]
-    arms_m = np.linspace(0.01, max(1.4 * limit_m, 1.2 * chosen.d1_m), POINTS)
+    arms_m = np.linspace(min(0.01, chosen.d1_m / 2), max(1.4 * limit_m, 1.2 * chosen.d1_m), POINTS)
     found = [place(rig, float(arm), chosen.d2_m) for arm in arms_m]
-    for values, colour, label in (
-        ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample"),
-        ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m"),
-        ([G_MPS2 / 1e3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias"),
+    for values, colour, label, above in (
+        ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample", ABOVE),
+        ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m", BELOW),
+        ([G_MPS2 / 1e3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias", ABOVE),
     ):
         ax.plot(arms_m, np.rad2deg(values), color=colour)
         at = (arms_m[LABEL_AT], np.rad2deg(values[LABEL_AT]))
-        ax.annotate(label, at, xytext=(4, 4), textcoords="offset points", color=colour)
+        ax.annotate(label, at, xytext=above, textcoords="offset points", color=colour)
     _range(ax, limit_m, rig.headroom)
     ax.plot(chosen.d1_m, np.rad2deg(chosen.raw_rate_sd_radps), CHOSEN, color=COLOURS[0])
     ax.set(xlabel="d1 (m)", ylabel="error of the rate (deg/s)", yscale="log", title="radial accelerometer F4")
@@ -42,7 +43,7 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
 def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Standard deviation of the angular acceleration over d2."""
     limit_m = limits_m(rig)[1]
-    arms_m = np.linspace(0.02, max(1.2 * limit_m, 1.2 * chosen.d2_m), POINTS)
+    arms_m = np.linspace(min(0.02, chosen.d2_m / 2), max(1.2 * limit_m, 1.2 * chosen.d2_m), POINTS)
     sds = [np.sqrt(place(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
     ax.plot(arms_m, np.rad2deg(sds), color=COLOURS[0])
     _range(ax, limit_m, rig.headroom)
@@ -52,8 +53,8 @@ def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
     """Lines of equal error of the filtered rate over both arms; grey where the range, its headroom or the room ends."""
-    d1_m = np.linspace(0.02, 1.3 * limits_m(rig)[0], MAP_POINTS)
-    d2_m = np.linspace(0.05, 1.2 * limits_m(rig)[1], MAP_POINTS)
+    d1_m = np.linspace(min(0.02, chosen.d1_m / 2), 1.3 * limits_m(rig)[0], MAP_POINTS)
+    d2_m = np.linspace(min(0.05, chosen.d2_m / 2), 1.2 * limits_m(rig)[1], MAP_POINTS)
     found = [[place(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
     sd_degps = np.rad2deg([[one.filtered_rate_sd_radps for one in row] for row in found])
     levels = np.geomspace(sd_degps.min(), sd_degps.max(), LINES + 2)[1:-1]

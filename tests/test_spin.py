@@ -160,6 +160,9 @@ def test_what_the_centre_or_the_gyros_would_be_needed_for_is_said():
         channels(loose)
     with pytest.raises(Unobservable, match="force at the centre: add accelerometers there, or set fixed_axis"):
         channels(replace(loose, gyro_axis_b=np.array([Y, Z])))
+    for gyro, lacking in ((Y, "z"), (Z, "y")):
+        with pytest.raises(Unobservable, match=f"omega_y omega_z: add a gyro about {lacking}, or"):
+            channels(replace(FIVE_ACCELEROMETERS, gyro_axis_b=np.array([gyro])))
     with pytest.raises(Unobservable, match="none sees omega_x dot; put one off the axis, tangentially"):
         channels(SpinGeometry(np.array([0.1 * Z]), np.array([Z]), np.empty((0, 3)), fixed_axis=True))
 

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from stillpoint.datasets import BadParameter
 from stillpoint.scoring.spin_design import Rig, limits_m, longest, place, steady_variance
+from stillpoint.scoring.spin_figures import draw_both, draw_radial, draw_tangential
 
 PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
 
@@ -91,3 +93,22 @@ def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
     assert {row["fits"] for row in rows} == {True, False}
     assert call("spin", "design", "-o", tmp_path / "out", "--fastest-degps", "20000") == 2
     assert "larger range" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("room_m", [0.01, 0.03, 0.5])
+def test_the_placement_lies_on_its_curves_and_within_its_map(room_m):
+    rig = replace(PAPER, room_m=room_m)
+    chosen = longest(rig)
+    for draw, x, y in (
+        (draw_radial, chosen.d1_m, None),
+        (draw_tangential, chosen.d2_m, None),
+        (draw_both, chosen.d1_m, chosen.d2_m),
+    ):
+        ax = Figure().subplots()
+        draw(ax, rig, chosen)
+        low, high = ax.get_xlim()
+        assert low < x < high
+        if y is None:
+            assert ax.lines[0].get_xdata()[0] < x
+        else:
+            assert ax.get_ylim()[0] < y < ax.get_ylim()[1]
