@@ -1,6 +1,7 @@
 """What a recording brings to a run besides its IMU: the magnetometer, satellite fixes, and which north that gives."""
 
 from collections.abc import Mapping
+from math import degrees, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,8 @@ def front_of(
 ) -> front.Coefficients:
     """What stands in front of an estimator; a declination of None is not known. Raises :class:`BadParameter`."""
     require_known(heading, HEADINGS, "heading")
+    if declination_rad is not None and not abs(declination_rad) <= pi:  # nor where it is no number
+        raise BadParameter(f"declination {degrees(declination_rad):g} deg: give an angle within +-180 deg")
     if heading == "mag" and heading_params:
         raise BadParameter("heading mag has no settings; they are those of heading gps-course")
     full_scales = guard.coefficients(chosen(guard.Ranges(), ranges, "range"))
