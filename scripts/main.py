@@ -7,10 +7,10 @@ Verbs are imported when they are called, so that ``stillpoint --help`` loads nei
 import os
 import sys
 from collections.abc import Sequence
-from importlib import metadata
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from cyclopts import App, CycloptsError
+if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
+    from cyclopts import App
 
 # verb -> (function, what it does); the order is the order of the data and of the help page.
 VERBS: dict[str, tuple[str, str]] = {
@@ -27,15 +27,19 @@ VERBS: dict[str, tuple[str, str]] = {
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
-    "export": ("export:export", "Write CSV tables or TUM trajectories, for other tools."),
+    "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }
 HELP, VERSION = ["--help", "-h"], ["--version"]
 
 
-def app() -> App:
+def app() -> "App":
     """The command line, with verbs that are imported when called."""
+    from importlib import metadata
+
+    from cyclopts import App
+
     cli = App(
         name="stillpoint",
         help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.",
@@ -51,6 +55,15 @@ def app() -> App:
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the console script; never returns normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
+    try:
+        _run(tokens)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _run(tokens: Sequence[str]) -> NoReturn:
+    from cyclopts import CycloptsError
+
     if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
         from stillpoint.datasets.nearest import nearest
 
@@ -59,8 +72,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0]} --help")
-    except KeyboardInterrupt:
-        sys.exit(130)
     except (BrokenPipeError, SystemExit) as end:
         broken = end if isinstance(end, BrokenPipeError) else end.__context__  # rich makes an exit of it
         if not isinstance(broken, BrokenPipeError):
