@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
+from math import degrees
 from pathlib import Path
 from typing import Literal
 
@@ -14,12 +15,16 @@ from stillpoint.datasets.store import Kept, read
 from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.datasets.tum import tum_text
+from stillpoint.filters.sources import magnetometer, newest
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import require_distinct
 from stillpoint.scripts.flags import Inputs, OutDir
+from stillpoint.scripts.sample_lines import csv_lines
+from stillpoint.scripts.samples import samples
 from stillpoint.scripts.text_file import write_text
 
-Format = Literal["csv", "tum"]
+Format = Literal["csv", "stream", "tum"]
+SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum"}
 
 
 def export(
@@ -29,11 +34,13 @@ def export(
     out: OutDir = Path(),
     format: Format = "csv",
 ) -> int:
-    """Write what MCAP files hold as text: CSV tables, or TUM trajectories.
+    """Write what MCAP files hold as text: CSV tables, the samples that stream reads, or TUM trajectories.
 
     csv: NAME.imu.csv, NAME.mag.csv, ... of a recording NAME.mcap, a table per sensor and clock; NAME.reference.csv of
     NAME.reference.mcap; NAME.ESTIMATOR.estimate.csv of an estimate. Columns are in SI units (field: uT), every number
-    in all its digits. tum: NAME.truth.tum, NAME.reference.tum and NAME.ESTIMATOR.estimate.tum, as evo reads them.
+    in all its digits. stream: NAME.stream.csv of a recording, the samples of all sensors in one table, for the standard
+    input of stillpoint stream. tum: NAME.truth.tum, NAME.reference.tum and NAME.ESTIMATOR.estimate.tum, as evo reads
+    them.
 
     Parameters
     ----------
@@ -42,7 +49,8 @@ def export(
     out
         Folder to write into; made when it is not there.
     format
-        csv: tables of everything; tum: attitudes (and positions, 0 where not known), one pose a line.
+        csv: tables of everything; stream: what stillpoint stream reads, with the options to give it said on stderr;
+        tum: attitudes (and positions, 0 where not known), one pose a line.
     """
     files = inputs.mcap_files(paths)
     if not files:
@@ -68,7 +76,7 @@ def _export(file: Path, folder: Path, format: Format) -> Iterator[Path]:
     """Write the texts of one file, and say where."""
     thing, stem = read(file), file.name.removesuffix(inputs.SUFFIX)
     for label, text in _texts(file, thing, format):
-        target = folder / f"{stem}{f'.{label}' if label else ''}.{format}"
+        target = folder / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
         write_text(target, text)
         yield target
 
@@ -77,6 +85,8 @@ def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]
     """What to write of a file: (label, text)."""
     if format == "csv":
         return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
+    if format == "stream":
+        return [("stream", _samples(file, thing))]
     if isinstance(thing, Recording):
         if thing.truth is None:
             raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
@@ -84,3 +94,24 @@ def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]
     if isinstance(thing, RollReference) or thing.q_nb is None:
         raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
     return [("", tum_text(thing.t_ns, thing.q_nb))]
+
+
+def _samples(file: Path, thing: Kept) -> str:
+    """What ``stream`` reads of a recording; what is left out, and the options that make it the batch run, on stderr."""
+    if not isinstance(thing, Recording):
+        raise BadParameter(f"{file}: holds no samples; give the recording that it was made from, or --format csv")
+    if thing.imu is None:
+        return csv_text(tables_of(thing)["spin"])
+    mag, declination_rad, facts = magnetometer(thing)
+    said = []
+    if mag is None:
+        said.append(f"the heading is {facts['heading']}")
+    for what, sensor in (("fields", mag), ("fixes", thing.gps)):
+        n_unused = 0 if sensor is None else len(sensor.t_ns) - int((newest(sensor.t_ns, thing.imu.t_ns) >= 0).sum())
+        if n_unused:
+            said.append(f"{n_unused} {what} are left out as by estimate: a newer one came before the next IMU sample")
+    if facts["heading"].startswith("true north"):
+        said.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
+    for text in said:
+        print(f"stillpoint: {file}: {text}", file=sys.stderr)
+    return "\n".join([*csv_lines(samples(thing), mag is not None, thing.gps is not None), ""])

@@ -23,8 +23,8 @@ from stillpoint.datasets import Recording
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.topics import BODY_FRAME, LOCAL_FRAME
 from stillpoint.filters import Stream
-from stillpoint.filters.sources import magnetometer, newest
 from stillpoint.scripts.sample_lines import Arrival
+from stillpoint.scripts.samples import samples
 
 ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
 POSES_HZ = 60.0  # of real time: no screen shows more
@@ -69,7 +69,8 @@ def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host
         while not client.is_there.wait(0.1):
             pass
         time.sleep(PATIENCE_S)
-        _send(heapq.merge(raw, _samples(recording), key=lambda timed: timed[0]), server, raw, estimates, speed)
+        stamped = ((sample.t_ns, sample) for sample in samples(recording))
+        _send(heapq.merge(raw, stamped, key=lambda timed: timed[0]), server, raw, estimates, speed)
         time.sleep(PATIENCE_S)
     except KeyboardInterrupt:
         pass  # the ordinary way to end it early
@@ -155,20 +156,3 @@ class _Estimates:
             pose = PoseInFrame(timestamp=stamp, frame_id=LOCAL_FRAME, pose=Pose(position=ORIGIN, orientation=turned))
             self._poses[name].log(pose, log_time=sample.t_ns)
         self._transforms.log(FrameTransforms(transforms=transforms), log_time=sample.t_ns)
-
-
-def _samples(recording: Recording) -> Iterator[tuple[int, Arrival]]:
-    """The samples of a recording as a stream gets them, with their stamps."""
-    imu, (mag, _, _), gps = recording.require_imu(), magnetometer(recording), recording.gps
-    field = None if mag is None else newest(mag.t_ns, imu.t_ns)
-    fix = None if gps is None else newest(gps.t_ns, imu.t_ns)
-    for k, t_ns in enumerate(imu.t_ns.tolist()):
-        here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
-        course = None
-        if gps is not None and fix is not None and fix[k] >= 0:
-            row = fix[k]
-            course = (float(gps.course_rad[row]) if gps.valid[row] else float("nan"), float(gps.speed_mps[row]))
-        yield (
-            t_ns,
-            Arrival(t_ns, tuple(imu.gyro_b_radps[k].tolist()), tuple(imu.accel_b_mps2[k].tolist()), here, course),
-        )

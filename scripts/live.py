@@ -50,7 +50,13 @@ def live(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]
     if resume is None:
         return {name: make() for name, make in makes.items()}
     kept = _kept(resume, kind)
-    return {name: make(saved=rebuilt(kept[name], make().save())) for name, make in makes.items()}
+    missing = [name for name in makes if name not in kept]
+    if missing:
+        raise BadParameter(f"--resume {resume}: holds no state of {', '.join(missing)}; start without it")
+    try:
+        return {name: make(saved=rebuilt(kept[name], make().save())) for name, make in makes.items()}
+    except OverflowError as error:
+        raise BadParameter(f"--resume {resume}: holds a number that no state has ({error}); start without it") from None
 
 
 def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
@@ -63,11 +69,11 @@ def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> No
 def _kept(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
     try:
         kept = json.loads(resume.read_text(encoding="utf-8"))
-        states, kept_kind = kept["states"], kept["kind"]
+        states, kept_kind = dict(kept["states"]), kept["kind"]
     except OSError as error:
         raise BadParameter(f"--resume {resume}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise BadParameter(f"--resume {resume}: is no file of stream --save; start without it") from None
     if kept_kind != json.loads(json.dumps(kind)):
         raise BadParameter(f"--resume {resume}: was saved with other options ({json.dumps(kept_kind)}); give these")
-    return dict(states)
+    return states

@@ -5,8 +5,8 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from time import perf_counter_ns
 from types import FrameType
@@ -19,6 +19,8 @@ from stillpoint.scripts.live import Live
 from stillpoint.scripts.sample_lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
 
 SHOWN = 20  # malformed lines said one by one; the others are counted
+PATIENCE_S = 1.0  # after a signal, for an output that is not read
+END = "end of input"
 
 
 @dataclass
@@ -30,16 +32,25 @@ class Passed:
     n_samples: int = 0
     update: Latency = field(default_factory=Latency)  # all estimators, without reading and writing
     whole: Latency = field(default_factory=Latency)  # from the line that was read to the lines that were written
-    ended_by: str = "end of input"
+    ended_by: str = END
+    failure: str = ""  # what went wrong with a pipe, where that ended it
 
 
-def pipe(streams: Mapping[str, Live], source: BinaryIO, target: TextIO, layout: Layout = ATTITUDE) -> Passed:
+def pipe(
+    streams: Mapping[str, Live],
+    source: BinaryIO,
+    target: TextIO,
+    layout: Layout = ATTITUDE,
+    see: Callable[[Arrival | SpinArrival], None] | None = None,
+) -> Passed:
     """Feed every sample to every stream and write what they say, until the input ends, or the output is closed.
 
-    SIGINT and SIGTERM end it between two samples. Raises :class:`BadParameter` for a first line that names no samples.
+    ``see`` gets each sample too. SIGINT and SIGTERM end it between two samples; an output that nobody reads is waited
+    for ``PATIENCE_S`` then, or until the second signal. Raises :class:`BadParameter` for a first line that names no
+    samples.
     """
     passed, lines = Passed(), Lines(layout)
-    with _signals_end(passed) as read:
+    with _signals_end(passed, target) as (read, write):
         for raw in iter(lambda: read(source), b""):
             begun_ns = perf_counter_ns()
             passed.n_lines += 1
@@ -55,13 +66,9 @@ def pipe(streams: Mapping[str, Live], source: BinaryIO, target: TextIO, layout: 
                 print(f"stillpoint: not used: {', '.join(lines.ignored)}", file=sys.stderr)
             if sample is None:
                 continue
-            said = _update(streams, sample, passed)
-            try:
-                target.write(said)
-                target.flush()
-            except BrokenPipeError:
-                passed.ended_by = "closed output"
-                os.dup2(os.open(os.devnull, os.O_WRONLY), target.fileno())  # nothing is left to be flushed at exit
+            if see is not None:
+                see(sample)
+            if not write(_update(streams, sample, passed)):
                 break
             passed.whole.add(perf_counter_ns() - begun_ns)
     return passed
@@ -89,35 +96,70 @@ def line(t_ns: int, name: str, output: Output | RollAnswer) -> str:
     return json.dumps(facts, separators=(",", ":")) + "\n"
 
 
+@contextmanager
+def ctrl_c_quits() -> Iterator[None]:
+    """SIGINT ends the process at once, with nothing to be saved yet: the compiler's callbacks lose the exception."""
+    before = signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 class _Ended(Exception):
-    """A signal came while the next line was waited for."""
+    """A signal came while a pipe was waited for."""
 
 
 @contextmanager
-def _signals_end(passed: Passed) -> Iterator[Any]:
-    """A function that reads a line, and nothing more (``b""``) once there was a signal."""
-    waiting = False
+def _signals_end(passed: Passed, target: TextIO) -> Iterator[tuple[Callable[[BinaryIO], bytes], Callable[[str], bool]]]:
+    """Functions that read a line, and nothing more (``b""``) once there was a signal, and write one if that goes."""
+    waits_for = ""
 
     def on_signal(number: int, _: FrameType | None) -> None:
-        passed.ended_by = signal.Signals(number).name
-        if waiting:
+        is_over = passed.ended_by != END
+        if not is_over:
+            passed.ended_by = signal.Signals(number).name
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)  # again and again: it may be no wait yet
+        if waits_for == "input" or (waits_for == "output" and is_over):
             raise _Ended
 
     def read(source: BinaryIO) -> bytes:
-        nonlocal waiting
-        if passed.ended_by != "end of input":
+        nonlocal waits_for
+        if passed.ended_by != END:
             return b""
         try:
-            waiting = True
+            waits_for = "input"
             return source.readline()
-        except _Ended:
+        except OSError as error:
+            passed.ended_by, passed.failure = "failed input", f"standard input: cannot be read ({error.strerror})"
             return b""
         finally:
-            waiting = False
+            waits_for = ""
 
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    def write(text: str) -> bool:
+        nonlocal waits_for
+        try:
+            waits_for = "output"
+            target.write(text)
+            target.flush()
+            return True
+        except BrokenPipeError:
+            passed.ended_by = "closed output"
+        except OSError as error:
+            passed.ended_by, passed.failure = "failed output", f"standard output: cannot be written ({error.strerror})"
+        except _Ended:
+            passed.ended_by += ", the output was not read"
+        finally:
+            waits_for = ""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), target.fileno())  # nothing is left to be flushed at exit
+        return False
+
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    before = {number: signal.signal(number, on_signal) for number in numbers}
     try:
-        yield read
+        with suppress(_Ended):
+            yield read, write
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -34,7 +34,10 @@ def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, h
     entries = {name: find(name) for name in names}
     peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
     if precision == "single" and peers:
-        raise BadParameter(f"--precision single: {', '.join(peers)} computes in its package's precision; leave it out")
+        raise BadParameter(
+            f"--precision single: is not for {', '.join(peers)}: other packages compute in a precision of their own; "
+            "leave it out, or these"
+        )
     spins = [name for name, entry in entries.items() if isinstance(entry, RollEstimator)]
     if heading != "mag" and spins:
         raise BadParameter(

@@ -1,8 +1,9 @@
 """Lines of text become samples: NDJSON or CSV, told apart by the first line. docs/streaming.md describes both."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from reprlib import repr as short
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
@@ -122,6 +123,21 @@ ATTITUDE = Layout(
 )
 
 
+def csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Iterator[str]:
+    """The lines that :class:`Lines` reads these samples from, bit for bit; columns of the field and the fix on demand.
+
+    A number that is not finite is written as it is, ``nan``: an empty cell would be no field, or no fix, at all.
+    """
+    yield ",".join(("t_ns", *IMU, *(MAG if has_mag else ()), *(FIX if has_fix else ())))
+    for sample in samples:
+        numbers: list[float | str] = [*sample.gyro_b_radps, *sample.accel_b_mps2]
+        if has_mag:
+            numbers += [""] * len(MAG) if sample.mag_b_ut is None else sample.mag_b_ut
+        if has_fix:
+            numbers += [""] * len(FIX) if sample.course is None else sample.course
+        yield ",".join((str(sample.t_ns), *(each if isinstance(each, str) else repr(each) for each in numbers)))
+
+
 def spin_layout(n_accels: int, n_gyros: int) -> Layout:
     """Of a spinning body: one field per accelerometer and gyro, in the order of its geometry."""
     accels, gyros = (tuple(f"{letter}{i + 1}" for i in range(n)) for letter, n in (("a", n_accels), ("g", n_gyros)))
@@ -139,6 +155,8 @@ def _object(text: str) -> Mapping[str, Any]:
         values = json.loads(text)
     except ValueError as error:
         raise Malformed(f"it is not JSON ({error})") from None
+    except RecursionError:
+        raise Malformed("it is not a sample (nested too deeply)") from None
     if not isinstance(values, dict):
         raise Malformed("it is not a JSON object")
     return values
@@ -153,22 +171,25 @@ def _number(values: Mapping[str, Any], name: str) -> float:
     if value is None or value == "":
         return NAN
     if isinstance(value, bool):
-        raise Malformed(f"{name} is {value!r}, not a number")
+        raise Malformed(f"{name} is {short(value)}, not a number")
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise Malformed(f"{name} is {value!r}, not a number") from None
+        raise Malformed(f"{name} is {short(value)}, not a number") from None
 
 
 def _stamp(values: Mapping[str, Any]) -> int:
-    name = "t_s" if values.get("t_ns") in (None, "") else "t_ns"
-    value = values.get(name)
+    given = [name for name in TIME if values.get(name) not in (None, "")]
+    if not given:
+        raise Malformed(f"{' and '.join(name for name in TIME if name in values) or 't_ns'} has no value")
+    name = given[0]
+    value = values[name]
     if isinstance(value, bool):
-        raise Malformed(f"{name} is {value!r}, not a time")
+        raise Malformed(f"{name} is {short(value)}, not a time")
     try:
-        t_ns = round(_number(values, name) * 1e9) if name == "t_s" else int(value)  # type: ignore[arg-type]
+        t_ns = round(_number(values, name) * 1e9) if name == "t_s" else int(value)
     except (TypeError, ValueError, OverflowError):
-        raise Malformed(f"{name} is {value!r}, not a time") from None
+        raise Malformed(f"{name} is {short(value)}, not a time") from None
     if not -(2**63) <= t_ns < 2**63 or (isinstance(value, float) and name == "t_ns" and value != t_ns):
-        raise Malformed(f"{name} is {value!r}: give whole nanoseconds within 63 bits")
+        raise Malformed(f"{name} is {short(value)}: give whole nanoseconds within 63 bits")
     return t_ns

@@ -10,21 +10,23 @@ from typing import Annotated, Any
 from cyclopts import Group, Parameter
 
 from stillpoint.datasets.earth import local_declination
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.spin_csv import SpinOptions, geometry_of
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import ROLLS, Peer, find
 from stillpoint.scripts.flags import SetFlag, Whole
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.live import Live, attitude, keep, kind_of, live, roll
+from stillpoint.scripts.heading_watch import HeadingWatch
+from stillpoint.scripts.json_file import STDOUT, JsonFile, writable, write_json
+from stillpoint.scripts.live import Live, Make, attitude, keep, kind_of, live, roll
 from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.pipe import Passed, pipe
+from stillpoint.scripts.pipe import Passed, ctrl_c_quits, pipe
 from stillpoint.scripts.runs import Run, runs_of
 from stillpoint.scripts.sample_lines import ATTITUDE, spin_layout
 
 SPIN = Group("Estimators of roll", sort_key=1)
+HOST = "127.0.0.1"
 SpinText = Annotated[str, Parameter(group=SPIN)]
 SpinSize = Annotated[float | None, Parameter(group=SPIN)]
 
@@ -39,10 +41,10 @@ def stream(
     precision: Precision = "double",
     heading: Heading = "mag",
     resume: Annotated[Path | None, Parameter(negative=())] = None,
-    save: Annotated[Path | None, Parameter(negative=())] = None,
+    save: Annotated[Path | None, Parameter(negative=(), validator=writable)] = None,
     foxglove: Annotated[Whole | None, Parameter(negative=())] = None,
-    host: str = "127.0.0.1",
-    speed: float = 1.0,
+    host: Annotated[str | None, Parameter(negative=())] = None,
+    speed: Annotated[float | None, Parameter(negative=())] = None,
     geometry: SpinText = "bench",
     d1_m: SpinSize = None,
     d2_m: SpinSize = None,
@@ -78,9 +80,9 @@ def stream(
         Replay the recording live on this port (0: any that is free) for Foxglove to connect to; needs the extra
         "view".
     host
-        Address to listen on for Foxglove; by default this computer alone can connect.
+        Address to listen on for Foxglove; by default 127.0.0.1, so that this computer alone can connect.
     speed
-        How much faster than it was recorded to replay.
+        How much faster than it was recorded to replay; 1 unless given.
     geometry
         Where the accelerometers sit, for the estimators of roll: bench, five, or a .toml file as import spin takes it.
     d1_m
@@ -94,27 +96,52 @@ def stream(
     """
     if json == STDOUT:
         raise BadParameter("--json -: the standard output is for the estimates; name a file")
+    _require_in_place(
+        foxglove is not None, {"--resume": resume, "--save": save, "--json": json}, {"--host": host, "--speed": speed}
+    )
     runs = runs_of(estimators, set_, precision, heading)
+    peers = [run.estimator for run in runs if isinstance(find(run.estimator), Peer)]
+    if peers:
+        names, take = ",".join(peers), "takes" if len(peers) == 1 else "take"
+        raise BadParameter(f"{names}: {take} whole recordings only; use stillpoint estimate -e {names}")
     spin = _geometry_of(runs, SpinOptions(geometry=geometry, d1_m=d1_m, d2_m=d2_m, range_g=range_g), declination)
     if foxglove is not None:
         if spin is not None:
             raise BadParameter(f"--foxglove: replays attitudes; for {estimators} use stillpoint estimate and view")
-        _to_foxglove(file, runs, declination, host, foxglove, speed)
+        _to_foxglove(file, runs, declination, HOST if host is None else host, foxglove, 1.0 if speed is None else speed)
         return
     if file is not None:
         raise BadParameter(f"{file}: a recording is replayed with --foxglove PORT; samples come on the standard input")
     kind = kind_of(runs, declination, spin)
+    makes: dict[str, Make]
     if spin is None:
         layout = ATTITUDE
-        streams = live({run.estimator: attitude(run, declination) for run in runs}, resume, kind)
+        makes = {run.estimator: attitude(run, declination) for run in runs}
     else:
         layout = spin_layout(len(spin.accel_axis_b), len(spin.gyro_axis_b))
-        streams = live({run.estimator: roll(run, spin) for run in runs}, resume, kind)
-    passed = pipe(streams, sys.stdin.buffer, sys.stdout, layout)
+        makes = {run.estimator: roll(run, spin) for run in runs}
+    with ctrl_c_quits():
+        streams = live(makes, resume, kind)
+    if sys.stdin is None or sys.stdout is None:
+        raise BadParameter("the standard input or output is closed; samples come on the one, estimates on the other")
+    watch = HeadingWatch(list(streams), heading)
+    passed = pipe(streams, sys.stdin.buffer, sys.stdout, layout, watch.see)
+    watch.end()
     if save is not None:
         keep(save, streams, kind)
     _say(passed, streams)
     write_json(json, [_facts(passed, name, one) for name, one in streams.items()])
+    if passed.failure:
+        raise StillpointError(passed.failure)
+
+
+def _require_in_place(is_replay: bool, of_pipe: Mapping[str, Any], of_replay: Mapping[str, Any]) -> None:
+    """Raise :class:`BadParameter` for options that would do nothing."""
+    for option, value in (of_pipe if is_replay else of_replay).items():
+        if value is not None and is_replay:
+            raise BadParameter(f"{option}: is for samples from the standard input; leave it out with --foxglove")
+        if value is not None:
+            raise BadParameter(f"{option}: is for a replay; give --foxglove PORT with it, or leave it out")
 
 
 def _to_foxglove(

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import re
+from dataclasses import replace
+from math import radians
 
 import numpy as np
 import pytest
@@ -15,7 +18,8 @@ from stillpoint.datasets.frames import rotation, to_xyzw
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.datasets.tum import read_tum, tum_text
-from stillpoint.filters import estimate
+from stillpoint.filters import Stream, estimate
+from stillpoint.scripts.sample_lines import Lines
 
 POSE = "0.5 1 2 3 0 0 0.6 0.8\n"
 
@@ -141,6 +145,43 @@ def test_what_has_no_poses_is_said(call, tmp_path, capsys):
     write(tmp_path / "bare.mcap", type(bare)("bare", imu=bare.imu))
     assert call("export", tmp_path / "bare.mcap", "--format", "tum", "-o", tmp_path / "out") == 2
     assert "has no truth" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "heading"), [("phone-1", "mag"), ("auv-dolphin", "mag"), ("auv-dolphin", "gps-course")]
+)
+def test_what_is_exported_for_stream_makes_the_estimate_again(call, tmp_path, capsys, name, heading):
+    """To the last bit, up to the declination: there is not for every double in rad one in deg."""
+    file = tmp_path / "run.mcap"
+    write(file, simulate(name, minutes=1.0 if name == "phone-1" else 6.0))
+    assert call("export", file, "--format", "stream", "-o", tmp_path) == 0
+    said = capsys.readouterr().err
+    assert "fields are left out as by estimate" in said
+    declination_rad = radians(float(re.search(r"--declination (\S+)", said)[1]))
+    lines = (tmp_path / "run.stream.csv").read_bytes().splitlines(keepends=True)
+    known = estimate(read(file), "ekf", heading=heading)
+    assert declination_rad == pytest.approx(known.diagnostics["declination_rad"], abs=1e-15)
+    reader, stream = Lines(), Stream("ekf", declination_rad=known.diagnostics["declination_rad"], heading=heading)
+    samples = [sample for sample in map(reader.read, lines) if sample is not None]
+    assert (np.array([stream.update(*sample).q_nb for sample in samples]) == known.q_nb).all()
+    assert [sample.t_ns for sample in samples] == known.t_ns.tolist()
+    assert {what: n for what, n in known.diagnostics.items() if what in stream.counts} == stream.counts
+
+
+def test_what_stream_would_not_use_is_said(call, tmp_path, capsys):
+    made = simulate("phone-1", minutes=0.6)
+    write(tmp_path / "raw.mcap", replace(made, info=replace(made.info, mag_uncalibrated=True)))
+    assert call("export", tmp_path / "raw.mcap", "--format", "stream", "-o", tmp_path) == 0
+    assert "the heading is arbitrary: the magnetometer is not calibrated" in capsys.readouterr().err
+    assert (tmp_path / "raw.stream.csv").read_text().startswith("t_ns,gx,gy,gz,ax,ay,az\n")
+
+
+def test_a_spin_is_exported_for_stream_and_an_estimate_is_not(call, folder, tmp_path, capsys):
+    write(tmp_path / "spin.mcap", simulate("spin-constant", minutes=0.05))
+    assert call("export", tmp_path / "spin.mcap", "--format", "stream", "-o", tmp_path) == 0
+    assert (tmp_path / "spin.stream.csv").read_text().startswith("t_ns,a1,a2\n")
+    assert call("export", folder / "run.gyro.estimate.mcap", "--format", "stream", "-o", tmp_path) == 2
+    assert "holds no samples" in capsys.readouterr().err
 
 
 def test_an_unknown_position_is_written_as_the_origin():

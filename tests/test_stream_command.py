@@ -1,12 +1,17 @@
 """``stillpoint stream``: text in, text out, ends, and the replay to Foxglove."""
 
+import fcntl
 import io
 import json
 import re
 import signal
 import subprocess
 import sys
+import termios
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pytest
@@ -17,8 +22,11 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import Stream, estimate
 from stillpoint.filters.saved import plain, rebuilt
 from stillpoint.filters.table import ESTIMATORS, Estimator
+from stillpoint.scripts.heading_watch import HeadingWatch
 from stillpoint.scripts.latency import Latency
+from stillpoint.scripts.live import attitude, keep, kind_of, live
 from stillpoint.scripts.pipe import Passed, pipe
+from stillpoint.scripts.runs import runs_of
 from stillpoint.scripts.sample_lines import Lines, Malformed
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
@@ -144,6 +152,81 @@ def test_a_kept_state_of_another_estimator_is_refused() -> None:
         rebuilt(kept, Stream("cf").save())
 
 
+@pytest.mark.parametrize("declination_rad", [np.nan, np.inf, 3.2])
+def test_a_declination_that_is_no_angle_is_refused(declination_rad: float) -> None:
+    for heading in ("mag", "gps-course"):
+        with pytest.raises(BadParameter, match="within"):
+            Stream("cf", declination_rad=declination_rad, heading=heading)
+
+
+@pytest.mark.parametrize("line", ["[" * 100_000, '{"t_ns":1,"gx":' + "[" * 900 + "]" * 900 + "}"])
+def test_a_line_of_brackets_is_malformed(line: str) -> None:
+    lines = Lines()
+    lines.read(b'{"t_ns":0,"gx":0,"gy":0,"gz":0,"ax":0,"ay":0,"az":9.8}')
+    with pytest.raises(Malformed) as caught:
+        lines.read(line.encode())
+    assert len(str(caught.value)) < 100
+
+
+@pytest.mark.parametrize(("header", "says"), [("t_ns", "t_ns"), ("t_s", "t_s"), ("t_s,t_ns", "t_ns and t_s")])
+def test_a_row_without_a_time_names_the_columns_that_it_is_missing_in(header: str, says: str) -> None:
+    lines = Lines()
+    lines.read(f"{header},gx,gy,gz,ax,ay,az".encode())
+    with pytest.raises(Malformed, match=f"^{says} has no value$"):
+        lines.read(("," * header.count(",") + ",0,0,0,0,0,9.8").encode())
+
+
+@pytest.mark.parametrize("course", ["", "0.1,2"])
+def test_a_heading_that_nothing_holds_is_said_once(course: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With the magnetometer as source a course does not help."""
+    text = "t_s,gx,gy,gz,ax,ay,az,course_rad,speed_mps\n"
+    text += "".join(f"{k},0,0,0,0,0,9.81,{course or ','}\n" for k in range(20))
+    for heading, n_said in (("mag", 1), ("gps-course", 0 if course else 1)):
+        watch = HeadingWatch(["cf"], heading)
+        pipe({"cf": Stream("cf", heading=heading)}, io.BytesIO(text.encode()), io.StringIO(), see=watch.see)
+        watch.end()
+        assert capsys.readouterr().err.count("the heading of cf is arbitrary and drifts") == n_said
+
+
+def test_a_field_holds_the_heading(capsys: pytest.CaptureFixture[str]) -> None:
+    watch = HeadingWatch(["cf"], "mag")
+    pipe({"cf": Stream("cf")}, io.BytesIO(as_text(untidy(), "csv")), io.StringIO(), see=watch.see)
+    watch.end()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_short_run_without_a_field_is_said_at_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    watch = HeadingWatch(["cf"], "mag")
+    watch.end()
+    assert capsys.readouterr().err == ""
+    watch.see(Lines().read(b'{"t_ns":0,"gx":0,"gy":0,"gz":0,"ax":0,"ay":0,"az":9.8}'))
+    watch.end()
+    watch.end()
+    assert capsys.readouterr().err.count("no magnetometer (mx, my, mz), so") == 1
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda kept: kept["states"].pop("cf"),
+        lambda kept: kept.update(states=[]),
+        lambda kept: kept.update(states=[1]),
+        lambda kept: kept["states"]["cf"]["front"]["guard"].update(t_ns=1e400),
+        lambda kept: kept["states"]["cf"].pop("output"),
+    ],
+)
+def test_a_kept_file_that_lacks_something_is_refused(spoil: Callable[[dict], object], tmp_path: Path) -> None:
+    run = runs_of("cf", None, "double", "mag")
+    kind, makes = kind_of(run, None, None), {"cf": attitude(run[0], None)}
+    keep(tmp_path / "state.json", live(makes, None, kind), kind)
+    assert list(live(makes, tmp_path / "state.json", kind)) == ["cf"]
+    kept = json.loads((tmp_path / "state.json").read_text())
+    spoil(kept)
+    (tmp_path / "spoilt.json").write_text(json.dumps(kept))
+    with pytest.raises(BadParameter):
+        live(makes, tmp_path / "spoilt.json", kind)
+
+
 def test_quantiles_are_good_to_two_percent() -> None:
     latency, draw = Latency(), np.random.default_rng(1).lognormal(9, 1, 20_000).astype(int)
     for ns in draw.tolist():
@@ -194,6 +277,50 @@ def test_a_closed_output_ends_it() -> None:
     assert "Exception ignored" not in said
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no disk that is always full")
+def test_a_full_disk_is_one_line_and_the_state_is_kept(tmp_path: Path) -> None:
+    state = tmp_path / "state.json"
+    with Path("/dev/full").open("w") as full:
+        command, text = [*COMMAND, "-e", "cf", "--save", str(state)], f"{HEADER}\n0,{AT_REST}\n"
+        done = subprocess.run(command, input=text, text=True, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 2
+    assert done.stderr.endswith("stillpoint: standard output: cannot be written (No space left on device)\n")
+    assert "Traceback" not in done.stderr
+    assert json.loads(state.read_text())["states"]["cf"]["front"]["guard"]["t_ns"] == 0
+
+
+def waiting_bytes(pipe_out: TextIO) -> int:
+    """How much was written into a pipe and not read."""
+    return int.from_bytes(fcntl.ioctl(pipe_out, termios.FIONREAD, bytes(4)), sys.byteorder)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_while_nobody_reads_the_output(number: signal.Signals, tmp_path: Path) -> None:
+    state, source = tmp_path / "state.json", tmp_path / "samples.csv"
+    rows = "".join(f"{k * 10_000_000},{AT_REST}\n" for k in range(2000))  # their estimates are more than a pipe holds
+    source.write_text(f"{HEADER}\n{rows}")
+    command = [*COMMAND, "-e", "cf", "--save", str(state)]
+    with (
+        source.open() as given,
+        subprocess.Popen(command, stdin=given, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process,
+    ):
+        begin = process.stdout.read(1)  # it runs
+        held, before = waiting_bytes(process.stdout), -1
+        while held != before:  # until the pipe is full
+            time.sleep(0.5)
+            held, before = waiting_bytes(process.stdout), held
+        process.send_signal(number)
+        assert process.wait(120) == 0
+        said, out = process.stderr.read(), begin + process.stdout.read()
+    assert f"{number.name}, the output was not read" in said
+    assert "Traceback" not in said
+    stamps = [json.loads(line)["t_ns"] for line in out.splitlines()]
+    assert stamps == list(range(0, len(stamps) * 10_000_000, 10_000_000))
+    assert 0 < len(stamps) < 2000
+    kept_ns = json.loads(state.read_text())["states"]["cf"]["front"]["guard"]["t_ns"]
+    assert kept_ns - stamps[-1] in (0, 10_000_000)
+
+
 def test_an_empty_input_is_said_without_latencies() -> None:
     done = subprocess.run([*COMMAND, "-e", "gyro"], input="", text=True, capture_output=True, check=True)
     assert (done.stdout, "nan" in done.stderr) == ("", False)
@@ -222,6 +349,16 @@ def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
         (["--json", "-"], "the standard output is for the estimates"),
         (["--foxglove", "70000", "run.mcap"], "1 to 65535"),
         (["--resume", "nowhere.json"], "cannot be read"),
+        (["--declination", "nan"], "declination nan deg: give an angle within"),
+        (["--declination", "-inf"], "declination -inf deg: give an angle within"),
+        (["--save", "nowhere/state.json"], "Its folder is not there"),
+        (["-e", "vqf,fusion"], "use stillpoint estimate -e vqf,fusion"),
+        (["-e", "cf,vqf", "--precision", "single"], "is not for vqf: other packages compute"),
+        (["--host", "0.0.0.0"], "--host: is for a replay"),
+        (["--speed", "2"], "--speed: is for a replay"),
+        (["--foxglove", "0", "--save", "state.json", "run.mcap"], "--save: is for samples from the standard input"),
+        (["--foxglove", "0", "--json", "facts.json", "run.mcap"], "--json: is for samples from the standard input"),
+        (["--foxglove", "0", "--resume", "state.json", "run.mcap"], "--resume: is for samples from the standard input"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:

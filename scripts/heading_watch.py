@@ -1,0 +1,44 @@
+"""Says when nothing holds the heading of a stream: a run without magnetometer looks like any other."""
+
+import sys
+from collections.abc import Sequence
+
+from stillpoint.filters.heading_source import Heading
+from stillpoint.scripts.sample_lines import Arrival, SpinArrival
+
+PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixes come once a second
+
+
+class HeadingWatch:
+    """Looks for the first field, or the first fix where the heading is to come from them."""
+
+    def __init__(self, names: Sequence[str], heading: Heading) -> None:
+        self._of = ", ".join(names)
+        self._by_course = heading == "gps-course"
+        self._is_done = False
+        self._begun_ns: int | None = None
+
+    def see(self, sample: Arrival | SpinArrival) -> None:
+        """One sample; says so, once, when the patience is over."""
+        if self._is_done or not isinstance(sample, Arrival):
+            return
+        if sample.mag_b_ut is not None or (self._by_course and sample.course is not None):
+            self._is_done = True
+        elif self._begun_ns is None:
+            self._begun_ns = sample.t_ns
+        elif sample.t_ns - self._begun_ns >= PATIENCE_NS:
+            self._say(f" in the first {PATIENCE_NS // 10**9} s; until one comes")
+
+    def end(self) -> None:
+        """No sample more."""
+        if not self._is_done and self._begun_ns is not None:
+            self._say(", so")
+
+    def _say(self, since: str) -> None:
+        self._is_done = True
+        missing = "magnetometer (mx, my, mz)" + " or course (course_rad, speed_mps)" * self._by_course
+        print(
+            f"stillpoint: no {missing}{since} the heading of {self._of} is arbitrary and drifts",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -1,0 +1,25 @@
+"""The samples of a recording as a stream gets them: what ``stream --foxglove`` replays and ``export`` writes."""
+
+from collections.abc import Iterator
+
+from stillpoint.datasets import Recording
+from stillpoint.filters.sources import magnetometer, newest
+from stillpoint.scripts.sample_lines import Arrival
+
+
+def samples(recording: Recording) -> Iterator[Arrival]:
+    """Each IMU sample with the newest field and fix that came since the one before, as a batch run takes them.
+
+    A magnetometer that is not calibrated is left out, the course of a fix that is not valid is NaN. Raises
+    :class:`BadRecording` without an IMU.
+    """
+    imu, (mag, _, _), gps = recording.require_imu(), magnetometer(recording), recording.gps
+    field = None if mag is None else newest(mag.t_ns, imu.t_ns)
+    fix = None if gps is None else newest(gps.t_ns, imu.t_ns)
+    for k, t_ns in enumerate(imu.t_ns.tolist()):
+        here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
+        course = None
+        if gps is not None and fix is not None and fix[k] >= 0:
+            row = fix[k]
+            course = (float(gps.course_rad[row]) if gps.valid[row] else float("nan"), float(gps.speed_mps[row]))
+        yield Arrival(t_ns, tuple(imu.gyro_b_radps[k].tolist()), tuple(imu.accel_b_mps2[k].tolist()), here, course)
