@@ -57,7 +57,7 @@ def simulate(
         Samples per second of gyro and accelerometer; by default 100, for spin 250, for auv 50.
     sensor
         A preset of the kind: "phone" (the default) or "perfect" (without any error); for spin "white" (the default),
-        "glitch", "replica", "adxl345", "tilted", "horizontal", "perfect".
+        "vibration", "glitch", "replica", "adxl345", "tilted", "horizontal", "perfect".
     json
         Also write what was made as JSON to this file; - is the standard output.
     """
