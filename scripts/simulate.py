@@ -56,7 +56,8 @@ def simulate(
     rate
         Samples per second of gyro and accelerometer; by default 100, for spin 250, for auv 50.
     sensor
-        A preset of the kind: "phone" (the default) or "perfect" (without any error); for spin "white" (the default),
+        A preset of the kind: "phone", for auv "auv", for servo-bench "mpu6050" (each the default of its kind), or
+        "perfect" (without any error); for spin "white" (the default),
         "vibration", "glitch", "replica", "adxl345", "tilted", "horizontal", "perfect".
     json
         Also write what was made as JSON to this file; - is the standard output.
