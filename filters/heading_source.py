@@ -5,7 +5,9 @@ one that would be measured at the heading of the course: its tilt-compensated he
 is taken to lie along the track, ``mounting_yaw_rad`` beside it; drift by current, wind and waves is an error of the
 heading. Between fixes the heading goes on by the gyro, fields come at the magnetometer's own rate; without a
 magnetometer they come with the fixes. Without valid course the estimator gets the magnetometer, corrected by what was
-learnt meanwhile.
+learnt meanwhile. A field of zero is none: nothing is learnt from it, and it goes to the estimator as it is, to be left
+out and counted there. When the magnetometer has brought nothing else for ``longest_age_s``, the fields come with the
+fixes.
 
 **What is learnt.** With attitude R (tilt by the stage's own complementary filter, heading by the course) the
 magnetometer reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h, linear in both, so six numbers by
@@ -84,7 +86,7 @@ class Courses(NamedTuple):
     """What is remembered of the fixes."""
 
     since_s: float  # the last one that counted
-    n_in_row: int
+    in_row: int  # of those that counted
     n_course_used: int
     n_course_left_out: int  # not finite, too slow, or the body too steep to have a heading
 
@@ -95,7 +97,7 @@ class State(NamedTuple):
     attitude: Attitude
     courses: Courses
     calibration: Calibration
-    since_mag_s: float
+    since_mag_s: float  # the last field that was not zero
     n_mag_by_course: int  # fields given with the heading of the course
     n_mag_corrected: int  # fields given without a course, corrected by what was learnt
 
@@ -166,18 +168,18 @@ def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
 @compiled_inside
 def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
     """Turn towards the course of one fix; False where it does not count."""
-    since_s, n_in_row, n_used, n_left_out = courses
+    since_s, in_row, n_used, n_left_out = courses
     zero, one = like(since_s, 0.0), like(since_s, 1.0)
     east, north, _ = rotate(attitude.q_nb, (one, zero, zero))
     is_steep = east * east + north * north < like(since_s, STEEP)
     course_rad, speed_mps = like(since_s, fix.course_rad), like(since_s, fix.speed_mps)
     counts = attitude.is_level and not is_steep and abs(course_rad) < like(since_s, 1e3)
     if not (counts and speed_mps >= c.least_speed_mps):
-        return attitude, Courses(since_s, n_in_row, n_used, n_left_out + 1), False
+        return attitude, Courses(since_s, in_row, n_used, n_left_out + 1), False
     behind = course_rad + c.mounting_yaw_rad - atan2(east, north)
     error_n = (zero, zero, -atan2(sin(behind), cos(behind)))
-    share = shares(since_s, since_s * like(since_s, n_in_row + 1), c.course_time_s) if n_in_row > 0 else (one, zero)
-    return turned(attitude, error_n, share), Courses(zero, n_in_row + 1, n_used + 1, n_left_out), True
+    share = shares(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (one, zero)
+    return turned(attitude, error_n, share), Courses(zero, in_row + 1, n_used + 1, n_left_out), True
 
 
 @compiled_inside
@@ -189,28 +191,29 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients 
     if c is None:
         return state, sample
     dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
-    attitude, (since_s, n_in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
+    attitude, (since_s, in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
     since_s += dt_s
     if since_s > c.longest_age_s or dt_s > like(dt_s, GAP_S):
-        n_in_row = 0
-    courses, is_new = Courses(since_s, n_in_row, n_used, n_left_out), False
+        in_row = 0
+    courses, is_new = Courses(since_s, in_row, n_used, n_left_out), False
     if has_fix:
         attitude, courses, is_new = followed(attitude, courses, fix, c)
     calibration, since_mag_s = state.calibration, state.since_mag_s + dt_s
     n_by_course, n_corrected = state.n_mag_by_course, state.n_mag_corrected
-    if courses.n_in_row >= FIXES_TO_SETTLE:
-        if has_mag:
+    is_field = has_mag and dot(mag, mag) > 0
+    if courses.in_row >= FIXES_TO_SETTLE:
+        if is_field:
             calibration = learn(
                 begun(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior
             )
-        has_mag = has_mag or (is_new and not calibration.is_begun)
-        if has_mag:
+        if is_field or (is_new and (not calibration.is_begun or since_mag_s > c.longest_age_s)):
+            has_mag = True
             mag = field_at(calibration, attitude.q_nb, c.prior)
             n_by_course += 1
-    elif has_mag and calibration.is_begun:
+    elif is_field and calibration.is_begun:
         mag = corrected(calibration, attitude.q_nb, mag, c.prior)
         n_corrected += 1
-    if sample.has_mag:
+    if is_field:
         since_mag_s = like(dt_s, 0.0)
     if c.removes_bias:
         gyro = add(gyro, scale(attitude.bias_b_radps, like(dt_s, -1.0)))

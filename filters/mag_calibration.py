@@ -3,6 +3,10 @@
 A magnetometer at attitude R reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h in b, six numbers, in
 which it is linear. They are found recursively, one field after another. What the attitudes so far do not show stays
 where the prior has it: no hard iron, and the azimuth of F at the declination.
+
+A component further off than ``GATE_SD`` counts as if its variance were so much larger that it is there: one wrong field
+moves next to nothing, and a wrong start is left all the same. A field that Earth and hard iron together do not make is
+no start.
 """
 
 from math import atan2, cos, sin, sqrt
@@ -12,7 +16,7 @@ import numpy as np
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, rotate
+from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, dot, rotate
 
 # Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
 INDEPENDENT_S = 1.0
@@ -22,6 +26,10 @@ FIRST_FIELD_SD_UT = 5.0
 WALK_UT_RTS = 0.01
 # The horizontal field where there is no magnetometer, uT; only its direction matters.
 NOMINAL_UT = 20.0
+# The Earth's field is nowhere larger; with three sd of hard iron on it, it is the largest that the first field may be.
+EARTH_UT = 70.0
+# A component of a field further off its expectation than so many sd counts less.
+GATE_SD = 5.0
 
 
 class Prior(NamedTuple):
@@ -51,7 +59,8 @@ def uncalibrated(zero: float) -> Calibration:
 @compiled_inside
 def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
     """The prior, if it is not there yet: F as large as this first field, and at the declination."""
-    if calibration.is_begun:
+    largest = like(prior.hard_iron_sd_ut, EARTH_UT) + prior.hard_iron_sd_ut * like(prior.hard_iron_sd_ut, 3.0)
+    if calibration.is_begun or dot(mag, mag) > largest * largest:
         return calibration
     x, cov = calibration.x_ut, calibration.cov_ut2
     east, north, up = rotate(q_nb, mag)
@@ -73,6 +82,8 @@ def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior)
 def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: float, prior: Prior) -> Calibration:
     """Recursive least squares by one field, ``since_s`` after the one before: its three components in turn."""
     x, cov, is_begun, n_learnt = calibration
+    if not is_begun:
+        return calibration
     zero, one = like(since_s, 0.0), like(since_s, 1.0)
     q_bn, independent_s = conjugate(q_nb), like(since_s, INDEPENDENT_S)
     east, north, up = rotate(q_bn, (one, zero, zero)), rotate(q_bn, (zero, one, zero)), rotate(q_bn, (zero, zero, one))
@@ -86,6 +97,7 @@ def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: floa
             moved[i] = cov[i, 0] * east[axis] + cov[i, 1] * north[axis] + cov[i, 2] * up[axis] + cov[i, 3 + axis]
         spread = moved[0] * east[axis] + moved[1] * north[axis] + moved[2] * up[axis] + moved[3 + axis] + variance
         left = mag[axis] - (x[0] * east[axis] + x[1] * north[axis] + x[2] * up[axis] + x[3 + axis])
+        spread = max(spread, left * left * like(since_s, 1 / GATE_SD**2))
         for i in range(6):
             x[i] += moved[i] * left / spread
             for j in range(6):

@@ -214,6 +214,51 @@ def test_the_heading_of_the_dolphin_after_600_s_under_water(seed: int) -> None:
     assert abs(heading_deg("gps-course")) < 0.4
 
 
+def with_fields(recording: Recording, between_s: tuple[float, float], field_ut: tuple[float, ...]) -> Recording:
+    """The same with this field from a sensor that is broken for a while."""
+    assert recording.mag is not None
+    t_s, fields = recording.mag.t_ns / 1e9, recording.mag.mag_b_ut.copy()
+    fields[(t_s >= between_s[0]) & (t_s < between_s[1])] = field_ut
+    return replace(recording, mag=Mag(recording.mag.t_ns, fields))
+
+
+@pytest.mark.parametrize("field_ut", [(0.0, 0.0, 0.0), (5e5, 1.0, 1.0)])
+@pytest.mark.parametrize("between_s", [(0.0, 30.0), (30.0, 40.0), (80.0, 100.0)])
+def test_fields_that_are_none_are_counted_and_neither_learnt_nor_corrected(
+    between_s: tuple[float, float], field_ut: tuple[float, ...]
+) -> None:
+    clean = sail(circling)
+    broken = with_fields(clean, between_s, field_ut)
+    state, t_s, field_b = given(broken)
+    dark = (t_s >= between_s[0]) & (t_s < between_s[1])
+    is_zero = (field_b == 0).all(axis=1)
+    assert not is_zero[~dark].any()
+    assert not (is_zero & (t_s > 3) & (t_s < 60)).all()  # the courses still lead, fix by fix
+    submerged = (t_s > SUBMERGED_S + 3) & ~dark
+    assert np.abs(azimuth_deg(vessel(circling)(t_s[submerged]), field_b[submerged])).max() < 0.1
+    assert np.abs(state.heading.calibration.x_ut[3:5] - HARD_IRON[:2]).max() < 0.05
+    counts = estimate(broken, "cf", heading="gps-course").diagnostics
+    how_many = round((between_s[1] - between_s[0]) * 25)
+    by_fixes = 30 if between_s[1] < 60 else 0  # where a course stands in, at most one a second
+    assert how_many - by_fixes <= counts["n_no_field"] + counts["n_bad_mag"] <= how_many
+    assert (
+        counts["n_mag_learnt"]
+        == given(clean)[0].heading.calibration.n_mag_learnt - ({30.0: 28 * 25, 40.0: 250, 100.0: 0}[between_s[1]])
+    )
+
+
+@pytest.mark.parametrize("field_ut", [(3000.0, 0.0, 0.0), (-150.0, 90.0, 80.0)])
+@pytest.mark.parametrize("from_s", [2.0, 30.0])  # 2 s: the first field of all
+def test_one_wrong_field_hardly_moves_the_calibration(from_s: float, field_ut: tuple[float, ...]) -> None:
+    clean = sail(circling)
+    state, _, _ = given(clean)
+    spiked, _, _ = given(with_fields(clean, (from_s, from_s + 0.04), field_ut))
+    moved_ut = spiked.heading.calibration.x_ut - state.heading.calibration.x_ut
+    # At the start of a swell it shifts what the swell shows of the vertical parts: within their sd.
+    assert np.abs(moved_ut[[0, 1, 3, 4]]).max() < 0.01
+    assert np.abs(moved_ut).max() < 0.2
+
+
 def test_what_cannot_be_done_is_one_line() -> None:
     recording = sail(straight, seconds=5.0)
     with pytest.raises(BadRecording, match="no satellite fixes"):
