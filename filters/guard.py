@@ -1,33 +1,46 @@
 """What a sensor may bring that is no measurement, and what becomes of it before any estimator sees it.
 
-A table in docs/streaming.md says it in full: time that does not rise, vectors that are not finite, readings at the end
-of a sensor's range, readings that repeat. Each is counted.
+A table in docs/streaming.md says it in full: time that does not rise, vectors that are not finite or larger than any
+sensor reads, readings at the end of a sensor's range, readings that repeat. Each is counted.
+
+**Clock.** A stamp that does not rise is left out. When stamps keep rising among themselves before the last one taken,
+it is the clock that has been set, or that one stamp was wrong: after more than ``GAP_S`` of them the new clock holds,
+and the time that they took is a gap.
 """
 
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Vector
 from stillpoint.filters.sample import GAP_S, Sample
 
-# No sensor reads as much, in rad/s, m/s^2 or uT: such a number is a broken one.
-LARGEST = 1e6
+# No sensor reads as much: such a number is a broken one. The gyro's is that of the check of units.
+LARGEST_RADPS = FASTEST_GYRO_RADPS
+LARGEST_MPS2 = 5000.0  # accelerometers end at 400 g
+LARGEST_UT = 5000.0  # magnetometers of an IMU end at 4900 uT
 # The last good rate stands in for broken ones that long; after it the body is taken to rest.
 HOLD_NS = 1_000_000_000
 # How fast a body may turn otherwise than it did (sd, each axis), where the gyro says nothing.
 UNSEEN_RADPS = 1.0
+# The stamp of what has not been: any clock begins later.
+NEVER_NS = -(2**63)
+LONGEST_NS = 2**63 - 1
+# So many stamps in a row, at least, show another clock.
+CLOCK_SAMPLES = 10
+CLOCK_NS = round(GAP_S * 1e9)
 
 
 @dataclass(frozen=True)
 class Ranges(Settings):
     """Full scale of each sensor: a component that reaches it is saturated. The default means that it is not known."""
 
-    gyro_radps: float = number(LARGEST, 0.0, LARGEST, "full scale of the gyro, rad/s")
-    accel_mps2: float = number(LARGEST, 0.0, LARGEST, "full scale of the accelerometer, m/s^2")
-    mag_ut: float = number(LARGEST, 0.0, LARGEST, "full scale of the magnetometer, uT")
+    gyro_radps: float = number(LARGEST_RADPS, 0.0, LARGEST_RADPS, "full scale of the gyro, rad/s")
+    accel_mps2: float = number(LARGEST_MPS2, 0.0, LARGEST_MPS2, "full scale of the accelerometer, m/s^2")
+    mag_ut: float = number(LARGEST_UT, 0.0, LARGEST_UT, "full scale of the magnetometer, uT")
 
 
 class Fix(NamedTuple):
@@ -61,7 +74,7 @@ class Gyro(NamedTuple):
     """What is remembered of the gyro."""
 
     last_b_radps: Vector  # good one
-    last_ns: int  # its stamp, -1 before the first
+    last_ns: int  # its stamp, NEVER_NS before the first
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
     n_saturated_gyro: int  # used as they are: no better rate is known. The sample says by how much they may be off
     n_same_gyro: int  # bit for bit the one before; used
@@ -85,15 +98,25 @@ class Mag(NamedTuple):
     n_same_mag: int  # used
 
 
+class Late(NamedTuple):
+    """Stamps before the last one taken that rise among themselves, in a row."""
+
+    first_ns: int
+    last_ns: int
+    in_row: int
+
+
 class Guard(NamedTuple):
     """What is remembered of the samples before, and what was met in them."""
 
-    t_ns: int  # of the last sample taken, -1 before the first
+    t_ns: int  # of the last sample taken, NEVER_NS before the first
+    late: Late
     gyro: Gyro
     accel: Accel
     mag: Mag
     n_imu_gaps: int  # intervals too long for one rate to describe them
     n_out_of_order: int  # samples left out: their time does not rise
+    n_clock_steps: int  # how often another clock was taken over
 
 
 class Reading(NamedTuple):
@@ -111,17 +134,24 @@ def coefficients(ranges: Ranges) -> Coefficients:
 
 
 @compiled_inside
+def on_time() -> Late:
+    """No stamp that is late."""
+    return Late(NEVER_NS, NEVER_NS, 0)
+
+
+@compiled_inside
 def start(c: Coefficients) -> Guard:
     """Before the first sample."""
     none = like(c.gyro_radps, nan)  # the same as no vector
     last = (none, none, none)
-    return Guard(-1, Gyro(last, -1, 0, 0, 0), Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0)
+    gyro = Gyro(last, NEVER_NS, 0, 0, 0)
+    return Guard(NEVER_NS, on_time(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
 
 
 @compiled_inside
-def read(v: Vector, last: Vector, limit: float) -> Reading:
+def read(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
     """A vector as it came. NaN is not usable: it is not less than anything."""
-    is_usable = abs(v[0]) < LARGEST and abs(v[1]) < LARGEST and abs(v[2]) < LARGEST
+    is_usable = abs(v[0]) < largest and abs(v[1]) < largest and abs(v[2]) < largest
     vector = like(limit, v[0]), like(limit, v[1]), like(limit, v[2])
     reaches = abs(vector[0]) >= limit or abs(vector[1]) >= limit or abs(vector[2]) >= limit
     return Reading(vector, is_usable, is_usable and reaches, is_usable and vector == last)
@@ -131,6 +161,23 @@ def read(v: Vector, last: Vector, limit: float) -> Reading:
 def clipped(rate: float, limit: float) -> float:
     """What a component at the end of its range may hide: as much again."""
     return limit if abs(rate) >= limit else like(limit, 0.0)
+
+
+@compiled_inside
+def elapsed_ns(t_ns: int, before_ns: int) -> int:
+    """Between two stamps of which the first is later; centuries apart it is the longest that there is."""
+    elapsed = t_ns - before_ns
+    return elapsed if elapsed >= 0 else LONGEST_NS
+
+
+@compiled_inside
+def later(late: Late, t_ns: int) -> tuple[Late, bool]:
+    """With one more stamp that does not rise; True when they have risen for long enough among themselves."""
+    first_ns, last_ns, in_row = late
+    if in_row == 0 or t_ns <= last_ns:
+        return Late(t_ns, t_ns, 1), False
+    late = Late(first_ns, t_ns, in_row + 1)
+    return late, in_row + 1 >= CLOCK_SAMPLES and elapsed_ns(t_ns, first_ns) > CLOCK_NS
 
 
 @compiled_inside
@@ -145,9 +192,9 @@ def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
     zero, unseen = like(limit, 0.0), like(limit, UNSEEN_RADPS)
     rate, hidden = (zero, zero, zero), (unseen, unseen, unseen)
-    if last_ns >= 0 and t_ns - last_ns <= HOLD_NS:
+    if last_ns != NEVER_NS and elapsed_ns(t_ns, last_ns) <= HOLD_NS:
         rate = last
-    elif last_ns >= 0:  # it may still turn as it did
+    elif last_ns != NEVER_NS:  # it may still turn as it did
         hidden = max(unseen, abs(last[0])), max(unseen, abs(last[1])), max(unseen, abs(last[2]))
     return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate, hidden
 
@@ -167,21 +214,26 @@ def counted(reading: Reading) -> tuple[int, int, int]:
 @compiled_inside
 def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     """The sample that an estimator gets; False: none, as time has not risen."""
-    t_ns, gyro, accel, mag, n_gaps, n_out_of_order = guard
+    t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps = guard
     zero = like(c.gyro_radps, 0.0)
     none = (zero, zero, zero)
     if raw.t_ns <= t_ns:
-        guard = Guard(t_ns, gyro, accel, mag, n_gaps, n_out_of_order + 1)
-        return guard, Sample(zero, none, none, none, False, False, none), False
-    dt_s = like(zero, (raw.t_ns - t_ns) / 1e9) if t_ns >= 0 else zero
+        late, is_clock = later(late, raw.t_ns)
+        if not is_clock:
+            guard = Guard(t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order + 1, n_clock_steps)
+            return guard, Sample(zero, none, none, none, False, False, none), False
+        # What was left out took that long; a rate from before it is no longer held.
+        t_ns, n_clock_steps = late.first_ns, n_clock_steps + 1
+        gyro = Gyro(gyro.last_b_radps, NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
+    dt_s = like(zero, elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else zero
     n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
-    reading = read(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps)
+    reading = read(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
     gyro, rate, hidden = rate_of(gyro, reading, raw.t_ns, c.gyro_radps)
-    force = read(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2)
+    force = read(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)
     n_bad, n_saturated, n_same = counted(force)
     last = force.vector if force.is_usable else accel.last_b_mps2
     accel = Accel(last, accel.n_bad_accel + n_bad, accel.n_saturated_accel + n_saturated, accel.n_same_accel + n_same)
-    field = read(raw.mag_b_ut, mag.last_b_ut, c.mag_ut)
+    field = read(raw.mag_b_ut, mag.last_b_ut, c.mag_ut, LARGEST_UT)
     if raw.has_mag:
         n_bad, n_saturated, n_same = counted(field)
         last = field.vector if field.is_usable else mag.last_b_ut
@@ -189,4 +241,4 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     has_accel, has_mag = not left_out(force), raw.has_mag and not left_out(field)
     accel_b, mag_b = force.vector if has_accel else none, field.vector if has_mag else none
     sample = Sample(dt_s, rate, accel_b, mag_b, has_accel, has_mag, hidden)
-    return Guard(raw.t_ns, gyro, accel, mag, n_gaps, n_out_of_order), sample, True
+    return Guard(raw.t_ns, on_time(), gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps), sample, True

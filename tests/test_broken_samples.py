@@ -273,6 +273,68 @@ def test_time_that_does_not_rise_changes_nothing(name: str) -> None:
     assert plain(after.front.heading) == plain(before.front.heading)
 
 
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("step_ns", [10**18, -500 * 10**9], ids=["one stamp in the future", "clock set back"])
+def test_a_clock_that_is_set_does_not_freeze_a_stream(name: str, step_ns: int) -> None:
+    recording = record(gentle, regular(60.0))
+    imu, mag = recording.require_imu(), recording.mag
+    assert mag is not None
+    stream, started_ns = Stream(name), 10**12
+    for k, t_ns in enumerate(imu.t_ns):
+        shift = step_ns if (k == 1000 if step_ns > 0 else k >= 1000) else 0
+        said = stream.update(started_ns + int(t_ns) + shift, imu.gyro_b_radps[k], imu.accel_b_mps2[k], mag.mag_b_ut[k])
+    counts = stream.counts
+    assert counts["n_out_of_order"] == 101  # over more than 1 s of their own time; the next one counts
+    assert counts["n_clock_steps"] == 1
+    assert counts["n_imu_gaps"] == (2 if step_ns > 0 else 1)
+    off_deg = np.rad2deg((rotation(said.q_nb) * gentle(imu.t_ns[-1:] / 1e9)[0].inv()).magnitude())
+    if name not in ("gyro", "acc-ma"):
+        assert off_deg < 5
+    saved = Stream(name, saved=pickle.loads(pickle.dumps(stream.save())))
+    assert saved.counts == counts
+
+
+def test_a_few_late_samples_are_no_other_clock() -> None:
+    """A buffer that comes late, 0.9 s of it, or stamps that fall or repeat for however long."""
+    stream = Stream("cf")
+    rest = (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, 20.0, -44.0)
+    late_ms = [*range(1000, 1900, 10), *range(1900, 100, -10), *[500] * 300]
+    for t_ms in (9000, *late_ms, 9010):
+        stream.update(t_ms * 1_000_000, *rest)
+    assert (stream.counts["n_out_of_order"], stream.counts["n_clock_steps"]) == (len(late_ms), 0)
+
+
+@pytest.mark.parametrize("name", ["cf", "gyro"])
+def test_stamps_before_zero_are_stamps(name: str) -> None:
+    recording = record(gentle, regular(5.0))
+    whole, before = Stream(name), Stream(name)
+    imu, mag = recording.require_imu(), recording.mag
+    assert mag is not None
+    for k, t_ns in enumerate(imu.t_ns):
+        sample = imu.gyro_b_radps[k], imu.accel_b_mps2[k], mag.mag_b_ut[k]
+        expected = whole.update(int(t_ns), *sample)
+        assert before.update(int(t_ns) - 3_000_000_000, *sample) == expected
+    assert before.counts == whole.counts
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_what_no_sensor_reads_is_no_measurement(name: str) -> None:
+    """9e4 rad/s in one sample are half a turn and 5e5 uT another field, if they are taken at their word."""
+    rest = (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, 20.0, -44.0)
+    stream = Stream(name)
+    for k in range(3000):
+        gyro, accel, field = rest
+        if k == 1000:
+            gyro = (9e4, 7000.0, 1.0)
+        if k == 1500:
+            accel = (9e4, 1.0, 1.0)
+        if k == 2000:
+            field = (5e5, 1.0, 1.0)
+        said = stream.update(k * 20_000_000, gyro, accel, field)
+    assert [stream.counts[f"n_bad_{sensor}"] for sensor in ("gyro", "accel", "mag")] == [1, 1, 1]
+    assert np.rad2deg(rotation(said.q_nb).magnitude()) < 0.1
+
+
 def test_saved_counts_go_on() -> None:
     stream = Stream("cf")
     for k in range(5):
