@@ -4,11 +4,17 @@ from math import sqrt
 from typing import NamedTuple
 
 from stillpoint.datasets.quaternion import half_angle
-from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.rotation import Quaternion, Vector
+from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
+from stillpoint.filters.covariance import ANY_ANGLE_RAD2
+from stillpoint.filters.rotation import Quaternion, Vector, cross
 
 # Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.
 GIMBAL = 0.02
+# And below which roll and heading begin to be: it is within 14 deg.
+STEEP = 0.25
+
+
+Nine = tuple[float, float, float, float, float, float, float, float, float]  # a 3 x 3 by rows
 
 
 class Frame(NamedTuple):
@@ -67,14 +73,50 @@ def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
     up, (_, across_y, across_z), cos_pitch = frame_of(q_nb)
     x, y, z = hidden_b_rad
     least = like(x, GIMBAL)
+    if cos_pitch < least:  # any horizontal axis may be that of pitch
+        across_y = across_z = like(x, 1.0)
     heading = (abs(up[1]) * y + abs(up[2]) * z) / max(cos_pitch * cos_pitch, least * least)
     return x + abs(up[0]) * heading, abs(across_y) * y + abs(across_z) * z, heading
 
 
 @compiled_inside
-def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> tuple[float, ...]:
-    """Variances of the Euler angles as the covariance of a small rotation in body axes."""
+def grown_by(cov: Nine, variance: float, axis: Vector) -> Nine:
+    """With an independent error about this axis."""
+    x, y, z = axis
+    ax, ay, az = variance * x, variance * y, variance * z
+    xy, xz, yz = cov[1] + ax * y, cov[2] + ax * z, cov[5] + ay * z
+    return cov[0] + ax * x, xy, xz, xy, cov[4] + ay * y, yz, xz, yz, cov[8] + az * z
+
+
+@compiled_apart
+def steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
+    """As :func:`covariance`, near the vertical."""
+    (ux, uy, uz), across, cos_pitch = frame
+    zero, one, two = like(roll, 0.0), like(roll, 1.0), like(roll, 2.0)
+    share = cos_pitch * like(roll, 1 / STEEP)
+    mirrored = min(roll, like(roll, ANY_ANGLE_RAD2)) * (one - share * share) / two
+    tilt = max(pitch - roll * cos_pitch * cos_pitch, zero) * (one - share * share)
+    cov = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    cov = grown_by(cov, min(roll, like(roll, ANY_ANGLE_RAD2)) - mirrored, (one, zero, zero))
+    cov = grown_by(cov, mirrored, (one - two * ux * ux, -two * ux * uy, -two * ux * uz))
+    cov = grown_by(cov, pitch, across)
+    cov = grown_by(cov, heading, (ux, uy, uz))
+    return grown_by(cov, tilt, cross((ux, uy, uz), across))
+
+
+@compiled_inside
+def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
+    """Variances of the Euler angles as the covariance of a small rotation in body axes.
+
+    An error of roll is one about body x. Where x is near the vertical that is up as well, but what the filters know is
+    the tilt, about a horizontal axis, and the turn about up, each by its own sensor; the sum of three independent
+    angles would have tilt and turn cancel each other, down to a variance of 0. So from ``STEEP`` on the two go over
+    into independent ones: half of the roll's variance along x, half along its mirror image in the horizontal plane.
+    And the tilt is never known better than that about the axis of pitch, by the same sensor.
+    """
     up, (_, py, pz) = frame.up_b, frame.pitch_b
+    if frame.cos_pitch < like(roll, STEEP):
+        return steep_covariance(roll, pitch, heading, frame)
     xy, xz, yz = heading * up[0] * up[1], heading * up[0] * up[2], heading * up[1] * up[2] + pitch * py * pz
     xx, yy = roll + heading * up[0] * up[0], pitch * py * py + heading * up[1] * up[1]
     return xx, xy, xz, xy, yy, yz, xz, yz, pitch * pz * pz + heading * up[2] * up[2]

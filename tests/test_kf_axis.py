@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from stillpoint.datasets import Estimate, Imu, Info, Mag, Recording
-from stillpoint.datasets.frames import euler, rotation
+from stillpoint.datasets.frames import euler, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters import Stream, estimate
+from stillpoint.filters.euler_axes import STEEP, covariance, frame_of
 from stillpoint.filters.kf_axis import GIMBAL, Params, without_coriolis
 
 G = 9.81
@@ -277,3 +278,45 @@ def test_through_the_vertical_the_gyro_alone_is_followed_and_counted() -> None:
     vertical = np.abs(np.cos(np.deg2rad(90) * t_s)) < GIMBAL
     assert found.diagnostics["n_gimbal"] == vertical.sum() > 0
     assert np.isnan(found.innovation[vertical][:, :2]).all()
+
+
+@pytest.mark.parametrize("pitch_deg", [0, 60, 75, 76, 80, 85, 88, 89.5, 90, -80, -88, -90])
+def test_the_covariance_is_honest_at_every_pitch(pitch_deg: float) -> None:
+    """A minute at rest: three angles on their own say 0.005 deg at 88 deg of pitch, off by 0.3, and 0 at 90."""
+    t_s, nees = np.arange(6000) / 100, []
+    pose = Rotation.from_euler("ZYX", [20, pitch_deg, 0], degrees=True)
+    params = {"tilt_sd_rad": 0.02, "heading_sd_rad": 0.05, "gyro_noise_rad_rts": 1e-3}
+    for seed in range(8):
+        draw = np.random.default_rng(seed)
+        gyro = draw.normal(0, 1e-3, (len(t_s), 3))
+        accel = pose.inv().apply([0, 0, G]) + draw.normal(0, 0.05, (len(t_s), 3))
+        mag = pose.inv().apply([0, 20, -44]) + draw.normal(0, 0.3, (len(t_s), 3))
+        found = estimate(recorded(t_s, gyro, accel, mag), "kf-axis", params)  # refuses a variance that is not positive
+        assert np.linalg.eigvalsh(found.cov_b_rad2[::50]).min() > 1e-9
+        d = (rotation(found.q_nb[-1]).inv() * pose).as_rotvec()
+        nees.append(d @ np.linalg.solve(found.cov_b_rad2[-1], d) / 3)
+    assert max(nees) < 1
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_vertical_x_axis_has_a_positive_covariance(precision: str) -> None:
+    """Exactly vertical, where it was singular, and in a stream as in a recording."""
+    n = 500
+    recording = recorded(
+        np.arange(n) / 100, np.zeros((n, 3)), np.tile([G, 0, 0], (n, 1)), np.tile([-44, 20, 0.5], (n, 1))
+    )
+    found = estimate(recording, "kf-axis", precision=precision)
+    assert np.linalg.eigvalsh(found.cov_b_rad2).min() > np.deg2rad(1) ** 2
+    stream = Stream("kf-axis", precision=precision)
+    for k in range(n):
+        out = stream.update(k * 10_000_000, (0, 0, 0), (G, 0, 0), (-44, 20, 0.5))
+    assert (np.reshape(out.cov_b_rad2, (3, 3)) == found.cov_b_rad2[-1]).all()
+
+
+def test_the_covariance_goes_over_without_a_step() -> None:
+    frames = [
+        from_python(frame_of)(tuple(quaternion(Rotation.from_euler("Y", 75.5 + x, degrees=True)))) for x in (0, 0.1)
+    ]
+    assert frames[0].cos_pitch > STEEP > frames[1].cos_pitch
+    before, after = (np.array(from_python(covariance)(1e-3, 2e-3, 3e-3, frame)) for frame in frames)
+    assert np.abs(after - before).max() < 2e-5
