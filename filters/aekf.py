@@ -177,7 +177,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         heading, trust = trust_heading(heading, x, p, at.heading, nu, c)
         heading_beyond = update_heading(x, p, at.heading, trust.alpha, body.status, c.ekf) or trust.at_limit
         turn_errors(x, p)
-        body = corrected(body, at, (velocity_beyond, heading_beyond), c.ekf)
+        body = corrected(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
     return State(body, velocity, heading), output(body, innovations, c.ekf)
 
 

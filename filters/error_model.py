@@ -30,7 +30,10 @@ find the rest.
 
 Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
-the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So nothing is locked out for ever.
+the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So is it when innovations are small but
+on the same side for as long, while the field looks known: their mean over ``heading_patience_s`` is beyond ``OFF_SD``
+of what the mean of independent ones has. A filter that is too sure of itself would follow them for an hour. And so is
+it when the known field, which the Earth has nowhere, gives way to another (:mod:`stillpoint.filters.known_field`).
 """
 
 from dataclasses import dataclass
@@ -59,6 +62,8 @@ from stillpoint.filters.window import Turning, Window, is_measured
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
 # How far the specific force may be from gravity where the accelerometer gave nothing.
 LOST_MPS2 = 5.0
+# The mean of the heading's innovations, in its own sd, from which on the heading is wrong and not they.
+OFF_SD = 6.0
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,7 @@ class Status(NamedTuple):
     since_field_s: float  # since the last window with a usable field
     tilt_doubt_s: float  # for how long innovations have been beyond the gate
     heading_doubt_s: float
+    heading_off: float  # mean of the heading's innovations while the field looks known, whitened, over the patience
 
 
 class Met(NamedTuple):

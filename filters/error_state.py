@@ -19,6 +19,7 @@ from stillpoint.filters.covariance import (
 from stillpoint.filters.error_model import (
     BIAS,
     HEADING,
+    OFF_SD,
     SIZE,
     VELOCITY,
     Body,
@@ -29,7 +30,7 @@ from stillpoint.filters.error_model import (
     attitude_noise,
 )
 from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north
-from stillpoint.filters.known_field import learn, looks, no_field
+from stillpoint.filters.known_field import alike, is_earthly, learn, looks, no_field
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
@@ -64,7 +65,7 @@ def start(c: Coefficients) -> Body:
         p[BIAS + i, BIAS + i] = c.bias_variance
     for i in range(VELOCITY, SIZE):
         p[i, i] = c.velocity_variance
-    status = Status(False, False, False, zero, zero, zero)
+    status = Status(False, False, False, zero, zero, zero, zero)
     met = Met(0, 0, 0, 0, 0, 0, 0)
     return Body((half, zero, zero, half), x, p, no_samples(zero), moving(zero), no_field(zero), status, met)
 
@@ -130,7 +131,7 @@ def begin(
 ) -> tuple[Quaternion, Status, bool]:
     """Tilt and heading, as far as they are missing and there is a sample to tell them; False: a field without north."""
     use_accel, use_mag, is_gap = use
-    is_level, is_headed, is_ready, since_s, _, _ = status
+    is_level, is_headed, is_ready, since_s, _, _, _ = status
     zero, found = like(c.gate, 0.0), True
     if is_gap:
         is_level, is_headed, is_ready = False, False, False
@@ -140,7 +141,7 @@ def begin(
         turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if found:
             q_nb, is_headed = to_north(q_nb, turn, x, p, c), True
-    return q_nb, Status(is_level, is_headed, is_ready, since_s, zero, zero), found
+    return q_nb, Status(is_level, is_headed, is_ready, since_s, zero, zero, zero), found
 
 
 @compiled_apart
@@ -203,10 +204,18 @@ def add_curvature(x: Matrix, p: Matrix) -> None:
 
 
 @compiled_apart
-def corrected(body: Body, at: Due, beyond: tuple[bool, bool], c: Coefficients) -> Body:
+def doubt_heading(p: Matrix, c: Coefficients) -> None:
+    """Nothing is known of the heading, nor of the bias that followed it."""
+    forget(p, HEADING, like(c.gate, ANY_ANGLE_RAD2))
+    for i in range(3):
+        forget(p, BIAS + i, c.bias_variance)
+
+
+@compiled_apart
+def corrected(body: Body, at: Due, nu_heading: float, beyond: tuple[bool, bool], c: Coefficients) -> Body:
     """The next window's beginning: the attitude moved by its error, and what the updates met."""
     q_nb, x, p, window, _, field, status, met = body
-    is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s = status
+    is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off = status
     n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = met
     length_s, zero = window.turning.length_s, like(c.gate, 0.0)
     q_nb = normalise(multiply(rotation.exp((x[0], x[1], x[2])), q_nb))
@@ -223,11 +232,20 @@ def corrected(body: Body, at: Due, beyond: tuple[bool, bool], c: Coefficients) -
         n_heading += 1 if heading_doubt_s >= c.heading_patience_s else 0
         heading_doubt_s = min(heading_doubt_s, c.heading_patience_s) + length_s if beyond[1] else zero
         seen = looks(scale(window.fields.sum_n_ut, like(zero, 1.0) / window.fields.how_many), length_s)
+        known, n_known = field.known, field.n_new_fields
         field = learn(field, seen, window.turning.turned_rad / length_s, c.tolerance)
         since_s = zero
+        share = min(length_s / c.heading_patience_s, like(zero, 1.0))
+        if alike(field.known, seen, c.tolerance):
+            heading_off += (nu_heading - heading_off) * share
+        is_off = heading_off * heading_off > share * like(zero, OFF_SD * OFF_SD / 2)
+        is_away = field.n_new_fields > n_known and not is_earthly(known)  # from the iron at which it began
+        if is_off or is_away:
+            doubt_heading(p, c)
+            heading_off, n_heading = zero, n_heading + 1
     elif window.fields.how_many > 0:
         n_no_north += 1
-    status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s)
+    status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off)
     met = Met(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
     return Body(q_nb, x, p, no_samples(zero), at.still, field, status, met)
 

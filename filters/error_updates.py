@@ -181,4 +181,4 @@ def updated(body: Body, is_in_body: bool, c: Coefficients) -> tuple[Body, Vector
     heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
     if is_in_body:
         turn_errors(x, p)
-    return corrected(body, at, (velocity_beyond, heading_beyond), c), innovations
+    return corrected(body, at, innovations[2], (velocity_beyond, heading_beyond), c), innovations

@@ -6,7 +6,8 @@ two: :func:`disturbance_ut2`.
 
 A field like the known one is taken into it, with a memory of ``memory_s``. Another one is a disturbance, unless it
 stays the same for ``admission_s`` while the body turns: an object that moves along or stands near does not look the
-same from all sides, another place does.
+same from all sides, another place does. Where the known field is one that the Earth has nowhere, as after a start
+beside iron, and the other one is not, it need not turn.
 """
 
 from math import atan2, pi, sqrt
@@ -17,6 +18,8 @@ from stillpoint.filters.rotation import Vector, norm
 
 # Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
 TURNING_RADPS = pi / 9
+# The Earth's field is nowhere smaller or larger, uT.
+EARTH_UT = (20.0, 70.0)
 # By which another field follows what is seen of it.
 SHARE_OF_NEWEST = 0.1
 
@@ -68,6 +71,12 @@ def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
 
 
 @compiled_inside
+def is_earthly(a: Looks) -> bool:
+    """Whether the Earth has a field of this size."""
+    return a.size_ut > like(a.size_ut, EARTH_UT[0]) and a.size_ut < like(a.size_ut, EARTH_UT[1])
+
+
+@compiled_inside
 def towards(a: Looks, b: Looks, share: float, seen_s: float) -> Looks:
     """a moved by a share of the way to b."""
     return Looks(a.size_ut + share * (b.size_ut - a.size_ut), a.dip_rad + share * (b.dip_rad - a.dip_rad), seen_s)
@@ -92,7 +101,8 @@ def learn(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance) -> Kn
         seen_s = min(known.seen_s + seen.seen_s, max(c.memory_s, seen.seen_s))
         known = towards(known, seen, seen.seen_s / seen_s, seen_s)
         return KnownField(known, Looks(zero, zero, zero), n_disturbed, n_new_fields)
-    stood_s = seen.seen_s if rate_radps > like(zero, TURNING_RADPS) else zero
+    shows = rate_radps > like(zero, TURNING_RADPS) or (is_earthly(seen) and not is_earthly(known))
+    stood_s = seen.seen_s if shows else zero
     n_disturbed += 1
     if not alike(other, seen, c):
         other = Looks(seen.size_ut, seen.dip_rad, stood_s)
