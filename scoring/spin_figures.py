@@ -15,7 +15,7 @@ from stillpoint.scoring.spin_identify import Identified
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110
 CHOSEN, LIMIT = "o", ":"
-ABOVE, BELOW = (4, 4), (-40, -32)  # of a curve, its label in points; filtered and raw may lie close
+ABOVE, BELOW = (4, 4), (4, -28)  # of a curve, its label in points; filtered and raw may lie close
 BESIDE = 0.2  # of the room of a trial, between its markers
 LABEL_AT = 12  # of the points of a curve
 LINES = 7  # of equal error in a map
