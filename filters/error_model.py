@@ -32,11 +32,13 @@ Innovations beyond ``gate_sd`` are taken as if their variance were so much large
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
 the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So is it when innovations are small but
 on the same side for as long, while the field looks known: their mean over ``heading_patience_s`` is beyond ``OFF_SD``
-of what the mean of independent ones has. A filter that is too sure of itself would follow them for an hour. And so is
-it when the known field, which the Earth has nowhere, gives way to another (:mod:`stillpoint.filters.known_field`).
+of what the mean of independent ones has, and beyond ``OFF_RAD``. A filter that is too sure of itself would follow them
+for an hour. And so is it when the known field, which the Earth has nowhere, gives way to another
+(:mod:`stillpoint.filters.known_field`).
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +66,8 @@ HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
 LOST_MPS2 = 5.0
 # The mean of the heading's innovations, in its own sd, from which on the heading is wrong and not they.
 OFF_SD = 6.0
+# And as an angle: less than that is what iron in a room does, and no reason to begin again.
+OFF_RAD = pi / 18
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from stillpoint.filters.covariance import (
 from stillpoint.filters.error_model import (
     BIAS,
     HEADING,
+    OFF_RAD,
     OFF_SD,
     SIZE,
     VELOCITY,
@@ -238,7 +239,10 @@ def corrected(body: Body, at: Due, nu_heading: float, beyond: tuple[bool, bool],
         share = min(length_s / c.heading_patience_s, like(zero, 1.0))
         if alike(field.known, seen, c.tolerance):
             heading_off += (nu_heading - heading_off) * share
-        is_off = heading_off * heading_off > share * like(zero, OFF_SD * OFF_SD / 2)
+        square = heading_off * heading_off
+        is_off = square > share * like(zero, OFF_SD * OFF_SD / 2) and square * at.heading.variance > like(
+            zero, OFF_RAD**2
+        )
         is_away = field.n_new_fields > n_known and not is_earthly(known)  # from the iron at which it began
         if is_off or is_away:
             doubt_heading(p, c)

@@ -321,6 +321,23 @@ def test_iron_at_the_start_is_left_behind(name: str, iron_s: int, moves: bool) -
     assert stream.counts["n_heading_restarts"] == 1
 
 
+@pytest.mark.parametrize("name", KALMAN)
+def test_a_heading_that_stays_off_in_a_known_field_begins_again(name: str) -> None:
+    """Half a minute at iron of the Earth's size, then motion: it shows another field, and a heading 66 deg off."""
+    stream, t_ns, t_s = Stream(name), 0, np.arange(9000) / 50
+    for _ in range(1500):
+        t_ns += 20_000_000
+        stream.update(t_ns, (0, 0, 0), (0, 0, 9.81), (45.0, 20.0, -30.0))
+    true = Rotation.from_rotvec(np.column_stack([0.4 * np.sin(t_s), 0.3 * np.sin(1.3 * t_s), np.sin(0.5 * t_s)]))
+    gyro = np.vstack([np.zeros(3), (true[:-1].inv() * true[1:]).as_rotvec() * 50])
+    accel, field = true.inv().apply([0, 0, 9.81]), true.inv().apply(FIELD_N)
+    for k in range(len(t_s)):
+        t_ns += 20_000_000
+        said = stream.update(t_ns, gyro[k], accel[k], field[k])
+    assert stream.counts["n_heading_restarts"] >= 1
+    assert np.rad2deg((rotation(said.q_nb) * true[-1].inv()).magnitude()) < 3
+
+
 @pytest.mark.real_data
 def test_on_broad_they_are_better_than_vqf_with_one_set_of_parameters(data_dir: Path) -> None:
     """The goal is 1.3 times the mean of vqf; here all three are below 0.9 times, on the 12 trials at hand."""
