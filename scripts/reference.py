@@ -13,8 +13,8 @@ from stillpoint.datasets import Reference, RollReference, write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.datasets.store import sha256
-from stillpoint.datasets.trajectory import total_sd_rad
+from stillpoint.datasets.store import read_reference, sha256
+from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts import inputs
 from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
@@ -56,6 +56,15 @@ ROLL_COLUMNS = (
 
 
 @dataclass(frozen=True)
+class _Known:
+    """A calibration that the user named, and the file that it is from."""
+
+    name: str
+    sha256: str
+    calibration: Calibration
+
+
+@dataclass(frozen=True)
 class _Job:
     source: Path
     target: Path
@@ -70,6 +79,7 @@ def reference(
     method: str | None = None,
     preset: str | None = None,
     set_: SetFlag = None,
+    calibration: Path | None = None,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
@@ -93,6 +103,8 @@ def reference(
     set_
         A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them); on top
         of the preset.
+    calibration
+        A reference of the same sensor, NAME.reference.mcap: readings are corrected first by the calibration in it.
     jobs
         Processes; by default one per core, fewer for few recordings.
     json
@@ -107,7 +119,10 @@ def reference(
         methods = dict.fromkeys(sources, named)
     settings = _settings(list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes)
     work = _jobs(methods, inputs.output_dir(out))
-    outcomes = run_jobs(partial(_make, settings=settings), work, jobs, "reference")
+    known = None
+    if calibration is not None:
+        known = _Known(calibration.name, calibration=_calibration_in(calibration), sha256=sha256(calibration))
+    outcomes = run_jobs(partial(_make, settings=settings, known=known), work, jobs, "reference")
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
@@ -151,13 +166,24 @@ def _jobs(methods: Mapping[Path, Sequence[str]], folder: Path) -> list[_Job]:
     return work
 
 
-def _make(job: _Job, settings: Mapping[str, Settings]) -> dict[str, Any]:
+def _calibration_in(path: Path) -> Calibration:
+    """The calibration of a reference; raises :class:`BadParameter` for a file that has none."""
+    if not path.is_file():
+        raise BadParameter(f"--calibration {path}: there is no such file; name a reference of the same sensor")
+    found = read_reference(path).calibration
+    if found.gyro_matrix is None:
+        raise BadParameter(f"--calibration {path}: holds no calibration; name a reference by the method graph")
+    return found
+
+
+def _make(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> dict[str, Any]:
     """Read, make, write; the facts of the table."""
     recording = open_recording(job.source)
     begun = perf_counter()
-    made = make_reference(recording, job.method, settings[job.method])
+    made = make_reference(recording, job.method, settings[job.method], known.calibration if known else None)
     seconds = perf_counter() - begun
-    made = replace(made, made_from={job.source.name: sha256(job.source)})
+    made_from = {job.source.name: sha256(job.source)} | ({known.name: known.sha256} if known else {})
+    made = replace(made, made_from=made_from)
     write(job.target, made)
     return {**(_facts(made) if isinstance(made, Reference) else _roll_facts(made)), "seconds": seconds}
 

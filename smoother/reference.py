@@ -8,8 +8,9 @@ from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.datasets.trajectory import Reference, RollReference
+from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
 from stillpoint.smoother.graph_params import PRESETS, GraphParams
+from stillpoint.smoother.known_calibration import corrected, in_raw_readings
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.roll_params import RollGraphParams
 
@@ -96,18 +97,28 @@ def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Set
 
 
 def reference(
-    recording: Recording, method: str | None = None, params: Settings | Mapping[str, Any] | None = None
+    recording: Recording,
+    method: str | None = None,
+    params: Settings | Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
 ) -> Reference | RollReference:
     """The reference trajectory of a recording: an attitude, or angle and rate about the axis of a spinning body.
 
     ``method`` is one of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams. ``params`` is
     an object of the method's settings class, or a mapping of dotted names to values
-    (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. Raises :class:`BadParameter` for a method or
-    setting that is not there, :class:`Unobservable` when the recording does not fix a reference.
+    (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. ``calibration`` is what is known of the sensor, as
+    of an earlier reference: readings are corrected by it first. Raises :class:`BadParameter` for a method or setting
+    that is not there, :class:`Unobservable` when the recording does not fix a reference.
     """
     name = default_method(recording) if method is None else method
     settings = settings_of(name, params)
-    return replace(method_of(name).function(recording, settings), params=asdict(settings))
+    function = method_of(name).function
+    if calibration is None:
+        return replace(function(recording, settings), params=asdict(settings))
+    made = function(corrected(recording, calibration), settings)
+    if isinstance(made, Reference):
+        made = in_raw_readings(made, calibration)
+    return replace(made, params=asdict(settings))
 
 
 def attitude_reference(
