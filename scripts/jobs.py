@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 
@@ -44,7 +44,9 @@ def run_jobs(
     worthwhile = min(os.cpu_count() or 1, -(-len(items) // ITEMS_PER_WORKER))
     workers = min(jobs or worthwhile, len(items))
     outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
-    with Progress(console=Console(stderr=True), transient=True, disable=len(items) < 2) as progress:
+    alone = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = alone if len(items) == 1 else Progress.get_default_columns()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=len(items))
         if workers < 2:
             for place, item in enumerate(items):
