@@ -46,7 +46,8 @@ def run_jobs(
     outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
     alone = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     columns = alone if len(items) == 1 else Progress.get_default_columns()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=len(items))
         if workers < 2:
             for place, item in enumerate(items):
