@@ -13,13 +13,12 @@ beside iron, and the other one is not, it need not turn.
 from math import atan2, pi, sqrt
 from typing import NamedTuple
 
+from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.filters.compiled import compiled, compiled_inside, like
 from stillpoint.filters.rotation import Vector, norm
 
 # Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
 TURNING_RADPS = pi / 9
-# The Earth's field is nowhere smaller or larger, uT.
-EARTH_UT = (20.0, 70.0)
 # By which another field follows what is seen of it.
 SHARE_OF_NEWEST = 0.1
 
@@ -73,7 +72,7 @@ def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
 @compiled_inside
 def is_earthly(a: Looks) -> bool:
     """Whether the Earth has a field of this size."""
-    return a.size_ut > like(a.size_ut, EARTH_UT[0]) and a.size_ut < like(a.size_ut, EARTH_UT[1])
+    return a.size_ut > like(a.size_ut, FIELD_RANGE_UT[0]) and a.size_ut < like(a.size_ut, FIELD_RANGE_UT[1])
 
 
 @compiled_inside

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, dot, rotate
@@ -26,8 +27,6 @@ FIRST_FIELD_SD_UT = 5.0
 WALK_UT_RTS = 0.01
 # The horizontal field where there is no magnetometer, uT; only its direction matters.
 NOMINAL_UT = 20.0
-# The Earth's field is nowhere larger; with three sd of hard iron on it, it is the largest that the first field may be.
-EARTH_UT = 70.0
 # A component of a field further off its expectation than so many sd counts less.
 GATE_SD = 5.0
 
@@ -58,8 +57,11 @@ def uncalibrated(zero: float) -> Calibration:
 
 @compiled_inside
 def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
-    """The prior, if it is not there yet: F as large as this first field, and at the declination."""
-    largest = like(prior.hard_iron_sd_ut, EARTH_UT) + prior.hard_iron_sd_ut * like(prior.hard_iron_sd_ut, 3.0)
+    """The prior, if it is not there yet: F as large as this first field, and at the declination.
+
+    A field above the Earth's largest with three sd of hard iron on it does not begin it.
+    """
+    largest = like(prior.hard_iron_sd_ut, FIELD_RANGE_UT[1]) + prior.hard_iron_sd_ut * like(prior.hard_iron_sd_ut, 3.0)
     if calibration.is_begun or dot(mag, mag) > largest * largest:
         return calibration
     x, cov = calibration.x_ut, calibration.cov_ut2
