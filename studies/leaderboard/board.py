@@ -1,0 +1,216 @@
+"""The result of a leaderboard: its data types and their JSON.
+
+All errors are in degrees, over the moving samples, after the alignment of the leaderboard.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal
+
+RANKED_BY = ("total", "heading", "inclination")
+RankedBy = Literal["total", "heading", "inclination"]
+Verdict = Literal["a", "b", "undecided"]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """RMSE of one estimator over several recordings, in deg."""
+
+    typical: float  # geometric mean over the rows (recordings of one device and one motion are one row)
+    ci95: tuple[float, float]  # 95 % interval of the typical value
+    mean: float  # over the recordings, like the next two
+    median: float
+    worst: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """One estimator with one kind of input: its place and its figures over the recordings of a table."""
+
+    label: str  # unique in the table: the estimator, with its calibration where the table holds several
+    estimator: str
+    calibration: str  # "none", "reference", or the name of the calibration file
+    against: str  # "truth", "reference", or "truth and reference"
+    parameters: str  # "defaults", or what they were tuned on
+    rank: tuple[int, int] | None  # best and worst; None when the estimator failed on a recording
+    recordings: int  # of the table, including those on which the estimator failed
+    failed: int
+    total_rmse_deg: Summary | None  # None when the estimator failed on every recording
+    heading_rmse_deg: Summary | None
+    inclination_rmse_deg: Summary | None
+    ns_per_sample: float | None  # median over the recordings
+    nees_per_dof: float | None  # mean over the recordings; None where no covariance is stated
+    coverage95: float | None  # mean over the recordings
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The comparison of two rows of a table by the ratio of their RMSE, a over b."""
+
+    a: str  # labels of rows
+    b: str
+    against: str
+    ratio: float
+    ci95: tuple[float, float]
+    verdict: Verdict  # which one is better
+
+
+@dataclass(frozen=True)
+class Table:
+    """A ranking of the same estimators on the same recordings."""
+
+    name: str  # "" for all recordings, otherwise the tag or device that they share
+    against: str  # "truth", "reference", or "truth and reference"
+    ranked_by: RankedBy
+    why_ranked_by: str  # "" for total; otherwise why the total error says nothing
+    rows: tuple[Row, ...]  # ranked rows first, best first
+    pairs: tuple[Pair, ...]
+    general: bool  # True: holds for recordings like these; False: for these recordings only
+    independent_rows: int  # recordings, with those of one device and one motion counted once
+    recordings: tuple[str, ...]
+    conclusion: str  # one sentence: what can be concluded and what cannot
+
+
+@dataclass(frozen=True)
+class Run:
+    """One estimator on one recording against one judge."""
+
+    recording: str
+    estimator: str
+    calibration: str
+    label: str  # of its row
+    against: str  # "truth" or "reference (METHOD)"
+    total_rmse_deg: float | None = None  # None, like all figures below, when there is an error
+    heading_rmse_deg: float | None = None
+    inclination_rmse_deg: float | None = None
+    total_p95_deg: float | None = None
+    total_max_deg: float | None = None
+    samples: int | None = None  # moving samples that were scored; the same for every estimator of the recording
+    ns_per_sample: float | None = None
+    nees_per_dof: float | None = None
+    coverage95: float | None = None
+    reference_sd_deg: float | None = None  # of the judge; None against a truth
+    aligned_heading_deg: float | None = None  # what the alignment took away
+    aligned_mounting_deg: float | None = None
+    aligned_time_s: float | None = None
+    magnetometer_left_out: str | None = None  # why the estimator got no magnetometer although there is one
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    estimate_file: str | None = None  # relative to the output folder, or absolute where the user gave the file
+    judge_file: str | None = None  # the recording whose truth judged, or the reference
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """One recording of a leaderboard and where it is from."""
+
+    recording: str
+    file: str
+    sha256: str
+    source: str
+    licence: str
+    citation: str
+    device: str  # "" when unknown
+    motion: str  # "" when unknown: then the recording is a row of its own
+    tags: tuple[str, ...]
+    duration_s: float
+    magnetometer: str  # "used", "none", or why it is left out of uncalibrated input
+    truth: bool
+
+
+@dataclass(frozen=True)
+class Leaderboard:
+    """Everything a page, a table or a paper shows. ``tables[0]`` is over all recordings."""
+
+    against: str  # "truth", "reference", "both", or "truth and reference"
+    align: str
+    tables: tuple[Table, ...]  # over all recordings: one, or one per judge with --against both
+    groups: tuple[Table, ...]  # by tag and by device
+    runs: tuple[Run, ...]  # every estimator on every recording, failures included
+    sources: tuple[Source, ...]
+    version: str  # of stillpoint
+    study: Mapping[str, Any] = field(default_factory=dict)  # the complete study, as in study.toml
+
+    @property
+    def failures(self) -> tuple[Run, ...]:
+        """The runs that have no figures."""
+        return tuple(run for run in self.runs if run.error is not None)
+
+    def to_json(self) -> dict[str, Any]:
+        """The layout of ``leaderboard.json``; numbers that are not finite become null."""
+        first = self.tables[0]
+        content = {
+            "against": self.against,
+            "align": self.align,
+            "rows": [asdict(row) for table in self.tables for row in table.rows],
+            "pairs": [asdict(pair) for table in self.tables for pair in table.pairs],
+            "general": first.general,
+            "conclusion": " ".join(table.conclusion for table in self.tables),
+            "recordings": [asdict(run) for run in self.runs],
+            "tables": [_without_rows(table) for table in self.tables],
+            "groups": [asdict(table) for table in self.groups],
+            "sources": [asdict(source) for source in self.sources],
+            "version": self.version,
+            "study": self.study,
+        }
+        plain: dict[str, Any] = _finite(content)
+        return plain
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> "Leaderboard":
+        """The leaderboard that :meth:`to_json` wrote."""
+        rows = [_row(row) for row in content["rows"]]
+        pairs = [_pair(pair) for pair in content["pairs"]]
+        tables = []
+        for table in content["tables"]:
+            shares = len(content["tables"]) == 1
+            mine = [row for row in rows if shares or row.against == table["against"]]
+            theirs = [pair for pair in pairs if shares or pair.against == table["against"]]
+            tables.append(_table(table, mine, theirs))
+        return cls(
+            against=content["against"],
+            align=content["align"],
+            tables=tuple(tables),
+            groups=tuple(
+                _table(group, [_row(row) for row in group["rows"]], [_pair(pair) for pair in group["pairs"]])
+                for group in content["groups"]
+            ),
+            runs=tuple(Run(**run) for run in content["recordings"]),
+            sources=tuple(Source(**{**source, "tags": tuple(source["tags"])}) for source in content["sources"]),
+            version=content["version"],
+            study=content["study"],
+        )
+
+
+def _without_rows(table: Table) -> dict[str, Any]:
+    return {each.name: getattr(table, each.name) for each in fields(table) if each.name not in ("rows", "pairs")}
+
+
+def _table(content: Mapping[str, Any], rows: list[Row], pairs: list[Pair]) -> Table:
+    named = {**content, "recordings": tuple(content["recordings"]), "rows": tuple(rows), "pairs": tuple(pairs)}
+    return Table(**named)
+
+
+def _row(content: Mapping[str, Any]) -> Row:
+    summaries = {name: _summary(content[name]) for name in content if name.endswith("_rmse_deg")}
+    rank = None if content["rank"] is None else tuple(content["rank"])
+    return Row(**{**content, **summaries, "rank": rank})
+
+
+def _summary(content: Mapping[str, Any] | None) -> Summary | None:
+    return None if content is None else Summary(**{**content, "ci95": tuple(content["ci95"])})
+
+
+def _pair(content: Mapping[str, Any]) -> Pair:
+    return Pair(**{**content, "ci95": tuple(content["ci95"])})
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
