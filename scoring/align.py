@@ -28,7 +28,7 @@ from stillpoint.scoring.match import Track, attitude_at, match, require_some
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
 
-SMALLEST_MOUNTING = 1e-9  # weight of "no mounting": decides only where heading and mounting cannot be told apart
+LEVEL_SPREAD_RAD = 1e-4  # rms tilt change below which heading and mounting are one angle: rounding decides the rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +101,19 @@ def _circular_mean(angle_rad: Floats) -> float:
 
 
 def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
-    """Heading h and mounting M of ``R_est ~ Rz(h) R_true M`` with the smallest mean of 2 (1 - cos angle) = 3 - trace.
+    """Return heading h and mounting M of ``R_est ~ Rz(h) R_true M`` with the smallest mean of 2 (1 - cos angle).
 
     For a given heading the best mounting is a polar decomposition of ``B(h) = sum R_true' Rz(-h) R_est``, which is
-    ``B_0 + cos h B_c + sin h B_s``: three sums over the data, then a search over one angle.
+    ``B_0 + cos h B_c + sin h B_s``: three sums over the data, then a search over one angle. If the truth never tilts,
+    every heading fits equally well, and the one with the smallest mounting is returned.
     """
     true, est = rotation(q_true).as_matrix(), rotation(q_est).as_matrix()
     gram = (true.reshape(-1, 9).T @ est.reshape(-1, 9)).reshape(3, 3, 3, 3) / len(q_est)  # [row, col, row', col']
     level, turned, upright = gram[0, :, 0] + gram[1, :, 1], gram[0, :, 1] - gram[1, :, 0], gram[2, :, 2]
-    upright = upright + SMALLEST_MOUNTING * np.eye(3)
+    up_b = true[:, 2]  # (N, 3) vertical in the truth's body axes
+    mean_up_b = up_b.mean(axis=0)
+    if np.mean((up_b - mean_up_b) ** 2) * 3 < LEVEL_SPREAD_RAD**2:
+        return _smallest_mounting(_polar(upright + level), mean_up_b / np.linalg.norm(mean_up_b))
 
     def profile(heading_rad: Floats) -> Floats:
         h = np.asarray(heading_rad)[..., None, None]
@@ -122,7 +126,25 @@ def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
     step = float(grid[1] - grid[0])
     best = minimize_scalar(lambda h: -float(profile(h)), bounds=(start - step, start + step), options={"xatol": 1e-10})
     heading_rad = float(np.angle(np.exp(1j * best.x)))
-    b = upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned
-    u, _, vt = np.linalg.svd(b)
-    mounting = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    mounting = _polar(upright + np.cos(heading_rad) * level + np.sin(heading_rad) * turned)
     return heading_rad, Rotation.from_matrix(mounting)
+
+
+def _polar(b: Floats) -> Floats:
+    """Return the rotation (3, 3) nearest to a matrix b (3, 3)."""
+    u, _, vt = np.linalg.svd(b)
+    nearest: Floats = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return nearest
+
+
+def _smallest_mounting(mounting: Floats, up_b: Floats) -> tuple[float, Rotation]:
+    """Split a rotation M (3, 3) of a body that only turns about up_b (3,) into a heading and the smallest mounting.
+
+    Heading h with mounting ``R_up(-h) M`` fits equally well for every h. ``trace(R_up(-h) M)`` is
+    ``constant + a cos h + b sin h``, which is largest at ``atan2(b, a)``.
+    If a and b vanish, every mounting is a half turn, and h is 0.
+    """
+    a = float(np.trace(mounting) - up_b @ mounting @ up_b)
+    b = float(-np.trace(np.cross(up_b, mounting.T)))  # of [up_b]x M
+    heading_rad = float(np.arctan2(b, a)) if np.hypot(a, b) > LEVEL_SPREAD_RAD else 0.0
+    return heading_rad, Rotation.from_rotvec(-heading_rad * up_b) * Rotation.from_matrix(mounting)

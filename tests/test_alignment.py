@@ -109,15 +109,31 @@ def test_more_freedom_never_fits_worse():
     assert errors[0] > errors[1] > errors[2]
 
 
-def test_level_turns_leave_heading_and_mounting_as_one_angle():
+@pytest.mark.parametrize("tilt", [[0.0, 0.0, 0.0], [0.4, -1.1, 0.0], [np.pi, 0.0, 0.0]])
+@pytest.mark.parametrize("noise_rad", [0.0, 1e-13, 1e-6])
+def test_level_turns_leave_heading_and_mounting_as_one_angle(tilt, noise_rad):
     """Rotation about the vertical alone cannot tell them apart: the mounting stays 0 and the heading takes it all."""
     t_ns = np.arange(500) * 10_000_000
-    q_true = quaternion(Rotation.from_euler("z", np.linspace(0, 9, 500)[:, None]))
+    noise = np.random.default_rng(5).normal(scale=noise_rad, size=(500, 3))
+    turns = Rotation.from_euler("z", np.linspace(0, 9, 500)[:, None]) * Rotation.from_rotvec(tilt)
+    q_true = quaternion(turns * Rotation.from_rotvec(noise))
     q_est = quaternion(heading_rotation(0.7) * rotation(q_true))
     found = score(Estimate(t_ns, "level", q_nb=q_est), as_truth(t_ns, q_true), "heading+mounting")
-    assert found.total_max_deg < 1e-5
+    assert found.total_max_deg < (1e-5 if noise_rad < 1e-7 else 1e-3)
     assert np.abs(found.alignment.mounting_rotvec_rad).max() < 1e-4
     assert found.alignment.heading_rad == pytest.approx(0.7, abs=1e-4)
+
+
+def test_level_turns_with_a_tilted_mounting_return_the_smallest_mounting():
+    """The mounting keeps its tilt of 0.3 rad and gives its turn about the vertical to the heading."""
+    t_ns = np.arange(500) * 10_000_000
+    q_true = quaternion(Rotation.from_euler("z", np.linspace(0, 9, 500)[:, None]))
+    mounting = Rotation.from_rotvec([0.0, 0.0, 0.5]) * Rotation.from_rotvec([0.3, 0.0, 0.0])
+    q_est = quaternion(heading_rotation(0.2) * rotation(q_true) * mounting)
+    found = score(Estimate(t_ns, "level", q_nb=q_est), as_truth(t_ns, q_true), "heading+mounting")
+    assert found.total_max_deg < 1e-5
+    assert np.abs(found.alignment.mounting_rotvec_rad - [0.3, 0.0, 0.0]).max() < 1e-7
+    assert found.alignment.heading_rad == pytest.approx(0.7, abs=1e-7)
 
 
 @pytest.mark.parametrize("trial", ["04", "07", "21"])
