@@ -32,7 +32,7 @@ def require_distinct(targets: Iterable[Path]) -> None:
 def made_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
     """The row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
     if outcome.value is None:
-        return {**named, "file": None, "error": outcome.error}
+        return {**named, "file": None, "error": outcome.error, "defect": outcome.defect}
     return {**named, "file": str(target), **outcome.value, "error": None}
 
 
@@ -43,14 +43,17 @@ def report_made(
     cells: Callable[[dict[str, Any]], list[str]],
     json: str | None,
 ) -> int:
-    """Print and write the rows; exit code 2 when one has an error, which is raised when it is the only row.
+    """Print and write the rows; return 0, 1 when one is a defect of stillpoint, 2 when one has another error.
 
-    The second column is what the file was made by; its heading is the key of that in the rows.
+    The error of a single row is raised when the user can fix it. The second column is what the file was made by; its
+    heading is the key of that in the rows.
     """
-    if len(rows) == 1 and rows[0]["error"] is not None:
+    if len(rows) == 1 and rows[0]["error"] is not None and not rows[0]["defect"]:
         raise StillpointError(rows[0]["error"])
     if json != STDOUT:
         print_table(title, columns, [[cells(row) for row in rows]])
         print_refusals("not made", ((row["error"], row[columns[1]]) for row in rows if row["error"] is not None))
     write_json(json, rows)
+    if any(row.get("defect") for row in rows):
+        return 1
     return 2 if any(row["error"] is not None for row in rows) else 0

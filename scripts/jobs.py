@@ -1,15 +1,21 @@
-"""Run one function over many inputs on a local process pool; what a user can put right becomes a result, not an end."""
+"""Run one function over many inputs on local processes, so that a failure costs its own input and no other.
+
+Every process works on one input at a time. An error of the user's, a defect of ours and a process that dies all become
+the outcome of the input concerned, and the batch goes on.
+"""
 
 import multiprocessing
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext, SpawnProcess
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -17,6 +23,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from stillpoint.datasets.errors import BadParameter, StillpointError
 
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
+END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -24,57 +31,158 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What one input gave: a value, or the one line that says why there is none."""
+    """The result of one input: a value, or the one line that says why there is none."""
 
     value: Result | None = None
     error: str | None = None
+    defect: bool = False  # True: the error is a defect of stillpoint, and the command ends with exit code 1
 
 
 def run_jobs(
     function: Callable[[Item], Result], items: Sequence[Item], jobs: int | None, what: str
 ) -> list[Outcome[Result]]:
-    """``function`` of each item, in their order, with progress on stderr.
+    """Return the outcome of ``function`` for each item, in their order, with progress on stderr.
 
-    ``jobs`` processes (None: one per core and per four inputs); with 1 everything runs in this process. ``function``
-    and items must pickle. A :class:`StillpointError`, and a worker that dies, become outcomes; any other exception is
-    raised.
+    ``jobs`` is the number of processes (None: one per core and per four inputs). A single item runs in this process;
+    several always run in others, so that a crash of native code costs one item. ``function`` and items must pickle.
+    Raises :class:`BadParameter` for fewer than one process.
     """
     if jobs is not None and jobs < 1:
         raise BadParameter(f"--jobs {jobs}: give 1 or more")
     worthwhile = min(os.cpu_count() or 1, -(-len(items) // ITEMS_PER_WORKER))
-    workers = min(jobs or worthwhile, len(items))
-    outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
     alone = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     columns = alone if len(items) == 1 else Progress.get_default_columns()
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=len(items))
-        if workers < 2:
-            for place, item in enumerate(items):
-                outcomes[place] = _caught(function, item)
-                progress.advance(task)
-            return outcomes
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=_end_when_told) as pool:
-            with _interrupt_later():
-                places: dict[Future[Outcome[Result]], int] = {
-                    pool.submit(_caught, function, item): place for place, item in enumerate(items)
-                }
-            try:
-                for future in as_completed(places):
-                    outcomes[places[future]] = _result(future)
-                    progress.advance(task)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for worker in multiprocessing.active_children():
-                    worker.terminate()
-                raise
+        if len(items) < 2:
+            return [_print_defect(item, _run(function, item)) for item in items]
+        outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
+        for place, outcome in _run_in_processes(function, items, min(jobs or worthwhile, len(items))):
+            outcomes[place] = _print_defect(items[place], outcome)
+            progress.advance(task)
     return outcomes
 
 
+def exit_code(outcomes: Sequence[Outcome[Any]]) -> int:
+    """Return 1 when an outcome is a defect of stillpoint, 2 when one is another error, else 0."""
+    if any(outcome.defect for outcome in outcomes):
+        return 1
+    return 2 if any(outcome.error is not None for outcome in outcomes) else 0
+
+
+def run_one(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
+    """Return the outcome of one item in this process, and print the traceback of a defect to stderr."""
+    return _print_defect(item, _run(function, item))
+
+
+def _run(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
+    try:
+        return Outcome(function(item))
+    except StillpointError as error:
+        return Outcome(error=str(error))
+    except Exception as error:
+        return Outcome(error=_describe_defect(error), defect=True)
+
+
+def _describe_defect(error: Exception) -> str:
+    """Return one line that names the exception and where it was raised, then the traceback."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    reason = " ".join(str(error).split())
+    line = f"a defect of stillpoint: {type(error).__name__}: {reason} ({Path(frame.filename).name}:{frame.lineno})"
+    return f"{line}; please report it\n{''.join(traceback.format_exception(error))}"
+
+
+def _print_defect(item: object, outcome: Outcome[Result]) -> Outcome[Result]:
+    """Print the traceback that a defect carries; the outcome returned keeps its first line."""
+    if not outcome.defect or outcome.error is None or "\n" not in outcome.error:
+        return outcome
+    line, trace = outcome.error.split("\n", 1)
+    print(f"stillpoint: {item}: {line}\n{trace}", file=sys.stderr)
+    return Outcome(error=line, defect=True)
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A process, the pipe to it, and the place of the item that it works on."""
+
+    process: SpawnProcess
+    pipe: Connection
+    place: int
+
+
+def _run_in_processes(
+    function: Callable[[Item], Result], items: Sequence[Item], count: int
+) -> Iterator[tuple[int, Outcome[Result]]]:
+    """Yield the place and the outcome of every item, as they are done. A process that dies is replaced."""
+    context = multiprocessing.get_context("spawn")
+    waiting = iter(range(len(items)))
+    workers = [_start(context, function, items, next(waiting)) for _ in range(count)]
+    try:
+        while workers:
+            ready = wait([worker.pipe for worker in workers])
+            for worker in [worker for worker in workers if worker.pipe in ready]:
+                outcome = _receive(worker)
+                yield worker.place, outcome if outcome is not None else _describe_death(worker.process)
+                following = next(waiting, None)
+                if following is None or outcome is None:
+                    workers.remove(worker)
+                    worker.pipe.close()  # the process reads the end of its work and ends
+                if following is not None and outcome is None:
+                    workers.append(_start(context, function, items, following))
+                elif following is not None:
+                    worker.place = following
+                    worker.pipe.send(items[following])
+    finally:
+        _end(workers)
+
+
+def _start(context: SpawnContext, function: Callable[[Item], Result], items: Sequence[Item], place: int) -> _Worker:
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(theirs, function))
+    with _block_interrupt():
+        process.start()
+    theirs.close()
+    ours.send(items[place])
+    return _Worker(process, ours, place)
+
+
+def _receive(worker: _Worker) -> Outcome[Any] | None:
+    """Return the outcome that a worker sent, None when it died instead."""
+    try:
+        outcome: Outcome[Any] = worker.pipe.recv()
+    except (EOFError, OSError):
+        worker.process.join()
+        return None
+    return outcome
+
+
+def _describe_death(process: SpawnProcess) -> Outcome[Any]:
+    """Say by which signal or exit code a process ended. What the system kills is no defect of ours."""
+    code = process.exitcode or 0
+    if code >= 0:
+        return Outcome(error=f"a defect of stillpoint: its process ended with exit code {code}", defect=True)
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    if name == "SIGKILL":
+        return Outcome(error="its process was killed (SIGKILL); if memory ran out, use fewer --jobs")
+    if name == "SIGTERM":
+        return Outcome(error="its process was told to end (SIGTERM)")
+    return Outcome(error=f"a defect of stillpoint: its process died of {name}; please report it", defect=True)
+
+
+def _end(workers: Sequence[_Worker]) -> None:
+    """End workers that still work; each first removes the file that it is writing."""
+    for worker in workers:
+        worker.process.terminate()
+    for worker in workers:
+        worker.process.join(END_WAIT_S)
+        if worker.process.is_alive():
+            worker.process.kill()
+
+
 @contextmanager
-def _interrupt_later() -> Iterator[None]:
-    """Hold Ctrl-C back. Processes begun meanwhile never see it, and leave it to this one to end them."""
+def _block_interrupt() -> Iterator[None]:
+    """Block Ctrl-C. Processes started meanwhile never receive it: this process ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -85,20 +193,18 @@ def _interrupt_later() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_when_told() -> None:
-    """In a worker: unwind on SIGTERM, so that a file that is being written is taken away."""
+def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """Work on items until the pipe is closed. On SIGTERM the stack unwinds, so that a half-written file is removed."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-
-
-def _caught(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
-    try:
-        return Outcome(function(item))
-    except StillpointError as error:
-        return Outcome(error=str(error))
-
-
-def _result(future: Future[Outcome[Result]]) -> Outcome[Result]:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return Outcome(error="the process that worked on it, or one beside it, died (out of memory?); use fewer --jobs")
+    while True:
+        try:
+            item = pipe.recv()
+        except EOFError:
+            return
+        outcome = _run(function, item)
+        try:
+            pipe.send(outcome)
+        except OSError:
+            return
+        except Exception as error:  # a result that does not pickle
+            pipe.send(Outcome(error=_describe_defect(error), defect=True))

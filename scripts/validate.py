@@ -78,6 +78,8 @@ def validate(
         raise StillpointError(*reasons)
     if json != STDOUT:
         _print(rows, summary(rows), align)
+    if any(outcome.defect for outcome in outcomes):
+        return 1
     return 0 if None in reasons else 2
 
 

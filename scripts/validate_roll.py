@@ -12,7 +12,7 @@ from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll, usual_zero
-from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.jobs import exit_code, run_jobs
 from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.opened import open_recording
 from stillpoint.scripts.score_roll import print_roll_scores, roll_judge_of, zero_of
@@ -44,7 +44,7 @@ def validate_roll(
     if json != STDOUT:
         print_roll_scores([outcome.value for outcome in outcomes if outcome.value is not None])
         print_refusals("not scored", refused)
-    return 2 if refused else 0
+    return exit_code(outcomes)
 
 
 def _scored(job: tuple[Path, str], align: AlignKind) -> RollScore:

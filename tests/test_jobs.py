@@ -1,35 +1,60 @@
-"""Many inputs over processes: order is kept, users' errors are results, dead workers too, defects are raised."""
+"""Many inputs over processes: order is kept, and a failure of any kind is the outcome of its own input alone."""
 
 import math
 import os
+import signal
+import time
 
 import pytest
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.earth import decimal_year
-from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.jobs import exit_code, run_jobs
+
+
+def fail_by(how: str) -> str:
+    """Work of a test: dies, raises or succeeds as its input says."""
+    if how.startswith("SIG"):
+        os.kill(os.getpid(), getattr(signal, how))
+        time.sleep(10)
+    if how == "defect":
+        raise ZeroDivisionError("a test's division\nby zero")
+    if how == "no pickle":
+        return lambda: 0
+    return how
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_results_and_errors_come_in_the_order_of_the_inputs(jobs):
+def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
     outcomes = run_jobs(decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], jobs, "years")
     assert [one.value for one in outcomes] == [2020.0, None, 2022.0]
     assert [one.error is None for one in outcomes] == [True, False, True]
     assert "'yesterday'" in outcomes[1].error
+    assert exit_code(outcomes) == 2
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_defect_is_raised(jobs):
-    with pytest.raises(ValueError, match=r"domain|nonnegative"):
-        run_jobs(math.sqrt, [4.0, -1.0], jobs, "roots")
+def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
+    """Five of seven inputs fail, each in its way; the other two get their results from the same pool."""
+    inputs = ["a", "SIGSEGV", "SIGABRT", "SIGKILL", "defect", "no pickle", "b"]
+    outcomes = dict(zip(inputs, run_jobs(fail_by, inputs, jobs, "tests"), strict=True))
+    assert [name for name, one in outcomes.items() if one.error is None] == ["a", "b"]
+    assert [name for name, one in outcomes.items() if one.defect] == ["SIGSEGV", "SIGABRT", "defect", "no pickle"]
+    assert "SIGSEGV" in outcomes["SIGSEGV"].error
+    assert "memory" in outcomes["SIGKILL"].error
+    assert "ZeroDivisionError: a test's division by zero (test_jobs.py:" in outcomes["defect"].error
+    assert all("\n" not in one.error for one in outcomes.values() if one.error)
+    assert "Traceback" in capfd.readouterr().err, "a defect of ours shows where it happened"
+    assert exit_code(list(outcomes.values())) == 1
 
 
-def test_a_worker_that_dies_is_a_result():
-    outcomes = run_jobs(os._exit, [3, 3], 2, "exits")
-    assert all("died" in one.error for one in outcomes)
+def test_a_single_input_runs_here_and_its_defect_is_an_outcome_too(capfd):
+    (outcome,) = run_jobs(math.sqrt, [-1.0], 1, "roots")
+    assert outcome.defect
+    assert "ValueError" in capfd.readouterr().err
 
 
-def test_nothing_to_do_is_nothing_done():
+def test_no_input_gives_no_outcome():
     assert run_jobs(math.sqrt, [], None, "roots") == []
 
 
