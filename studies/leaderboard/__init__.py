@@ -1,5 +1,20 @@
 """Many recordings, many estimators, one verdict."""
 
 from stillpoint.studies.leaderboard.board import Leaderboard, Pair, Row, Run, Source, Summary, Table
+from stillpoint.studies.leaderboard.run import leaderboard, run_study
+from stillpoint.studies.leaderboard.study import Study, read_study, study_toml
 
-__all__ = ["Leaderboard", "Pair", "Row", "Run", "Source", "Summary", "Table"]
+__all__ = [
+    "Leaderboard",
+    "Pair",
+    "Row",
+    "Run",
+    "Source",
+    "Study",
+    "Summary",
+    "Table",
+    "leaderboard",
+    "read_study",
+    "run_study",
+    "study_toml",
+]

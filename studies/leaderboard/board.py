@@ -96,8 +96,8 @@ class Run:
     aligned_time_s: float | None = None
     magnetometer_left_out: str | None = None  # why the estimator got no magnetometer although there is one
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    estimate_file: str | None = None  # relative to the output folder, or absolute where the user gave the file
     judge_file: str | None = None  # the recording whose truth judged, or the reference
+    score_key: str | None = None  # of the error over time: see `read_error_series`
     error: str | None = None
 
 
@@ -114,9 +114,10 @@ class Source:
     device: str  # "" when unknown
     motion: str  # "" when unknown: then the recording is a row of its own
     tags: tuple[str, ...]
-    duration_s: float
-    magnetometer: str  # "used", "none", or why it is left out of uncalibrated input
+    magnetometer: str  # "calibrated", "uncalibrated" or "none"
     truth: bool
+    lost: str = ""  # what a file that was cut short lacks
+    error: str | None = None  # why the recording cannot be used
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ BOARD = Leaderboard(
         Run("run1", "ekf", "none", "ekf", "truth", 1.0, parameters={"bias": 0.1}),
         Run("run1", "cf", "none", "cf", ""),
     ),
-    sources=(Source("run1", "run1.mcap", "00", "", "MIT", "", "phone", "", ("slow",), 60.0, "used", True),),
+    sources=(Source("run1", "run1.mcap", "00", "", "MIT", "", "phone", "", ("slow",), "calibrated", True),),
     version="1",
 )
 CONTRACT_ROW = [

@@ -1,0 +1,52 @@
+"""Trajectories of other programs beside a recording: ``NAME.LABEL.tum`` beside ``NAME.mcap``.
+
+The suffix may be .tum, .csv, .mcap or .bag; stillpoint's own ``NAME.LABEL.estimate.mcap`` is one of them. Estimates of
+estimators in the table are not read: a leaderboard makes those itself.
+"""
+
+from dataclasses import replace
+from glob import escape
+from pathlib import Path
+
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.store import read_estimate
+from stillpoint.datasets.trajectory import Estimate
+from stillpoint.datasets.tum import read_tum
+from stillpoint.filters.table import ESTIMATORS
+
+ESTIMATE, REFERENCE = ".estimate.mcap", ".reference.mcap"
+SUFFIXES = (ESTIMATE, ".tum", ".csv", ".mcap", ".bag")  # in the order of preference
+
+
+def files_of_label(source: Path) -> dict[str, Path]:
+    """Return the trajectory files beside a recording ``NAME.mcap`` by their label."""
+    found: dict[str, Path] = {}
+    for suffix in SUFFIXES:
+        for file in sorted(source.parent.glob(f"{escape(source.stem)}.*{suffix}")):
+            label = file.name.removeprefix(f"{source.stem}.").removesuffix(suffix)
+            if label and "." not in label and file.is_file() and not file.name.endswith(REFERENCE):
+                found.setdefault(label, file)
+    return {label: file for label, file in found.items() if label not in ESTIMATORS}
+
+
+def without_trajectories(sources: list[Path]) -> list[Path]:
+    """Drop MCAP files ``NAME.LABEL.mcap`` beside ``NAME.mcap``: these are trajectories, not recordings."""
+    taken = {file.resolve() for source in sources for file in files_of_label(source).values()}
+    return [source for source in sources if source.resolve() not in taken]
+
+
+def read_estimate_of(source: Path, label: str, recording: Recording) -> Estimate:
+    """Read the trajectory with this label beside a recording.
+
+    Raises :class:`BadRecording` when there is none, :class:`BadSource` or :class:`BadFile` when it cannot be read.
+    """
+    file = files_of_label(source).get(label)
+    if file is None:
+        raise BadRecording(f"no file {source.stem}.{label}.tum, .csv, .mcap or .bag beside {source.name}")
+    if file.name.endswith(ESTIMATE):
+        made = read_estimate(file)
+    else:
+        poses = read_tum(file)
+        made = Estimate(poses.t_ns, label, q_nb=poses.q_nb)
+    return replace(made, name=label, recording=recording.name)

@@ -1,0 +1,82 @@
+"""What judges the estimates of a recording: independent truth, a reference, or an offline estimator.
+
+Where a recording has truth and several judges are compared, every judge is read at the truth's stamps, so that all
+score the same samples.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Recording, Truth
+from stillpoint.datasets.store import read_reference
+from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.scoring.compare import moving_samples
+from stillpoint.scoring.match import Mask, attitude_at, covariance_at, match, require_some, track
+
+TRUTH = "truth"
+
+
+@dataclass(frozen=True)
+class JudgeSpec:
+    """Where a judge is kept; it can be pickled and is cheap to make."""
+
+    name: str  # "truth", "reference (METHOD)" or the name of an offline estimator
+    key: str  # of its content
+    file: Path | None = None  # of a reference
+    estimate_key: str | None = None  # in the store, of an offline estimator
+    at_truth: bool = False  # read it at the stamps of the recording's truth
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """A judge with the samples that it can score."""
+
+    trajectory: Reference | Truth
+    moving: Mask  # (N,)
+
+
+def load_judge(spec: JudgeSpec, recording: Recording, estimate: Estimate | None = None) -> Judge:
+    """Load the judge of a recording; raises :class:`BadRecording` when it has no truth to judge by."""
+    judge: Reference | Truth | Estimate
+    if spec.name == TRUTH:
+        judge = _truth_of(recording)
+    elif spec.file is not None:
+        judge = read_reference(spec.file)
+    else:
+        assert estimate is not None
+        judge = estimate
+    if isinstance(judge, Estimate) or (spec.at_truth and isinstance(judge, Reference)):
+        return _read_at_truth(judge, _truth_of(recording))
+    return Judge(judge, moving_samples(judge))
+
+
+def covariance_n_deg2(reference: Reference) -> Floats:
+    """Return the covariance (N, 3, 3) of a reference in East-North-Up, in deg²."""
+    rot = rotation(reference.q_nb).as_matrix()
+    turned = rot @ reference.cov_b_rad2 @ rot.transpose(0, 2, 1)
+    return np.asarray(turned * np.rad2deg(1.0) ** 2, dtype=np.float64)
+
+
+def _truth_of(recording: Recording) -> Truth:
+    if recording.truth is None:
+        raise BadRecording(f"{recording.name}: has no independent truth; use --against reference")
+    return recording.truth
+
+
+def _read_at_truth(judge: Reference | Estimate, truth: Truth) -> Judge:
+    """Read a judge at the truth's stamps; samples that it does not cover are left out."""
+    source = track(judge)
+    found = require_some(source, match(source, truth.t_ns))
+    t_ns = truth.t_ns[found]
+    q_nb = attitude_at(source, t_ns)
+    moving = truth.moving[found]
+    if isinstance(judge, Estimate):
+        return Judge(Truth(t_ns, q_nb, moving), moving)
+    cov = covariance_at(source, t_ns)
+    assert cov is not None
+    at_truth = Reference(t_ns, q_nb, cov, np.zeros((len(t_ns), 3)), judge.method, judge.name, judge.heading_sd_rad)
+    return Judge(at_truth, moving)

@@ -1,0 +1,94 @@
+"""The references of a leaderboard: those beside the recordings, and those that it makes itself."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from stillpoint.datasets import write
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.store import provenance, read_recording, sha256
+from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
+from stillpoint.studies.leaderboard.board import Source
+from stillpoint.studies.result_store import ResultStore, key_of
+
+
+@dataclass(frozen=True)
+class KeptReference:
+    """The reference of a recording, or the reason why there is none."""
+
+    file: Path | None = None
+    method: str = DEFAULT_METHOD
+    sha256: str = ""
+    error: str | None = None
+
+
+References = Mapping[str, KeptReference]  # by recording
+
+
+@dataclass(frozen=True)
+class ReferenceJob:
+    """The reference of one recording by one method."""
+
+    source: Source
+    method: str
+    target: Path
+    key: str
+    store: ResultStore
+
+
+def plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> ReferenceJob:
+    """Return the job that would make the reference of a recording."""
+    middle = "" if method == DEFAULT_METHOD else f".{method}"
+    target = out / "references" / f"{source.recording}{middle}.reference.mcap"
+    return ReferenceJob(source, method, target, key_of(what="reference", input=source.sha256, method=method), store)
+
+
+def find_reference(job: ReferenceJob) -> KeptReference | None:
+    """Return the reference beside the recording if it was made from it, else the one made before; None: make it."""
+    beside = _read_beside(job)
+    if beside is not None:
+        return beside
+    facts = job.store.facts(job.key)
+    if facts is None:
+        return None
+    if facts["error"] is not None:
+        return KeptReference(None, job.method, error=facts["error"])
+    if not job.target.is_file() or sha256(job.target) != facts["sha256"]:
+        return None
+    return KeptReference(job.target, job.method, facts["sha256"])
+
+
+def make_reference(job: ReferenceJob) -> None:
+    """Make a reference and keep it, or the reason why the recording does not fix one."""
+    try:
+        made = attitude_reference(read_recording(job.source.file), job.method)
+    except BadParameter:
+        raise
+    except StillpointError as error:
+        job.store.put(job.key, {"error": str(error)})
+        return
+    try:
+        job.target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadParameter(f"{job.target.parent}: cannot be made ({error.strerror}); name another folder") from None
+    write(job.target, replace(made, made_from={Path(job.source.file).name: job.source.sha256}))
+    job.store.put(job.key, {"error": None, "sha256": sha256(job.target)})
+
+
+def _read_beside(job: ReferenceJob) -> KeptReference | None:
+    """Return ``NAME.reference.mcap`` beside the recording if it is of this method and was made from this recording."""
+    file = Path(job.source.file).with_name(f"{job.source.recording}.reference.mcap")
+    if not file.is_file():
+        return None
+    digest = sha256(file)
+    key = key_of(what="reference beside", file=digest)
+    facts = job.store.facts(key)
+    if facts is None:
+        try:
+            found = provenance(file)
+        except StillpointError:
+            return None
+        facts = {"method": found.facts.get("method"), "made_from": list(found.facts.get("made_from", {}).values())}
+        job.store.put(key, facts)
+    same = facts["method"] == job.method and job.source.sha256 in facts["made_from"]
+    return KeptReference(file, job.method, digest) if same else None

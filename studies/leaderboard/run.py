@@ -1,0 +1,310 @@
+"""The leaderboard as one call: make what is missing, reuse what is there, and rank."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from stillpoint.datasets import write
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.recording import Recording
+from stillpoint.scoring import AlignKind
+from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source
+from stillpoint.studies.leaderboard.cells import Cell, JobRunner, Line, list_lines, make_estimates, plan_cells, run_here
+from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
+from stillpoint.studies.leaderboard.files import without_trajectories
+from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec
+from stillpoint.studies.leaderboard.ranking import ErrorSeries, JudgeSeries, ScoredRuns, build_table
+from stillpoint.studies.leaderboard.references import (
+    KeptReference,
+    References,
+    find_reference,
+    make_reference,
+    plan_reference,
+)
+from stillpoint.studies.leaderboard.scores import Entry, Scored, judge_key, plan_score, score_recording
+from stillpoint.studies.leaderboard.sources import survey_sources
+from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study
+from stillpoint.studies.result_store import ResultStore, product_version
+
+LEAST_IN_GROUP = 2  # recordings of a tag or device that get a table of their own
+
+
+def leaderboard(
+    recordings: Sequence[Path | str | Recording],
+    estimators: Sequence[str | Own] = (),
+    out: Path | str | None = None,
+    *,
+    params: Mapping[str, Mapping[str, object]] | None = None,
+    against: Against = "auto",
+    align: AlignKind = "heading",
+    calibration: Sequence[str] = (NONE,),
+    groups: Sequence[str] | None = None,
+    run_jobs: JobRunner = run_here,
+) -> Leaderboard:
+    """Score estimators over recordings and say which are better.
+
+    Parameters
+    ----------
+    recordings
+        MCAP files, or recordings in memory.
+    estimators
+        Names of the table of estimators (``all`` for every one of attitude), ``NAME@FILE.toml`` with parameters of
+        ``stillpoint tune``, ``FILE.py:NAME`` or ``MODULE:NAME`` of one's own, names of entry points, labels of files
+        beside the recordings, or functions and classes. Empty: all of the table. Files beside the recordings
+        (``NAME.LABEL.tum``) always take part.
+    out
+        Folder for references and results; a second call with it computes only what changed. None: nothing is kept.
+    params
+        Parameters by estimator that differ from the defaults.
+    against
+        ``"auto"``: independent truth where a recording has it, the reference elsewhere; ``"truth"``,
+        ``"reference"``, or ``"both"`` with a table for each.
+    align
+        What may differ without being an error, as for :func:`stillpoint.scoring.score`.
+    calibration
+        ``"none"``: samples as recorded. ``"reference"``: corrected by what the reference found about the sensor. Or a
+        file with a calibration. Each gives its own rows.
+    groups
+        Tags and devices that get a table of their own; None: all.
+    run_jobs
+        How to run jobs; by default one after another in this process.
+
+    Raises
+    ------
+    BadParameter
+        For an option or estimator that does not exist. What fails on a recording is an entry with its error instead.
+    """
+    objects = [each for each in estimators if not isinstance(each, str)]
+    with _folder(out) as folder:
+        study = Study(
+            recordings=tuple(str(_file_of(each, folder)) for each in recordings),
+            estimators=tuple(each for each in estimators if isinstance(each, str)),
+            params=params or {},
+            against=against,
+            align=align,
+            calibration=tuple(calibration),
+            groups=None if groups is None else tuple(groups),
+        )
+        return run_study(study, folder, run_jobs, objects)
+
+
+def run_study(
+    study: Study,
+    out: Path,
+    run_jobs: JobRunner = run_here,
+    objects: Sequence[Own] = (),
+    publish: Callable[[Leaderboard], None] | None = None,
+) -> Leaderboard:
+    """Run a study whose recordings are files; results are kept in ``out``.
+
+    ``objects`` are estimators given from Python. Where slow estimators (loops in Python) are among others,
+    ``publish`` gets the leaderboard of the fast ones before the slow ones are run.
+    """
+    store = ResultStore(out / "results")
+    files = without_trajectories([Path(name) for name in study.recordings])
+    sources = survey_sources(files, store)
+    _require_unchanged(study, sources)
+    wanted: list[str | Own] = [*study.estimators, *objects] or list(default_estimators())
+    entrants = find_entrants(wanted, labels_beside(files), study.params)
+    complete = replace(
+        study,
+        recordings=tuple(map(str, files)),
+        estimators=tuple(entrant.spelling for entrant in entrants),
+        sha256={source.recording: source.sha256 for source in sources if source.sha256},
+    )
+    references = _find_references(study, sources, out, store, run_jobs)
+    fast = [entrant for entrant in entrants if not entrant.slow]
+    if publish is not None and 0 < len(fast) < len(entrants):
+        publish(_compare(complete, sources, list_lines(fast, study.calibration), references, store, run_jobs))
+    return _compare(complete, sources, list_lines(entrants, study.calibration), references, store, run_jobs)
+
+
+def _compare(
+    study: Study,
+    sources: Sequence[Source],
+    lines: Sequence[Line],
+    references: References,
+    store: ResultStore,
+    run_jobs: JobRunner,
+) -> Leaderboard:
+    """Make what is missing of these lines, score and rank them."""
+    cells = make_estimates(list(plan_cells(sources, lines, references, store)), store, run_jobs)
+    rows = [line.empty_row() for line in lines]
+    tables, groups, runs = [], [], []
+    for against in (TRUTH, REFERENCE) if study.against == "both" else (study.against,):
+        judges = {s.recording: _find_judge(s, against, study.against == "both", references) for s in sources}
+        scored = _score(cells, judges, study.align, store, run_jobs)
+        tables.append(build_table("", scored, sources, rows))
+        for name, members in list_groups(sources, study.groups):
+            groups.append(build_table(name, scored, members, rows))
+        runs += scored.runs.values()
+    return Leaderboard(
+        against="both" if study.against == "both" else tables[0].against,
+        align=study.align,
+        tables=tuple(tables),
+        groups=tuple(table for table in groups if len(table.recordings) >= LEAST_IN_GROUP),
+        runs=tuple(runs),
+        sources=tuple(sources),
+        version=product_version(),
+        study=study.as_dict(),
+    )
+
+
+def list_groups(sources: Sequence[Source], wanted: Sequence[str] | None) -> Iterator[tuple[str, list[Source]]]:
+    """Return tags and devices with the recordings that share them; those that all recordings share say nothing."""
+    names = dict.fromkeys(name for source in sources for name in (*source.tags, source.device) if name)
+    for name in names if wanted is None else wanted:
+        members = [source for source in sources if name in (*source.tags, source.device)]
+        if wanted is not None and not members:
+            known = ", ".join(names) or "no tag or device"
+            raise BadParameter(f"group {name!r}: no recording has this tag or device; there is {known}")
+        if len(members) < len(sources):
+            yield name, members
+
+
+def _find_references(
+    study: Study, sources: Sequence[Source], out: Path, store: ResultStore, run_jobs: JobRunner
+) -> References:
+    """Find the references that judging or calibration needs; make those that are missing."""
+    needed = [source for source in sources if source.error is None and _needs_reference(study, source)]
+    jobs = [plan_reference(source, out, store) for source in needed]
+    missing = [job for job in jobs if find_reference(job) is None]
+    outcomes = run_jobs(make_reference, missing, "references") if missing else []
+    errors = {job.source.recording: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
+    return {
+        job.source.recording: find_reference(job)
+        or KeptReference(error=errors.get(job.source.recording) or "the reference is missing")
+        for job in jobs
+    }
+
+
+def _needs_reference(study: Study, source: Source) -> bool:
+    if REFERENCE in study.calibration or study.against in (REFERENCE, "both"):
+        return True
+    return study.against == "auto" and not source.truth
+
+
+def _find_judge(source: Source, against: str, at_truth: bool, references: References) -> JudgeSpec | str:
+    """Return the judge of a recording, or the reason why there is none."""
+    if source.error is not None:
+        return source.error
+    if against == TRUTH or (against == "auto" and source.truth):
+        if not source.truth:
+            return f"{source.recording}: has no independent truth; use --against reference"
+        return JudgeSpec(TRUTH, f"truth {source.sha256}")
+    reference = references[source.recording]
+    if reference.file is None:
+        return f"no reference: {reference.error}"
+    return JudgeSpec(
+        f"reference ({reference.method})",
+        reference.sha256,
+        reference.file,
+        at_truth=at_truth and source.truth,
+    )
+
+
+def _score(
+    cells: Sequence[Cell],
+    judges: Mapping[str, JudgeSpec | str],
+    align: AlignKind,
+    store: ResultStore,
+    run_jobs: JobRunner,
+) -> ScoredRuns:
+    """Score all cells, each recording against its judge, on the samples that its estimates share."""
+    jobs = []
+    for name, judge in judges.items():
+        entries = tuple(
+            Entry(cell.line.label, cell.line.entrant.name, cell.job.key)
+            for cell in cells
+            if cell.source.recording == name and cell.job is not None and cell.error is None
+        )
+        source = next(cell.source for cell in cells if cell.source.recording == name)
+        if isinstance(judge, JudgeSpec) and entries:
+            jobs.append(plan_score(source, judge, align, entries, store))
+    missing = [job for job in jobs if job.scored() is None]
+    outcomes = run_jobs(score_recording, missing, "scores") if missing else []
+    errors = {job.key: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
+    scored: dict[tuple[str, str], Scored] = {}
+    for job in jobs:
+        error = errors.get(job.key) or "the scores are missing"
+        found = job.scored() or [Scored(entry.label, None, error) for entry in job.entries]
+        scored |= {(job.source.recording, one.label): one for one in found}
+    return _collect(cells, judges, scored, store)
+
+
+def _collect(
+    cells: Sequence[Cell],
+    judges: Mapping[str, JudgeSpec | str],
+    scored: Mapping[tuple[str, str], Scored],
+    store: ResultStore,
+) -> ScoredRuns:
+    """Return every cell as a run, with the series from which the effect of a reference's error is computed."""
+    runs, errors, covariances = {}, {}, {}
+    for cell in cells:
+        place = (cell.source.recording, cell.line.label)
+        judge, one = judges[cell.source.recording], scored.get(place)
+        run = _start_run(cell, judge, store)
+        result = None if one is None or one.key is None else store.get(one.key)
+        if run.error is None and result is None:
+            reason = "the score is missing" if one is None else one.error
+            run = replace(run, error=judge if isinstance(judge, str) else reason)
+        if run.error is None and result is not None and isinstance(judge, JudgeSpec):
+            figures = {name: value for name, value in result.facts.items() if name != "samples_hash"}
+            run = replace(run, **figures, score_key=one.key if one else None)
+            errors[place] = ErrorSeries(result.arrays["bins"], result.arrays["error_n_deg"])
+            kept = store.get(judge_key(judge, result.facts)) if judge.file is not None else None
+            if kept is not None:
+                covariances[cell.source.recording] = JudgeSeries(kept.arrays["bins"], kept.arrays["cov_n_deg2"])
+        runs[place] = run
+    return ScoredRuns(runs, errors, covariances)
+
+
+def _start_run(cell: Cell, judge: JudgeSpec | str, store: ResultStore) -> Run:
+    """Return the run of a cell with what is known before it is scored."""
+    facts = None if cell.job is None else store.facts(cell.job.key)
+    known = facts if facts is not None and facts["error"] is None else {}
+    against, file = ("", None) if isinstance(judge, str) else (judge.name, str(judge.file or cell.source.file))
+    return Run(
+        recording=cell.source.recording,
+        estimator=cell.line.entrant.name,
+        calibration=cell.line.calibration,
+        label=cell.line.label,
+        against=against,
+        ns_per_sample=known.get("ns_per_sample"),
+        magnetometer_left_out=known.get("magnetometer_left_out"),
+        parameters=known.get("params", {}),
+        judge_file=file,
+        error=cell.error,
+    )
+
+
+def _require_unchanged(study: Study, sources: Sequence[Source]) -> None:
+    """Raise :class:`BadParameter` when a recording is not the one that the study was made with."""
+    for source in sources:
+        wanted = study.sha256.get(source.recording)
+        if wanted is not None and source.sha256 not in ("", wanted):
+            raise BadParameter(
+                f"{source.file}: has changed since the study was made (another SHA-256); "
+                "use the same file, or remove [sha256] from the study"
+            )
+
+
+@contextmanager
+def _folder(out: Path | str | None) -> Iterator[Path]:
+    if out is not None:
+        yield Path(out)
+        return
+    with tempfile.TemporaryDirectory(prefix="stillpoint-") as name:
+        yield Path(name)
+
+
+def _file_of(recording: Path | str | Recording, folder: Path) -> Path:
+    """Return the file of a recording; one in memory is written to the folder of results."""
+    if not isinstance(recording, Recording):
+        return Path(recording)
+    file = folder / "recordings" / f"{recording.name}.mcap"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write(file, recording)
+    return file

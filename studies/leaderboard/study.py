@@ -1,0 +1,119 @@
+"""A study is a file: recordings, estimators with their parameters, input, judge and alignment, as TOML."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import nearest, require_known
+from stillpoint.scoring import ALIGN_KINDS, AlignKind
+
+Against = Literal["auto", "truth", "reference", "both"]
+AGAINST: tuple[str, ...] = get_args(Against)
+NONE, REFERENCE = "none", "reference"
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a leaderboard compares, and how."""
+
+    recordings: tuple[str, ...]  # files, folders or globs
+    estimators: tuple[str, ...] = ()  # empty: every one of attitude whose package is installed
+    params: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by estimator
+    against: Against = "auto"  # truth where a recording has it, the reference elsewhere
+    align: AlignKind = "heading"
+    calibration: tuple[str, ...] = (NONE,)  # each kind of input gives its own rows
+    groups: tuple[str, ...] | None = None  # tags and devices with a table of their own; None: all
+    sha256: Mapping[str, str] = field(default_factory=dict)  # of each recording when the study was made
+
+    def __post_init__(self) -> None:
+        require_known(self.against, AGAINST, "--against")
+        require_known(self.align, ALIGN_KINDS, "alignment")
+        if not self.recordings:
+            raise BadParameter("no recordings: name files, folders or globs")
+        if not self.calibration:
+            raise BadParameter("--calibration: name none, reference or a file, several with commas between")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the study as plain values."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+
+def read_study(path: Path) -> Study:
+    """Read a study; relative paths in it are relative to its folder. Raises :class:`BadParameter`."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadParameter(f"{path}: cannot be read ({error.strerror}); check the name") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadParameter(f"{path}: is no TOML ({error})") from None
+    known = [each.name for each in fields(Study)]
+    unknown = next((name for name in content if name not in (*known, "stillpoint")), None)
+    if unknown is not None:
+        raise BadParameter(f"{path}: has no setting {unknown!r}; {nearest(unknown, known)}")
+    content.pop("stillpoint", None)
+    recordings = [_beside(path, text) for text in _texts(content, "recordings", path)]
+    given: dict[str, Any] = {**content, "recordings": tuple(recordings)}
+    for name in ("estimators", "calibration", "groups"):
+        if name in content:
+            given[name] = tuple(_texts(content, name, path))
+    given["calibration"] = tuple(
+        text if text in (NONE, REFERENCE) else _beside(path, text) for text in given.get("calibration", (NONE,))
+    )
+    given["estimators"] = tuple(_own_beside(path, text) for text in given.get("estimators", ()))
+    return Study(**given)
+
+
+def study_toml(study: Study, version: str) -> str:
+    """Return the study as TOML, with the version of stillpoint that ran it."""
+    lines = ["# stillpoint leaderboard -c study.toml -o OUT repeats this study.", f"stillpoint = {_value(version)}"]
+    for each in fields(study):
+        value = getattr(study, each.name)
+        if value is not None and not isinstance(value, Mapping):
+            lines.append(f"{each.name} = {_value(value)}")
+    for name, params in study.params.items():
+        lines += ["", f"[params.{_value(name)}]", *(f"{key} = {_value(value)}" for key, value in params.items())]
+    if study.sha256:
+        lines += ["", "[sha256]", *(f"{_value(name)} = {_value(digest)}" for name, digest in study.sha256.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[str]:
+    value = content.get(name, [])
+    if isinstance(value, str):
+        return [value]
+    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+        raise BadParameter(f'{path}: {name} is no list of texts; write {name} = ["…", "…"]')
+    return value
+
+
+def _beside(path: Path, text: str) -> str:
+    """Return a path of the study as seen from here."""
+    return text if Path(text).is_absolute() else str(path.parent / text)
+
+
+def _own_beside(path: Path, text: str) -> str:
+    """Return FILE.py:NAME and NAME@FILE.toml with the file beside the study."""
+    place, colon, name = text.rpartition(":")
+    if place.endswith(".py"):
+        return f"{_beside(path, place)}{colon}{name}"
+    known, at, settings = text.partition("@")
+    return f"{known}@{_beside(path, settings)}" if at else text
+
+
+def _value(value: Any) -> str:
+    """Return a text, number, truth value or list of these as TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]" if len(value) < 3 else _long_list(value)
+    escaped = str(value).replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c for c in escaped) + '"'
+
+
+def _long_list(values: Sequence[Any]) -> str:
+    return "[\n" + "".join(f"    {_value(value)},\n" for value in values) + "]"

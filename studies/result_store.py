@@ -1,0 +1,103 @@
+"""Results kept by the content of what they were made from, so that a study that was stopped goes on where it was.
+
+A key is the hash of everything that decides a result: the SHA-256 of the input, the estimator with its parameters and
+version, the alignment, and the version of stillpoint. Results are written whole or not at all.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import BadParameter
+
+FACTS = "facts"
+DECIDING = ("datasets", "filters", "smoother", "scoring")  # packages whose code decides a result
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What is kept under one key."""
+
+    facts: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class ResultStore:
+    """A folder of results; several processes may use it together."""
+
+    folder: Path
+
+    def get(self, key: str) -> Result | None:
+        """Return the result of a key; None when it is missing or unreadable."""
+        try:
+            with np.load(self._path(key), allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            return Result(json.loads(bytes(arrays.pop(FACTS))), arrays)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def facts(self, key: str) -> Mapping[str, Any] | None:
+        """Return the facts of a key without its arrays; None when it is missing or unreadable."""
+        try:
+            with np.load(self._path(key), allow_pickle=False) as file:
+                found: Mapping[str, Any] = json.loads(bytes(file[FACTS]))
+                return found
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def put(self, key: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None) -> None:
+        """Keep a result; raises :class:`BadParameter` when the folder cannot be written."""
+        text = np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)
+        place = self._path(key)
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(prefix=f".{key[:16]}.", suffix=".part", dir=place.parent)
+            try:
+                with open(handle, "wb") as file:
+                    np.savez(file, **{FACTS: text}, **(arrays or {}))
+                os.replace(name, place)
+            except BaseException:
+                Path(name).unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            raise BadParameter(f"{place.parent}: cannot be written ({error.strerror}); name another folder") from None
+
+    def _path(self, key: str) -> Path:
+        return self.folder / f"{key}.npz"
+
+
+def key_of(**deciding: Any) -> str:
+    """Return the key of everything that decides a result; values must be plain JSON."""
+    text = json.dumps({"product": product_version(), **deciding}, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def product_version() -> str:
+    """Return the version of stillpoint with a hash of the code that decides results."""
+    digest = hashlib.sha256()
+    for package in DECIDING:
+        for folder in import_module(f"stillpoint.{package}").__path__:
+            for file in sorted(Path(folder).rglob("*.py")):
+                digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return f"{version('stillpoint')}+{digest.hexdigest()[:12]}"
+
+
+def _plain(value: Any) -> Any:
+    """Return numpy scalars and arrays as plain JSON; raises ``TypeError`` for anything else."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be part of a key")
