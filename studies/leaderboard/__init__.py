@@ -2,9 +2,11 @@
 
 from stillpoint.studies.leaderboard.board import Leaderboard, Pair, Row, Run, Source, Summary, Table
 from stillpoint.studies.leaderboard.run import leaderboard, run_study
+from stillpoint.studies.leaderboard.series import ErrorOverTime, read_error_series
 from stillpoint.studies.leaderboard.study import Study, read_study, study_toml
 
 __all__ = [
+    "ErrorOverTime",
     "Leaderboard",
     "Pair",
     "Row",
@@ -14,6 +16,7 @@ __all__ = [
     "Summary",
     "Table",
     "leaderboard",
+    "read_error_series",
     "read_study",
     "run_study",
     "study_toml",

@@ -24,6 +24,7 @@ from stillpoint.studies.leaderboard.references import (
     plan_reference,
 )
 from stillpoint.studies.leaderboard.scores import Entry, Scored, judge_key, plan_score, score_recording
+from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study
 from stillpoint.studies.result_store import ResultStore, product_version
@@ -102,7 +103,7 @@ def run_study(
     ``objects`` are estimators given from Python. Where slow estimators (loops in Python) are among others,
     ``publish`` gets the leaderboard of the fast ones before the slow ones are run.
     """
-    store = ResultStore(out / "results")
+    store = ResultStore(out / RESULTS)
     files = without_trajectories([Path(name) for name in study.recordings])
     sources = survey_sources(files, store)
     _require_unchanged(study, sources)

@@ -1,0 +1,185 @@
+"""``stillpoint leaderboard``: score many estimators over many recordings and say which are better."""
+
+import json as json_format
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scoring.align import AlignKind
+from stillpoint.scripts import inputs
+from stillpoint.scripts.batch import assignments
+from stillpoint.scripts.flags import Jobs, SetFlag
+from stillpoint.scripts.jobs import Outcome, run_jobs
+from stillpoint.scripts.json_file import STDOUT, JsonFile
+from stillpoint.scripts.tables import print_refusals, print_table
+from stillpoint.scripts.text_file import write_text
+from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard.study import Against
+
+DEFAULT_OUT = Path("leaderboard")
+COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
+EXAMPLE = "cf.omega0_radps=0.3"
+
+
+def leaderboard(
+    paths: Annotated[list[str] | None, Parameter(negative=(), allow_leading_hyphen=True)] = None,
+    /,
+    *,
+    estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])] = DEFAULT_OUT,
+    against: Against | None = None,
+    align: AlignKind | None = None,
+    calibration: str | None = None,
+    groups: str | None = None,
+    set_: SetFlag = None,
+    study: Annotated[Path | None, Parameter(name=["--study", "-c"])] = None,
+    jobs: Jobs = None,
+    json: JsonFile = None,
+) -> int:
+    """Score many estimators over many recordings and say which are better.
+
+    Makes the references, estimates and scores that are missing and reuses the others, so that a run that was stopped
+    goes on where it was. Writes leaderboard.json and study.toml to the output folder. Verdicts come with 95 %
+    intervals; docs/leaderboard.md explains them. Exit code 2 when nothing could be scored.
+
+    Parameters
+    ----------
+    paths
+        Recordings: MCAP files, folders or globs; - reads names from the standard input.
+    estimators
+        Names with commas between, as for estimate, or all; NAME@FILE.toml with parameters of tune; one's own as
+        FILE.py:NAME or MODULE:NAME. By default all of attitude. Files NAME.LABEL.tum, .csv, .mcap or .bag beside
+        NAME.mcap always take part.
+    out
+        Folder for results.
+    against
+        What judges: truth, reference, or both with a table each. By default (auto) truth where a recording has it,
+        the reference elsewhere.
+    align
+        What may differ without being an error: none, heading (the default), heading+mounting or
+        heading+mounting+time.
+    calibration
+        Input of the estimators, with commas between for rows of each: none (as recorded, the default), reference
+        (corrected by what the reference found about the sensor), or a file NAME.reference.mcap.
+    groups
+        Tags and devices that get a table of their own, with commas between; by default all.
+    set_
+        A parameter, ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3; can be given several times.
+    study
+        A study.toml that names all of this; the other flags override it.
+    jobs
+        Processes; by default one per core.
+    json
+        Also write the leaderboard as JSON to this file; - is the standard output.
+    """
+    asked = _study(paths, estimators, against, align, calibration, groups, set_, study)
+
+    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
+        return run_jobs(function, items, jobs, what)
+
+    folder = inputs.output_dir(out)
+    board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
+    _write(board, folder)
+    if json == STDOUT:
+        print(_json_text(board), end="")
+    else:
+        print_leaderboard(board)
+        print(f"\nwritten to {folder}: leaderboard.json, study.toml")
+    if json not in (None, STDOUT):
+        write_text(Path(str(json)), _json_text(board))
+    return 0 if any(run.error is None for run in board.runs) else 2
+
+
+def print_leaderboard(board: Leaderboard) -> None:
+    """Print the table of each judge with its conclusion, the groups in short, and the failures by reason."""
+    for table in board.tables:
+        what = "error" if table.ranked_by == "total" else table.ranked_by
+        title = f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned; RMSE of {what}"
+        print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]])
+        print(table.conclusion)
+    for group in board.groups:
+        best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
+        if best:
+            print(f"{group.name} ({len(group.recordings)} recordings, {group.against}): first {', '.join(best)}")
+    print_refusals("failed", ((str(run.error), f"{run.label} on {run.recording}") for run in board.failures))
+    for source in board.sources:
+        if source.lost:
+            print(f"{source.recording}: {source.lost}")
+
+
+def _cells(row: Row, table: Table) -> list[str]:
+    ranked: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
+    rank = "-" if row.rank is None else str(row.rank[0]) if row.rank[0] == row.rank[1] else "{}-{}".format(*row.rank)
+    failed = f"{row.failed} of {row.recordings}" if row.failed else ""
+    ns = "-" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}"
+    if ranked is None or row.heading_rmse_deg is None or row.inclination_rmse_deg is None:
+        return [rank, row.label, "-", "-", "-", "-", "-", ns, failed]
+    interval = f"{ranked.ci95[0]:.2f}-{ranked.ci95[1]:.2f}" if table.general else "-"
+    figures = (row.heading_rmse_deg.typical, row.inclination_rmse_deg.typical, ranked.worst)
+    return [rank, row.label, f"{ranked.typical:.2f}", interval, *(f"{figure:.2f}" for figure in figures), ns, failed]
+
+
+def _study(
+    paths: list[str] | None,
+    estimators: str | None,
+    against: Against | None,
+    align: AlignKind | None,
+    calibration: str | None,
+    groups: str | None,
+    set_: Sequence[str] | None,
+    study: Path | None,
+) -> Study:
+    """Return what the flags ask for, on top of a study file; its recordings as files."""
+    if not paths and study is None:
+        raise BadParameter("no recordings: name files, folders or globs, or a study: -c study.toml")
+    base = read_study(study) if study is not None else None
+    if paths:
+        names = [line.strip() for line in sys.stdin if line.strip()] if paths == ["-"] else paths
+        base = Study(tuple(names)) if base is None else replace(base, recordings=tuple(names), sha256={})
+    assert base is not None
+    given: dict[str, Any] = {"against": against, "align": align}
+    for name, text in (("estimators", estimators), ("calibration", calibration), ("groups", groups)):
+        given[name] = None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
+    params = {name: dict(values) for name, values in base.params.items()}
+    for path, value in assignments(set_, EXAMPLE).items():
+        owner, dot, name = path.partition(".")
+        if not dot:
+            raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {EXAMPLE}")
+        params.setdefault(owner, {})[name] = value
+    files = tuple(map(str, inputs.recordings(base.recordings)))
+    changed = {name: value for name, value in given.items() if value is not None}
+    return replace(base, recordings=files, params=params, **changed)
+
+
+def _write(board: Leaderboard, folder: Path) -> None:
+    """Write the leaderboard and the complete study, with paths relative to the folder."""
+    write_text(folder / "leaderboard.json", _json_text(board))
+    study = Study(**board.study)
+    study = replace(
+        study,
+        recordings=tuple(os.path.relpath(file, folder) for file in study.recordings),
+        estimators=tuple(_relative(name, folder) for name in study.estimators),
+        calibration=tuple(
+            name if name in ("none", "reference") else os.path.relpath(name, folder) for name in study.calibration
+        ),
+    )
+    write_text(folder / "study.toml", study_toml(study, board.version))
+
+
+def _relative(estimator: str, folder: Path) -> str:
+    """Return FILE.py:NAME and NAME@FILE.toml with the file as seen from the folder."""
+    place, colon, name = estimator.rpartition(":")
+    if place.endswith(".py"):
+        return f"{os.path.relpath(place, folder)}{colon}{name}"
+    known, at, settings = estimator.partition("@")
+    return f"{known}@{os.path.relpath(settings, folder)}" if at else estimator
+
+
+def _json_text(board: Leaderboard) -> str:
+    return json_format.dumps(board.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
