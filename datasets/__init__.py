@@ -12,6 +12,7 @@ from stillpoint.datasets.errors import (
     StillpointError,
     Unobservable,
 )
+from stillpoint.datasets.mcap.store import read, write
 from stillpoint.datasets.recording import (
     Encoder,
     Gps,
@@ -23,7 +24,6 @@ from stillpoint.datasets.recording import (
     SpinGeometry,
     Truth,
 )
-from stillpoint.datasets.store import read, write
 from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
 
 __all__ = [

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
-from stillpoint.datasets.store import read_reference, sha256
 from stillpoint.datasets.trajectory import Calibration, Reference
 
 

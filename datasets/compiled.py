@@ -5,6 +5,7 @@ No fast maths: reassociated sums would make a batch run differ from the same sam
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -54,7 +55,7 @@ def _compiled(function: Function, inline: bool, has_entry: bool = True) -> Funct
         dispatcher = _with_numba(function, inline, has_entry, cache=True)
     except RuntimeError:  # numba found no folder to write to
         return cast(Function, _with_numba(function, inline, has_entry, cache=False))
-    drop_stale(Path(dispatcher.stats.cache_path), Path(function.__code__.co_filename).parent)
+    drop_stale(Path(dispatcher.stats.cache_path), Path(function.__code__.co_filename))
     return cast(Function, dispatcher)
 
 
@@ -75,30 +76,40 @@ def _without_entry(function: Function) -> Function:
     return function
 
 
-def drop_stale(cache: Path, folder: Path) -> None:
-    """Forget machine code of other sources than those of the folder, and of what all folders call from this one.
+def drop_stale(cache_folder: Path, source: Path) -> None:
+    """Delete cached machine code that was compiled from other sources than those of the source's top-level folder.
 
     numba notices when the file of a function changes, but not when a function that it *calls* does: after an upgrade
-    the cached ``complementary.run`` would go on with the old ``rotation.exp`` in it.
+    the cached ``complementary.run`` would go on with the old ``rotation.exp`` in it. What all folders call, the files
+    named in ``SHARED``, counts too.
     """
-    if cache in _CHECKED:
+    if cache_folder in _CHECKED:
         return
-    _CHECKED.add(cache)
-    stamp = cache / STAMP
-    sources = _fingerprint(folder)
+    _CHECKED.add(cache_folder)
+    stamp = cache_folder / STAMP
+    sources = _fingerprint(_find_top_folder(source))
     try:
         if stamp.exists() and stamp.read_text() == sources:
             return
-        for machine_code in cache.glob("*.nb[ci]"):
+        for machine_code in cache_folder.glob("*.nb[ci]"):
             machine_code.unlink(missing_ok=True)
         stamp.write_text(sources)
     except OSError:
         return  # a cache that cannot be written is not one that numba uses
 
 
+def _find_top_folder(source: Path) -> Path:
+    """Return the outermost folder of packages that holds the source file."""
+    folder = source.parent
+    while (folder.parent / "__init__.py").exists():
+        folder = folder.parent
+    return folder
+
+
+@cache
 def _fingerprint(folder: Path) -> str:
     sources = hashlib.sha256()
-    for path in (*sorted(folder.glob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)):
+    for path in (*sorted(folder.rglob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)):
         sources.update(path.name.encode() + b"\0" + path.read_bytes())
     return sources.hexdigest()
 

@@ -4,9 +4,9 @@
 sample; ``ESTIMATORS`` lists them.
 """
 
-from stillpoint.filters.roll_advance import RollAnswer
-from stillpoint.filters.roll_stream import RollStream, SavedRoll
 from stillpoint.filters.run import estimate
+from stillpoint.filters.spin.advance import RollAnswer
+from stillpoint.filters.spin.stream import RollStream, SavedRoll
 from stillpoint.filters.stream import Saved, Stream
 from stillpoint.filters.table import ESTIMATORS
 

@@ -13,10 +13,10 @@ from typing import Any, cast
 from numba import boolean, float64, int64, typeof
 from numba.typed import List
 
-from stillpoint.filters import front
 from stillpoint.filters.compiled import compiled_entry, like
-from stillpoint.filters.front import State
-from stillpoint.filters.guard import Fix, Raw
+from stillpoint.filters.front import front
+from stillpoint.filters.front.front import State
+from stillpoint.filters.front.guard import Fix, Raw
 from stillpoint.filters.sample import Sample
 
 Advance = Callable[..., Any]

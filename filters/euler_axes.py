@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from stillpoint.datasets.quaternion import half_angle
 from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
-from stillpoint.filters.covariance import ANY_ANGLE_RAD2
+from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, cross
 
 # Cosine of the pitch below which roll and heading are one angle: the body's x axis is within 1.1 deg of the vertical.

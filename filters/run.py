@@ -13,11 +13,11 @@ from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters import peers
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.filters.front.sources import Sources, passed, sources_of
 from stillpoint.filters.precision import Precision, in_precision, off_double
-from stillpoint.filters.roll_run import estimate_roll
 from stillpoint.filters.sample import Log, Track, counts
-from stillpoint.filters.sources import Sources, passed, sources_of
+from stillpoint.filters.spin.run import estimate_roll
 from stillpoint.filters.table import Estimator, Peer, RollEstimator, find
 
 PAGE = 4096  # bytes; the least that the system gives at a time
@@ -53,11 +53,11 @@ def estimate(
         in double precision is in the diagnostics, ``off_double_max_deg`` and ``off_double_rms_deg``.
     heading
         ``"gps-course"``: the course of satellite fixes while they are valid, and the magnetometer, calibrated by
-        them, otherwise; see :mod:`stillpoint.filters.heading_source`.
+        them, otherwise; see :mod:`stillpoint.filters.front.heading_source`.
     heading_params
         Of ``"gps-course"``, likewise.
     ranges
-        Full scales of the sensors (:class:`stillpoint.filters.guard.Ranges`), likewise, to know saturated samples by.
+        Full scales of the sensors (:class:`stillpoint.filters.front.guard.Ranges`), to detect saturation.
 
     Raises
     ------

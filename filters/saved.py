@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.filters.roll_stream import SavedRoll
+from stillpoint.filters.spin.stream import SavedRoll
 from stillpoint.filters.stream import Saved
 
 AnySaved = TypeVar("AnySaved", Saved, SavedRoll)

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.filters.advance import beginning, entry_point, filled, look
-from stillpoint.filters.front import State as FrontState
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.front.front import State as FrontState
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.filters.front.sources import front_of
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import Output, counts
-from stillpoint.filters.sources import front_of
 from stillpoint.filters.table import Estimator, find
 
 NO_VECTOR = (0.0, 0.0, 0.0)
@@ -91,7 +91,7 @@ class Stream:
         ``mag_b_ut`` is given when there is a field that was not given before, and ``course`` likewise: course over
         ground (rad, clockwise from true north) and speed (m/s) of a new satellite fix, NaN where it is not valid.
 
-        What is no measurement is left out or replaced, and counted: :mod:`stillpoint.filters.guard`.
+        What is no measurement is left out or replaced, and counted: :mod:`stillpoint.filters.front.guard`.
         """
         gx, gy, gz = gyro_b_radps
         ax, ay, az = accel_b_mps2

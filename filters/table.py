@@ -7,24 +7,14 @@ from typing import Any
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
-from stillpoint.filters import (
-    aekf,
-    complementary,
-    ekf,
-    fixed_gain,
-    gyro,
-    iekf,
-    kf_axis,
-    least_squares,
-    moving_average,
-    peers,
-    roll_aekf,
-    roll_ekf,
-    roll_guarded,
-    roll_observation,
-    tilt,
-)
-from stillpoint.filters.roll_noise import RollParams
+from stillpoint.filters import peers
+from stillpoint.filters.complementary import complementary, fixed_gain, gyro, least_squares, moving_average, tilt
+from stillpoint.filters.kalman import aekf, ekf, iekf, kf_axis
+from stillpoint.filters.spin import aekf as roll_aekf
+from stillpoint.filters.spin import ekf as roll_ekf
+from stillpoint.filters.spin import guarded as roll_guarded
+from stillpoint.filters.spin import observation as roll_observation
+from stillpoint.filters.spin.noise import RollParams
 
 
 @dataclass(frozen=True)
@@ -46,7 +36,7 @@ class Estimator:
 
 @dataclass(frozen=True)
 class RollEstimator:
-    """One estimator of roll: see :mod:`stillpoint.filters.roll_sample` for what its functions take and give."""
+    """One estimator of roll: see :mod:`stillpoint.filters.spin.sample` for what its functions take and give."""
 
     summary: str
     params: type[RollParams]

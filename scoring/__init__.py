@@ -6,8 +6,8 @@ score_roll(estimate, truth, zero="start") -> RollScore, of angle and rate about 
 
 from stillpoint.scoring.align import ALIGN_KINDS, AlignKind, Alignment
 from stillpoint.scoring.compare import Comparison, compare
-from stillpoint.scoring.roll import RollScore, score_roll
 from stillpoint.scoring.score import Score, score, score_of, score_row
+from stillpoint.scoring.spin import RollScore, score_roll
 from stillpoint.scoring.turns import TurnError
 
 __all__ = [

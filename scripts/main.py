@@ -49,7 +49,7 @@ def app() -> "App":
         help_flags=HELP,
     )
     for place, (verb, (target, summary)) in enumerate(VERBS.items()):
-        cli.command(f"stillpoint.scripts.{target}", name=verb, help=summary, sort_key=place)
+        cli.command(f"stillpoint.scripts.verbs.{target}", name=verb, help=summary, sort_key=place)
     return cli
 
 

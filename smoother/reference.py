@@ -9,10 +9,10 @@ from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, chosen
 from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
-from stillpoint.smoother.graph_params import PRESETS, GraphParams
+from stillpoint.smoother.attitude.params import PRESETS, GraphParams
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
-from stillpoint.smoother.roll_params import RollGraphParams
+from stillpoint.smoother.spin.params import RollGraphParams
 
 DEFAULT_METHOD = "graph"
 DEFAULT_ROLL_METHOD = "roll-graph"
@@ -30,7 +30,7 @@ class Method:
 def _graph(recording: Recording, params: GraphParams) -> Reference:
     """The factor graph; gtsam is loaded when it is needed, as it is not to be had everywhere."""
     try:
-        from stillpoint.smoother.calibrating import calibrating_graph
+        from stillpoint.smoother.attitude.graph import calibrating_graph
     except ImportError as error:
         raise BadParameter(
             f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
@@ -42,7 +42,7 @@ def _graph(recording: Recording, params: GraphParams) -> Reference:
 def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
     """The graph of a spinning body; gtsam is loaded when it is needed."""
     try:
-        from stillpoint.smoother.roll_reference import roll_graph
+        from stillpoint.smoother.spin.graph import roll_graph
     except ImportError as error:
         raise BadParameter(
             f"method roll-graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "

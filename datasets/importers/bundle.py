@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.store import sha256
+from stillpoint.datasets.mcap.store import sha256
 
 
 def digests(files: Iterable[Path], below: Path) -> dict[str, str]:

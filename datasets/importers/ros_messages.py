@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from stillpoint.datasets.errors import BadFile, BadParameter, BadSource
 from stillpoint.datasets.importers.clock import Log, Series
-from stillpoint.datasets.mcap_reader import read_log, survey
+from stillpoint.datasets.mcap.reader import read_log, survey
 
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
 

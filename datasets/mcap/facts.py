@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.mcap.topics import TOPICS
 from stillpoint.datasets.recording import Info, Recording, SpinGeometry
-from stillpoint.datasets.topics import TOPICS
 from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
 
 Kept = Recording | Reference | RollReference | Estimate

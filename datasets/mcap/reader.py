@@ -28,10 +28,10 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from stillpoint.datasets import cdr
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.mcap_file import MESSAGE_HEAD, RECORD_HEAD, windows
-from stillpoint.datasets.mcap_scan import Block, Scan
+from stillpoint.datasets.mcap import cdr
+from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.mcap.scan import Block, Scan
 
 Columns = Mapping[str, tuple[str, ...]]  # name of a column -> the leaves side by side in it
 

@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, 
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.mcap_file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
 
 LARGEST_CHUNK = 1 << 30  # bytes, unpacked: writers make 1-4 MiB; a larger claim is damage or malice
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size

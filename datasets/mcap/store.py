@@ -1,7 +1,7 @@
 """Recordings, references and estimates as MCAP files, and back, bit for bit.
 
-Columns go to the topics of :mod:`stillpoint.datasets.topics`; everything else (names, provenance, parameters, rests,
-calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
+Columns go to the topics of :mod:`stillpoint.datasets.mcap.topics`; everything else (names, provenance, parameters,
+rests, calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadRecording
-from stillpoint.datasets.facts import (
+from stillpoint.datasets.mcap.facts import (
     KINDS,
     Kept,
     facts_of,
@@ -26,10 +26,10 @@ from stillpoint.datasets.facts import (
     spin_geometry_from,
     to_json,
 )
-from stillpoint.datasets.mcap_reader import Log, read_log, survey
-from stillpoint.datasets.mcap_writer import Stream, write_mcap
+from stillpoint.datasets.mcap.reader import Log, read_log, survey
+from stillpoint.datasets.mcap.topics import MAG_REMAINDER, TOPICS, Topic, microtesla, tesla
+from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Spin, Truth
-from stillpoint.datasets.topics import MAG_REMAINDER, TOPICS, Topic, microtesla, tesla
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
 
 OneKind = TypeVar("OneKind", Recording, Reference, RollReference, Estimate)

@@ -1,7 +1,7 @@
 """The table of topics: which quantity lies where in a file, in what unit and order.
 
 The only place that knows that ROS writes quaternions xyzw and magnetic fields in tesla. ``docs/topics.md`` is made
-from it by :mod:`stillpoint.datasets.topics_page`.
+from it by :mod:`stillpoint.scripts.pages.topics_page`.
 """
 
 from collections.abc import Callable, Mapping

@@ -36,8 +36,8 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from stillpoint.datasets import cdr
-from stillpoint.datasets.mcap_file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, atomic, windows
+from stillpoint.datasets.mcap import cdr
+from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, atomic, windows
 
 CHUNK_BYTES = 1 << 20
 ZSTD_LEVEL = 3

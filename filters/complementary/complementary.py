@@ -21,8 +21,16 @@ from typing import Literal, NamedTuple
 from stillpoint.datasets.settings import Settings, choice, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
+from stillpoint.filters.complementary.pi_observer import (
+    Observer,
+    begun,
+    corrected,
+    moved_on,
+    said,
+    uncorrected,
+    unlevelled,
+)
 from stillpoint.filters.fields import LONGEST_HOLD_S, Fresh, levelled, low_pass, tilt_of, turn_to_north
-from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
 from stillpoint.filters.rotation import conjugate, multiply, norm, rotate, scale
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 

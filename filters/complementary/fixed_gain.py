@@ -43,8 +43,16 @@ from typing import NamedTuple
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.complementary.pi_observer import (
+    Observer,
+    begun,
+    corrected,
+    moved_on,
+    said,
+    uncorrected,
+    unlevelled,
+)
 from stillpoint.filters.fields import LONGEST_HOLD_S, Fields, Fresh, low_pass, tilt_of, turn_to_north
-from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
 from stillpoint.filters.rotation import Quaternion, add, conjugate, multiply, rotate
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 

@@ -1,14 +1,14 @@
 """Gains of a PI filter by least squares over its samples: eq (22) of paper 003, for one angle.
 
-The equations, what is regressed on what and why, are in :mod:`stillpoint.filters.least_squares`. Each row of H and S
-comes times T, as the filter adds it in one step; forgetting is exponential.
+The equations, what is regressed on what and why, are in :mod:`stillpoint.filters.complementary.least_squares`.
+Each row of H and S comes times T, as the filter adds it in one step; forgetting is exponential.
 """
 
 from math import exp
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.fixed_gain import shares
+from stillpoint.filters.complementary.fixed_gain import shares
 
 # 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
 LEAST_INDEPENDENT = 1e-5

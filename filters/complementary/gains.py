@@ -9,10 +9,10 @@ import numpy as np
 from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import least_squares
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.complementary import least_squares
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.filters.front.sources import passed, sources_of
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sources import passed, sources_of
 from stillpoint.filters.table import ESTIMATORS, Estimator
 
 

@@ -56,10 +56,18 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.complementary.fixed_gain import Error, error_of, settling_s
+from stillpoint.filters.complementary.gain_fit import Part, Regression, after_sample, interrupted, unfitted
+from stillpoint.filters.complementary.pi_observer import (
+    Observer,
+    begun,
+    corrected,
+    moved_on,
+    said,
+    uncorrected,
+    unlevelled,
+)
 from stillpoint.filters.fields import low_pass
-from stillpoint.filters.fixed_gain import Error, error_of, settling_s
-from stillpoint.filters.gain_fit import Part, Regression, after_sample, interrupted, unfitted
-from stillpoint.filters.pi_observer import Observer, begun, corrected, moved_on, said, uncorrected, unlevelled
 from stillpoint.filters.rotation import Quaternion, Vector, conjugate, multiply, rotate
 from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, Track, keep, sample_at
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters import tilt
 from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
+from stillpoint.filters.complementary import tilt
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.filters import guard, heading_source
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
-from stillpoint.filters.guard import Fix, Raw
+from stillpoint.filters.front import guard, heading_source
+from stillpoint.filters.front.guard import Fix, Raw
 from stillpoint.filters.sample import Log, Sample, put
 
 

@@ -29,8 +29,8 @@ from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.fields import FREE_FALL_MPS2, tilt_of
-from stillpoint.filters.guard import Fix
-from stillpoint.filters.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
+from stillpoint.filters.front.guard import Fix
+from stillpoint.filters.front.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, dot, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Sample
 

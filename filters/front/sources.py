@@ -12,9 +12,9 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Times
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import front, guard, heading_source
-from stillpoint.filters.front import RawLog
-from stillpoint.filters.heading_source import HEADINGS, Heading
+from stillpoint.filters.front import front, guard, heading_source
+from stillpoint.filters.front.front import RawLog
+from stillpoint.filters.front.heading_source import HEADINGS, Heading
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import Log, counts
 

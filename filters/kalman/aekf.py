@@ -28,12 +28,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters import error_model, error_state
 from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
-from stillpoint.filters.covariance import Matrix, widen
-from stillpoint.filters.error_model import HEADING, VELOCITY, Body, ErrorStateParams, Measurement
-from stillpoint.filters.error_state import corrected, gather, is_due, output, turn_errors
-from stillpoint.filters.error_updates import (
+from stillpoint.filters.kalman import model as error_model
+from stillpoint.filters.kalman import predict as error_state
+from stillpoint.filters.kalman.covariance import Matrix, widen
+from stillpoint.filters.kalman.model import HEADING, VELOCITY, Body, ErrorStateParams, Measurement
+from stillpoint.filters.kalman.predict import corrected, gather, is_due, output, turn_errors
+from stillpoint.filters.kalman.update import (
     due,
     heading_innovation,
     innovation,

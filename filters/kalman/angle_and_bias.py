@@ -9,7 +9,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.covariance import ANY_ANGLE_RAD2
+from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 
 
 class Axis(NamedTuple):

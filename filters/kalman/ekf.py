@@ -2,7 +2,7 @@
 
 The attitude is a quaternion, its error a small rotation d in body axes, q_true = q exp(d) (Lefferts, Markley and
 Shuster 1982; Sola 2017, arXiv:1711.02508). Model, prediction and updates are those of
-:mod:`stillpoint.filters.error_model`. That keeps the covariance in n, as R P R', where a turn of the body leaves it
+:mod:`stillpoint.filters.kalman.model`. That keeps the covariance in n, as R P R', where a turn of the body leaves it
 alone; this file adds what makes the filter multiplicative in body axes: when the attitude is corrected, the covariance
 of d stays as it is *in the body*, so in n it turns with the correction. (``iekf`` leaves it as it is in n. The two
 differ by the second order of a correction.)
@@ -18,11 +18,12 @@ what is left of the bias about the vertical, which only a rest shows.
 
 from dataclasses import dataclass
 
-from stillpoint.filters import error_model, error_state
 from stillpoint.filters.compiled import compiled_entry, compiled_inside
-from stillpoint.filters.error_model import Body, Coefficients, ErrorStateParams
-from stillpoint.filters.error_state import gather, is_due, output
-from stillpoint.filters.error_updates import nothing_new, updated
+from stillpoint.filters.kalman import model as error_model
+from stillpoint.filters.kalman import predict as error_state
+from stillpoint.filters.kalman.model import Body, Coefficients, ErrorStateParams
+from stillpoint.filters.kalman.predict import gather, is_due, output
+from stillpoint.filters.kalman.update import nothing_new, updated
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 State = Body

@@ -7,7 +7,7 @@ does not depend on the estimate, [g]x, with a right-invariant error. The bias is
 IEKF of A. Barrau's thesis, 2015; R. Hartley et al., Int. J. Robotics Research 39(4), 2020, eqs (48)-(52)); with it the
 attitude's error still follows e' = -R (d + noise), whatever the motion.
 
-Model, prediction and updates are those of :mod:`stillpoint.filters.error_model`, which are in e already. Against
+Model, prediction and updates are those of :mod:`stillpoint.filters.kalman.model`, which are in e already. Against
 ``ekf`` one thing differs: a correction leaves the covariance of e as it is in n. So what accelerometers cannot know,
 the heading, stays the third axis of P exactly, however large a correction of the tilt is. Everything else is as in
 ``ekf``.
@@ -15,11 +15,12 @@ the heading, stays the third axis of P exactly, however large a correction of th
 
 from dataclasses import dataclass
 
-from stillpoint.filters import error_model, error_state
 from stillpoint.filters.compiled import compiled_entry, compiled_inside
-from stillpoint.filters.error_model import Body, Coefficients, ErrorStateParams
-from stillpoint.filters.error_state import gather, is_due, output
-from stillpoint.filters.error_updates import nothing_new, updated
+from stillpoint.filters.kalman import model as error_model
+from stillpoint.filters.kalman import predict as error_state
+from stillpoint.filters.kalman.model import Body, Coefficients, ErrorStateParams
+from stillpoint.filters.kalman.predict import gather, is_due, output
+from stillpoint.filters.kalman.update import nothing_new, updated
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
 
 State = Body

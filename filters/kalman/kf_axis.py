@@ -24,9 +24,7 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.angle_and_bias import Axis, correct, predict, renewed, widened
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
-from stillpoint.filters.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.euler_axes import (
     GIMBAL,
     Frame,
@@ -38,6 +36,8 @@ from stillpoint.filters.euler_axes import (
     turned_about_up,
 )
 from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
+from stillpoint.filters.kalman.angle_and_bias import Axis, correct, predict, renewed, widened
+from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, multiply, rotate, scale
 from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
 

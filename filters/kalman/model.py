@@ -9,7 +9,7 @@ Estimated are the attitude, the gyro's bias b (body axes) and the horizontal vel
 with R and the specific force f in n. In n the attitude's error does not turn with the body, so that over a window, in
 which R integrates to S and f to F, the transition is exact up to products of two small terms: e loses S d, u gains the
 horizontal part of (e - S d / 2) x F, with the vertical part of F. Errors in body axes are R' e
-(:mod:`stillpoint.filters.covariance`).
+(:mod:`stillpoint.filters.kalman.covariance`).
 
 **Velocity.** An accelerometer shows gravity plus acceleration, and what moves to and fro has a mean velocity of 0.
 So the accelerometer drives v, and the measurement is "v = 0", with ``velocity_mps_rts`` as the density of its error. A
@@ -19,9 +19,9 @@ error of the heading does not enter it.
 
 **Field.** Its heading alone is used, and moves the heading and the bias, never the tilt. The error of the tilt is in
 its row, tan(dip) times the tilt about the field's horizontal direction. Its variance grows with the disturbance
-that size and dip of the field show (:mod:`stillpoint.filters.known_field`).
+that size and dip of the field show (:mod:`stillpoint.filters.kalman.known_field`).
 
-**Rest.** The mean rate is the bias (:mod:`stillpoint.filters.stillness`), and v is 0 to ``REST_MPS``.
+**Rest.** The mean rate is the bias (:mod:`stillpoint.filters.kalman.stillness`), and v is 0 to ``REST_MPS``.
 
 **Rates that were clipped or missing** hide a turn. P grows by it, about the body's axes concerned and as one error that
 lasts, and nothing is a rest meanwhile. So what the fields then show goes to the attitude, not to the bias. An update
@@ -34,7 +34,7 @@ the accelerometer, after ``heading_patience_s`` the heading is taken as unknown.
 on the same side for as long, while the field looks known: their mean over ``heading_patience_s`` is beyond ``OFF_SD``
 of what the mean of independent ones has, and beyond ``OFF_RAD``. A filter that is too sure of itself would follow them
 for an hour. And so is it when the known field, which the Earth has nowhere, gives way to another
-(:mod:`stillpoint.filters.known_field`).
+(:mod:`stillpoint.filters.kalman.known_field`).
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ import numpy as np
 
 from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.filters.compiled import compiled, compiled_apart, like
-from stillpoint.filters.covariance import (
+from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
     axes_in_n,
@@ -55,10 +55,10 @@ from stillpoint.filters.covariance import (
     round_up,
     widen,
 )
-from stillpoint.filters.known_field import KnownField, Tolerance
+from stillpoint.filters.kalman.known_field import KnownField, Tolerance
+from stillpoint.filters.kalman.stillness import Limits, Stillness
+from stillpoint.filters.kalman.window import Turning, Window, is_measured
 from stillpoint.filters.rotation import Quaternion, Vector
-from stillpoint.filters.stillness import Limits, Stillness
-from stillpoint.filters.window import Turning, Window, is_measured
 
 # Where the errors stand in P: attitude 0-2 (2 is the heading), bias 3-5, velocity 6-7.
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8

@@ -6,7 +6,8 @@ import numpy as np
 
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
-from stillpoint.filters.covariance import (
+from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north
+from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
     axes_in_n,
@@ -16,7 +17,8 @@ from stillpoint.filters.covariance import (
     identity,
     in_body_axes,
 )
-from stillpoint.filters.error_model import (
+from stillpoint.filters.kalman.known_field import alike, is_earthly, learn, looks, no_field
+from stillpoint.filters.kalman.model import (
     BIAS,
     HEADING,
     OFF_RAD,
@@ -30,8 +32,17 @@ from stillpoint.filters.error_model import (
     Status,
     attitude_noise,
 )
-from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north
-from stillpoint.filters.known_field import alike, is_earthly, learn, looks, no_field
+from stillpoint.filters.kalman.stillness import moving
+from stillpoint.filters.kalman.window import (
+    Forces,
+    Turning,
+    Window,
+    is_measured,
+    no_samples,
+    pushed,
+    turned,
+    with_field,
+)
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
@@ -46,8 +57,6 @@ from stillpoint.filters.rotation import (
     scale,
 )
 from stillpoint.filters.sample import GAP_S, Output, Sample
-from stillpoint.filters.stillness import moving
-from stillpoint.filters.window import Forces, Turning, Window, is_measured, no_samples, pushed, turned, with_field
 
 # A body whose mean specific force, of at least that size, points that far down (cosine) is not as the estimate says.
 LEAST_FORCE_MPS2 = 5.0

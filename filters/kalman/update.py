@@ -5,8 +5,10 @@ from math import cos, nan, sin, sqrt
 import numpy as np
 
 from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
-from stillpoint.filters.covariance import ANY_ANGLE_RAD2, Matrix, forget, joseph, times
-from stillpoint.filters.error_model import (
+from stillpoint.filters.fields import LONGEST_HOLD_S, turn_to_north
+from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2, Matrix, forget, joseph, times
+from stillpoint.filters.kalman.known_field import KnownField, disturbance_ut2, looks
+from stillpoint.filters.kalman.model import (
     BIAS,
     HEADING,
     SIZE,
@@ -18,12 +20,10 @@ from stillpoint.filters.error_model import (
     Status,
     predict,
 )
-from stillpoint.filters.error_state import corrected, turn_errors
-from stillpoint.filters.fields import LONGEST_HOLD_S, turn_to_north
-from stillpoint.filters.known_field import KnownField, disturbance_ut2, looks
+from stillpoint.filters.kalman.predict import corrected, turn_errors
+from stillpoint.filters.kalman.stillness import is_resting, moving, rate_sd, watch
+from stillpoint.filters.kalman.window import Turning, Window, is_measured, means
 from stillpoint.filters.rotation import Vector, norm, scale
-from stillpoint.filters.stillness import is_resting, moving, rate_sd, watch
-from stillpoint.filters.window import Turning, Window, is_measured, means
 
 # How far from 0 the velocity of a resting body is.
 REST_MPS = 0.02

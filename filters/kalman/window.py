@@ -8,10 +8,10 @@ so a body that turns within a window does not blur them (as in VQF, Laidig and S
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled, compiled_inside, like
-from stillpoint.filters.covariance import Axes, axes_in_n
+from stillpoint.filters.kalman.covariance import Axes, axes_in_n
+from stillpoint.filters.kalman.stillness import Means
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
 from stillpoint.filters.sample import Sample
-from stillpoint.filters.stillness import Means
 
 
 class Turning(NamedTuple):

@@ -15,9 +15,9 @@ from numba import int64, typeof
 from numba.typed import List
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters import roll_front
 from stillpoint.filters.compiled import compiled
-from stillpoint.filters.roll_sample import RollOutput, angle_of
+from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin.sample import RollOutput, angle_of
 
 RollAdvance = Callable[[Any, int], "RollAnswer"]
 

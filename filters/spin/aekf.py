@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters import roll_ekf
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_rate import driven, faced, integrated, predicted, tallied
-from stillpoint.filters.roll_sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
-from stillpoint.filters.roll_start import is_sound, rate_variance
+from stillpoint.filters.spin import ekf as roll_ekf
+from stillpoint.filters.spin.rate import driven, faced, integrated, predicted, tallied
+from stillpoint.filters.spin.sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
+from stillpoint.filters.spin.start import is_sound, rate_variance
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ import numpy as np
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_noise import RollParams, noise
-from stillpoint.filters.roll_rate import (
+from stillpoint.filters.spin.noise import RollParams, noise
+from stillpoint.filters.spin.rate import (
     MEDIAN_OF,
     Drive,
     Process,
@@ -33,7 +33,7 @@ from stillpoint.filters.roll_rate import (
     predicted,
     tallied,
 )
-from stillpoint.filters.roll_sample import (
+from stillpoint.filters.spin.sample import (
     Roll,
     RollLog,
     RollOutput,
@@ -43,7 +43,7 @@ from stillpoint.filters.roll_sample import (
     no_roll,
     roll_sample_at,
 )
-from stillpoint.filters.roll_start import Start, anew, gather, is_sound, no_start
+from stillpoint.filters.spin.start import Start, anew, gather, is_sound, no_start
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.spin import SATURATED, Channel, SpinChannels
 from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.roll_direction import Evidence, axial_weights, facing
-from stillpoint.filters.roll_noise import RollParams
-from stillpoint.filters.roll_sample import RollLog, RollSample
 from stillpoint.filters.sample import GAP_S
+from stillpoint.filters.spin.direction import Evidence, axial_weights, facing
+from stillpoint.filters.spin.noise import RollParams
+from stillpoint.filters.spin.sample import RollLog, RollSample
 
 LARGEST = 1e7  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
 LONGEST_S = 3600.0  # a step counts as no longer than that: what the rate was before a gap of hours says nothing

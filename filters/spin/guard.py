@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_rate import MEDIAN_OF
-from stillpoint.filters.roll_sample import RollSample
-from stillpoint.filters.roll_start import insert, median
+from stillpoint.filters.spin.rate import MEDIAN_OF
+from stillpoint.filters.spin.sample import RollSample
+from stillpoint.filters.spin.start import insert, median
 
 ACCELS = 5  # samples whose median is the usual angular acceleration
 CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations

@@ -22,7 +22,7 @@ import numpy as np
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import number
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_guard import (
+from stillpoint.filters.spin.guard import (
     ACCELS,
     Accels,
     Refusals,
@@ -41,9 +41,9 @@ from stillpoint.filters.roll_guard import (
     without_jump,
     without_stuck,
 )
-from stillpoint.filters.roll_noise import Noise, RollParams, noise
-from stillpoint.filters.roll_rate import MEDIAN_OF, Tally, faced, lost, no_tally, tallied
-from stillpoint.filters.roll_sample import (
+from stillpoint.filters.spin.noise import Noise, RollParams, noise
+from stillpoint.filters.spin.rate import MEDIAN_OF, Tally, faced, lost, no_tally, tallied
+from stillpoint.filters.spin.sample import (
     Roll,
     RollLog,
     RollOutput,
@@ -54,7 +54,7 @@ from stillpoint.filters.roll_sample import (
     roll_sample_at,
     turned,
 )
-from stillpoint.filters.roll_start import (
+from stillpoint.filters.spin.start import (
     MEDIAN_VAR,
     Start,
     anew,

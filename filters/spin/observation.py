@@ -11,9 +11,9 @@ import numpy as np
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_noise import Noise, RollParams, noise
-from stillpoint.filters.roll_rate import Tally, integrated, no_tally, tallied
-from stillpoint.filters.roll_sample import (
+from stillpoint.filters.spin.noise import Noise, RollParams, noise
+from stillpoint.filters.spin.rate import Tally, integrated, no_tally, tallied
+from stillpoint.filters.spin.sample import (
     Roll,
     RollLog,
     RollOutput,
@@ -23,7 +23,7 @@ from stillpoint.filters.roll_sample import (
     no_roll,
     roll_sample_at,
 )
-from stillpoint.filters.roll_start import rate_variance, root
+from stillpoint.filters.spin.start import rate_variance, root
 
 
 @dataclass(frozen=True)

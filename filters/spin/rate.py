@@ -7,8 +7,8 @@ error that an update leaves, the errors of angle and rate go on as (e_angle + T/
 from typing import NamedTuple
 
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_noise import Noise
-from stillpoint.filters.roll_sample import Roll, RollSample, turned
+from stillpoint.filters.spin.noise import Noise
+from stillpoint.filters.spin.sample import Roll, RollSample, turned
 
 MEDIAN_OF = 9  # samples
 

@@ -10,12 +10,12 @@ from stillpoint.datasets.recording import Recording, Spin, SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.datasets.spin import SpinChannels
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.filters import roll_front
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.roll_direction import says_direction
-from stillpoint.filters.roll_noise import RollParams, spin_channels
-from stillpoint.filters.roll_sample import RollLog, RollTrack, empty_track
 from stillpoint.filters.sample import counts
+from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin.direction import says_direction
+from stillpoint.filters.spin.noise import RollParams, spin_channels
+from stillpoint.filters.spin.sample import RollLog, RollTrack, empty_track
 from stillpoint.filters.table import RollEstimator
 
 

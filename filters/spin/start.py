@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.roll_sample import Roll, RollSample, turned
+from stillpoint.filters.spin.sample import Roll, RollSample, turned
 
 MOST_RADPS, MOST_VAR = 1e8, 1e15  # rate and its variance: beyond, squares of squares leave single precision
 MEDIAN_VAR = 1.5708  # pi / 2: the variance of a median over that of the mean, for normal noise

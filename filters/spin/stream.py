@@ -11,12 +11,12 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.filters import roll_front
 from stillpoint.filters.advance import look
 from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.roll_advance import RollAnswer, Row, beginning, entry_point, filled
-from stillpoint.filters.roll_noise import RollParams, spin_channels
 from stillpoint.filters.sample import counts
+from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin.advance import RollAnswer, Row, beginning, entry_point, filled
+from stillpoint.filters.spin.noise import RollParams, spin_channels
 from stillpoint.filters.table import RollEstimator, find
 
 

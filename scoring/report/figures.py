@@ -17,8 +17,8 @@ from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Reference, total_sd_rad
 from stillpoint.scoring.compare import Comparison, moving_samples, name_of
-from stillpoint.scoring.envelope import break_line, envelope
 from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.report.envelope import break_line, envelope
 from stillpoint.scoring.score import Score
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")

@@ -6,16 +6,25 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.recording import Recording, Truth, rate_hz
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.compare import Comparison, compare, name_of
-from stillpoint.scoring.figures import COLOURS, ON_DARK, View, draw_angles, draw_band, draw_errors, draw_scores, view_of
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.reference_section import reference_section
+from stillpoint.scoring.report.figures import (
+    COLOURS,
+    ON_DARK,
+    View,
+    draw_angles,
+    draw_band,
+    draw_errors,
+    draw_scores,
+    view_of,
+)
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.reference_section import reference_section
 from stillpoint.scoring.score import Score, score_of
 
 BUSY_S = 20.0  # length of the stretch that is shown in close-up
@@ -59,7 +68,7 @@ def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = 
 
 def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
     """The page as text. The same material gives the same bytes."""
-    return template("report.html.j2").render(
+    return load_template("stillpoint.scoring.report", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.name,
@@ -166,10 +175,10 @@ def dotted(prefix: str, params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield f"{prefix}{key}", f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def template(name: str) -> Template:
-    """One of the pages beside this module, and nothing undefined in it."""
+def load_template(package: str, name: str) -> Template:
+    """Return a template of ``package``; it may include those beside this module. Undefined names raise an error."""
     return Environment(
-        loader=PackageLoader("stillpoint.scoring", "."),
+        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader("stillpoint.scoring.report", ".")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

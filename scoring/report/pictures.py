@@ -11,7 +11,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stillpoint.scoring.figures import COLOURS
+from stillpoint.scoring.report.figures import COLOURS
 
 INK, GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them
 PAGE_COLOURS = {colour.lower(): f"var(--line-{k})" for k, colour in enumerate(COLOURS)}

@@ -12,11 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.scoring.envelope import envelope
-from stillpoint.scoring.figures import REST_GREY, colour_of, columns_of, draw_line
-from stillpoint.scoring.roll import RollComparison
-from stillpoint.scoring.roll_figures import error_limit
-from stillpoint.scoring.roll_study import Series
+from stillpoint.scoring.report.envelope import envelope
+from stillpoint.scoring.report.figures import REST_GREY, colour_of, columns_of, draw_line
+from stillpoint.scoring.spin import RollComparison
+from stillpoint.studies.papers.spin.figures import error_limit
+from stillpoint.studies.papers.spin.study import Series
 
 BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
 

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
-from stillpoint.scoring.figures import COLOURS, ON_DARK
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.report import dotted, facts_of_recording, template, versions
-from stillpoint.scoring.roll import (
+from stillpoint.scoring.report.figures import COLOURS, ON_DARK
+from stillpoint.scoring.report.page import dotted, facts_of_recording, load_template, versions
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, series_of
+from stillpoint.scoring.spin import (
     ZERO_WORDS,
     AngleZero,
     RollComparison,
@@ -21,8 +22,7 @@ from stillpoint.scoring.roll import (
     roll_score_of,
     usual_zero,
 )
-from stillpoint.scoring.roll_figures import draw_rates
-from stillpoint.scoring.spin_report_figures import draw_accelerometers, draw_error_band, series_of
+from stillpoint.studies.papers.spin.figures import draw_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class SpinVerdict:
 def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[SpinVerdict, ...]:
     """Score everything against the truth, else the encoder, and everything else against the first reference.
 
-    ``zero`` as in :func:`stillpoint.scoring.roll.score_roll`; None takes what is usual for each.
+    ``zero`` as in :func:`stillpoint.scoring.spin.score_roll`; None takes what is usual for each.
     """
     recording, first = material.recording, material.references[:1]
     made: tuple[RollReference | Estimate, ...] = (*material.references, *material.estimates)
@@ -72,7 +72,7 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
 def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) -> str:
     """The page as text; at least one verdict. The same material gives the same bytes."""
     made: list[RollReference | Estimate] = [*material.references, *material.estimates]
-    return template("spin_report.html.j2").render(
+    return load_template("stillpoint.scoring.report", "spin_page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.recording.name,

@@ -17,7 +17,7 @@ from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 
 MINUTES = 120.0  # 720 000 samples
 HUNDREDTH = 100

@@ -17,12 +17,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from stillpoint.datasets.cdr import definition
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.cdr import definition
+from stillpoint.datasets.mcap.store import read, write
+from stillpoint.datasets.mcap.topics import IMU, MAG, POSE, UT_PER_TESLA
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Truth
-from stillpoint.datasets.store import read, write
-from stillpoint.datasets.topics import IMU, MAG, POSE, UT_PER_TESLA
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 
 HOUR = 360_000  # samples at 100 Hz
 TENTH = 10  # the peer needs about a minute for the hour: it gets a tenth of the data, and its seconds count ten times

@@ -10,7 +10,7 @@ from rich.progress import track
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 from stillpoint.smoother import reference
 
 SHORT_S, SHORT_HZ = 200, 286  # the length and rate of BROAD's trials
@@ -21,7 +21,7 @@ LONG_HZ = 100
 MEASURE = """
 import json, resource, sys
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.timing import seconds_of
+from stillpoint.scripts.bench.timing import seconds_of
 from stillpoint.smoother import reference
 reference(simulate("phone-3", minutes=2))
 recording = simulate("phone-3", minutes=60 * float(sys.argv[1]), rate_hz=float(sys.argv[2]))

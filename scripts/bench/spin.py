@@ -9,7 +9,7 @@ from rich.progress import track
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import VARIABLE
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 from stillpoint.smoother import reference
 
 HORIZONTAL_DEG = 90.0

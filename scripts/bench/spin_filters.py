@@ -12,9 +12,9 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.roll_stream import RollStream
+from stillpoint.filters.spin.stream import RollStream
 from stillpoint.filters.table import ROLLS
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 
 MINUTES = 20.0
 STREAMED = 5_000

@@ -11,7 +11,7 @@ from rich.progress import track
 
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, seconds_of
 
 HELP = "import sys; from stillpoint.scripts.main import main; main(['--help'])"
 # The imports count too: they are part of what a user waits for. Simulated data and the interpreter do not.

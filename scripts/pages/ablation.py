@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.ablation DIR...``: what each ingredient of the graph is worth, as Markdown tables.
+"""``python -m stillpoint.scripts.pages.ablation DIR...``: print what each ingredient of the graph is worth.
 
 Recordings with truth are solved with one ingredient off at a time; docs/method.md holds the tables.
 """
@@ -11,17 +11,17 @@ from pathlib import Path
 from statistics import mean, median
 
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import chosen
-from stillpoint.datasets.store import read_recording
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
-from stillpoint.scripts.inputs import recordings
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.smoother.calibrating import reference_from
-from stillpoint.smoother.evidence import gather
-from stillpoint.smoother.graph_params import HANDHELD
+from stillpoint.scripts.shared.inputs import recordings
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.smoother.attitude.evidence import gather
+from stillpoint.smoother.attitude.graph import reference_from
+from stillpoint.smoother.attitude.params import HANDHELD
 
 ALIGNMENTS: tuple[AlignKind, ...] = ("heading+mounting+time", "heading")
 FIGURES = ("total", "heading", "inclination", "worst total", "in 95 %", "NEES/3")

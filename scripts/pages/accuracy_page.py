@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.accuracy_page FOLDER``: BROAD's trials by every estimator, as a table in the docs.
+"""``python -m stillpoint.scripts.pages.accuracy_page FOLDER``: write BROAD's trials by every estimator into docs.
 
 Total error (RMSE over the moving samples, deg) with the magnetometer, after one heading offset per trial is taken off:
 what ``stillpoint estimate`` and ``stillpoint score --align heading`` give.

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.consistency [SEEDS]``: does the covariance hold where the truth is known exactly?
+"""``python -m stillpoint.scripts.pages.consistency [SEEDS]``: check covariances where the truth is known exactly.
 
 Each simulated phone with as many seeds as asked for; docs/method.md holds the table.
 """
@@ -11,7 +11,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
-from stillpoint.scripts.jobs import run_jobs
+from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import reference
 
 MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}

@@ -19,14 +19,14 @@ from stillpoint.datasets.importers.flatball import read_flatball
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.roll_params import (
+from stillpoint.smoother.spin.graph import roll_graph
+from stillpoint.smoother.spin.params import (
     EncoderParams,
     HarmonicParams,
     RollCalibration,
     RollGraphParams,
     RollNoise,
 )
-from stillpoint.smoother.roll_reference import roll_graph
 
 FLYING_RADPS = np.deg2rad(3000.0)  # spin rate, by the gyro, between release and catch
 FILTER_S = 1 / (2 * np.pi * 1.04)  # time constant of the accelerometers' low-pass at a hundredth of 104 Hz

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.method_figures VALIDATED.json... RECORDING.mcap...``: the pictures of docs/method.md.
+"""``python -m stillpoint.scripts.pages.method_figures VALIDATED.json... RECORDING.mcap...``: draw docs/method.md.
 
 The JSON files are those of ``stillpoint validate --json``. Of the recordings, which hold a truth, the error over time
 is drawn within the band that the graph states.
@@ -16,10 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.store import read_recording
+from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.scoring import AlignKind, compare
-from stillpoint.scoring.figures import COLOURS, draw_band, view_of
-from stillpoint.scripts.readme_figure import STYLE
+from stillpoint.scoring.report.figures import COLOURS, draw_band, view_of
+from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 ALIGN: AlignKind = "heading+mounting+time"

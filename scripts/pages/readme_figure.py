@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.readme_figure``: draw the README's picture, docs/figures/demo.png, from the demo."""
+"""``python -m stillpoint.scripts.pages.readme_figure``: draw docs/figures/demo.png from the demo."""
 
 import sys
 from pathlib import Path
@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.scoring.figures import draw_angles, draw_scores, view_of
-from stillpoint.scoring.report import Material, Verdict, judge
-from stillpoint.scripts.demo import KIND, SHOWN
+from stillpoint.scoring.report.figures import draw_angles, draw_scores, view_of
+from stillpoint.scoring.report.page import Material, Verdict, judge
+from stillpoint.scripts.verbs.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
 
 TARGET = Path("docs/figures/demo.png")

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.settings_pages``: make the tables in docs/ from the settings in the code.
+"""``python -m stillpoint.scripts.pages.settings_pages``: make the tables in docs/ from the settings in the code.
 
 An estimator of the table without a section on its page gets one, from its module's docstring, to be put in order.
 """
@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from stillpoint.datasets.settings import Settings, describe
-from stillpoint.filters import ESTIMATORS, guard, heading_source
+from stillpoint.filters import ESTIMATORS
+from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import find
 from stillpoint.smoother import METHODS, ROLL_METHODS
 

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.roll_failures``: what single faults do to each estimator of roll, for docs/roll.md.
+"""``python -m stillpoint.scripts.pages.spin_failures``: print what single faults do to each spin estimator.
 
 A trial of 30 s at constant speed with little radial noise; the filters are told the noise of the experiment, as in
 ``stillpoint experiment spin-constant``. Prints a table for the page: largest angle error and RMSE of the rate.
@@ -14,11 +14,11 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import noisy
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.roll import score_roll
-from stillpoint.scoring.roll_study import CONSTANT, FILTERS, settings_of
+from stillpoint.scoring.spin import score_roll
 from stillpoint.smoother import reference
+from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, settings_of
 
-QUIET = noisy("quiet", 0.06, 0.13, 0.08)  # the bench of tests/test_roll_guarded.py
+QUIET = noisy("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
 AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
 
 

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.roll_figures [DISC.csv]``: the pictures of docs/roll.md, and the disc's numbers.
+"""``python -m stillpoint.scripts.pages.spin_figures [DISC.csv]``: the pictures of docs/roll.md, and the disc's numbers.
 
 Geometry and graph are drawings; the errors are of simulated trials, by the graph told of a calibrated rig; the flight
 is that of the log given, which is left out without one.
@@ -17,9 +17,9 @@ from matplotlib.patches import Arc, Circle, Rectangle
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, SpinSensor
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.scoring.figures import COLOURS
-from stillpoint.scripts.disc_flight import DiscFlight, disc_flight
-from stillpoint.scripts.readme_figure import STYLE
+from stillpoint.scoring.report.figures import COLOURS
+from stillpoint.scripts.pages.disc_flight import DiscFlight, disc_flight
+from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import reference
 
 FOLDER = Path("docs/figures")

@@ -1,8 +1,8 @@
-"""The table of topics as a page: ``python -m stillpoint.datasets.topics_page > docs/topics.md``."""
+"""The table of topics as a page: ``python -m stillpoint.scripts.pages.topics_page > docs/topics.md``."""
 
 from collections.abc import Iterator
 
-from stillpoint.datasets.topics import BODY_FRAME, LOCAL_FRAME, TOPICS, Topic
+from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME, TOPICS, Topic
 
 TITLES = {
     "recording": "Recordings",
@@ -12,8 +12,8 @@ TITLES = {
 }
 HEAD = f"""# Topics
 
-Which quantity lies where in a file. This page is made from `datasets/topics.py`:
-`python -m stillpoint.datasets.topics_page > docs/topics.md`.
+Which quantity lies where in a file. This page is made from `datasets/mcap/topics.py`:
+`python -m stillpoint.scripts.pages.topics_page > docs/topics.md`.
 
 Every topic is `cdr` with the full `ros2msg` definition; log time, publish time and, where there is a header,
 `header.stamp` are the same. The frame `{LOCAL_FRAME}` is East-North-Up, `{BODY_FRAME}` is the body of the sensor.

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.scripts.jobs import Outcome
-from stillpoint.scripts.json_file import STDOUT, write_json
-from stillpoint.scripts.tables import print_refusals, print_table
+from stillpoint.scripts.shared.jobs import Outcome
+from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.tables import print_refusals, print_table
 
 
 def assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:

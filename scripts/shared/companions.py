@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.inputs import KINDS, SUFFIX, kind_of
+from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
 
 
 def recording_name(path: Path) -> str:

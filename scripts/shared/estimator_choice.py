@@ -6,11 +6,11 @@ from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import chosen
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.filters.front.sources import front_of
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.sources import front_of
 from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, RollEstimator, find
-from stillpoint.scripts.batch import assignments
+from stillpoint.scripts.shared.batch import assignments
 
 EXAMPLE = "cf.omega0_radps=0.3"
 HEADING, RANGE = "heading", "range"  # of --set, beside the estimators

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.store import provenance
-from stillpoint.datasets.topics import TOPICS
+from stillpoint.datasets.mcap.store import provenance
+from stillpoint.datasets.mcap.topics import TOPICS
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}

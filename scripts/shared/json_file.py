@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.shared.text_file import write_text
 
 STDOUT = "-"
 

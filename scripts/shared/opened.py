@@ -5,12 +5,12 @@ from functools import cache
 from pathlib import Path
 
 from stillpoint.datasets.doctor.whole import losses
+from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read_recording
 
 
 def open_recording(path: Path) -> Recording:
-    """As :func:`~stillpoint.datasets.store.read_recording`, and says what is lost of a file that was cut short."""
+    """As :func:`~stillpoint.datasets.mcap.store.read_recording`, and says what is lost of a file that was cut short."""
     recording = read_recording(path)
     for loss in losses(recording):
         _say_once(f"stillpoint: {path}: {loss}")

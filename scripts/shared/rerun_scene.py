@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.facts import Kept
 from stillpoint.datasets.frames import euler, rotation, to_xyzw, wrap
+from stillpoint.datasets.mcap.facts import Kept
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import inside
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad

@@ -2,7 +2,7 @@
 
 from stillpoint.datasets.recording import Recording, Times
 from stillpoint.smoother import find_rests
-from stillpoint.smoother.satellite import not_under_way
+from stillpoint.smoother.attitude.satellite import not_under_way
 
 
 def rests_of(recording: Recording) -> Times:

@@ -21,10 +21,10 @@ from mcap.reader import make_reader
 
 from stillpoint.datasets import Recording
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.topics import BODY_FRAME, LOCAL_FRAME
+from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME
 from stillpoint.filters import Stream
-from stillpoint.scripts.sample_lines import Arrival
-from stillpoint.scripts.samples import samples
+from stillpoint.scripts.streaming.lines import Arrival
+from stillpoint.scripts.streaming.replay import samples
 
 ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
 POSES_HZ = 60.0  # of real time: no screen shows more

@@ -3,8 +3,8 @@
 import sys
 from collections.abc import Sequence
 
-from stillpoint.filters.heading_source import Heading
-from stillpoint.scripts.sample_lines import Arrival, SpinArrival
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.scripts.streaming.lines import Arrival, SpinArrival
 
 PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixes come once a second
 

@@ -14,9 +14,9 @@ from typing import Any, BinaryIO, TextIO
 
 from stillpoint.filters import RollAnswer
 from stillpoint.filters.sample import Output
-from stillpoint.scripts.latency import Latency
-from stillpoint.scripts.live import Live
-from stillpoint.scripts.sample_lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
+from stillpoint.scripts.streaming.latency import Latency
+from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
+from stillpoint.scripts.streaming.streams import Live
 
 SHOWN = 20  # malformed lines said one by one; the others are counted
 PATIENCE_S = 1.0  # after a signal, for an output that is not read

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from stillpoint.datasets import Recording
-from stillpoint.filters.sources import magnetometer, newest
-from stillpoint.scripts.sample_lines import Arrival
+from stillpoint.filters.front.sources import magnetometer, newest
+from stillpoint.scripts.streaming.lines import Arrival
 
 
 def samples(recording: Recording) -> Iterator[Arrival]:

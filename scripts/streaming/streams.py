@@ -11,8 +11,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters import RollStream, Saved, SavedRoll, Stream
 from stillpoint.filters.saved import plain, rebuilt
-from stillpoint.scripts.runs import Run
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.shared.estimator_choice import Run
+from stillpoint.scripts.shared.text_file import write_text
 
 Live = Stream | RollStream
 Make = Callable[..., Any]  # of a stream

@@ -7,18 +7,18 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stillpoint.datasets.nearest import require_known
-from stillpoint.scripts.flags import whole_number
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.shared.flags import whole_number
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.tables import print_table
 
 # name -> a function from the number of runs to a list of Timing
 BENCHES = {
-    "filters": "stillpoint.scripts.bench_filters:bench_filters",
-    "mcap": "stillpoint.scripts.bench_mcap:bench_mcap",
-    "roll": "stillpoint.scripts.bench_roll:bench_roll",
-    "roll-filters": "stillpoint.scripts.bench_roll_filters:bench_roll_filters",
-    "smoother": "stillpoint.scripts.bench_smoother:bench_smoother",
-    "start": "stillpoint.scripts.bench_start:bench_start",
+    "filters": "stillpoint.scripts.bench.filters:bench_filters",
+    "mcap": "stillpoint.scripts.bench.mcap:bench_mcap",
+    "roll": "stillpoint.scripts.bench.spin:bench_roll",
+    "roll-filters": "stillpoint.scripts.bench.spin_filters:bench_roll_filters",
+    "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
+    "start": "stillpoint.scripts.bench.start:bench_start",
 }
 COLUMNS = ("what", "against", "median, s", "min", "max", "runs", "per sample, ns", "beside 'against'")
 

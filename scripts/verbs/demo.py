@@ -13,17 +13,17 @@ from rich.console import Console
 
 from stillpoint.datasets import Recording, write
 from stillpoint.datasets.doctor import Diagnosis, diagnose
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import sha256
 from stillpoint.filters import estimate
-from stillpoint.scoring.report import Material, judge, report_html
-from stillpoint.scripts.flags import OutDir, Whole
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.report import PAGE, gather
-from stillpoint.scripts.rests import rests_of
-from stillpoint.scripts.score import print_scores
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scoring.report.page import Material, judge, report_html
+from stillpoint.scripts.shared.flags import OutDir, Whole
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.verbs.report import PAGE, gather
+from stillpoint.scripts.verbs.score import print_scores
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 KIND = "phone-3"

@@ -12,13 +12,13 @@ from rich.console import Console
 
 from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, apply, diagnose
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read_recording, write
-from stillpoint.scripts.batch import require_distinct
-from stillpoint.scripts.flags import Inputs
-from stillpoint.scripts.inputs import each_read, output_dir, recordings
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.rests import rests_of
+from stillpoint.scripts.shared.batch import require_distinct
+from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.inputs import each_read, output_dir, recordings
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.rest_lines import rests_of
 
 UNREADABLE = "unreadable"  # the code of a file that could not be opened
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}

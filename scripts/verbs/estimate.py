@@ -9,18 +9,18 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets import write
-from stillpoint.datasets.store import sha256
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.filters import estimate as run
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS
-from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import made_row, report_made, require_distinct
-from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import JsonFile
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.runs import Run, runs_of
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
+from stillpoint.scripts.shared.estimator_choice import Run, runs_of
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, SetFlag
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.json_file import JsonFile
+from stillpoint.scripts.shared.opened import open_recording
 
 DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")

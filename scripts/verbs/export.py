@@ -10,18 +10,18 @@ from rich.console import Console
 from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.mcap.store import Kept, read
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import Kept, read
 from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.datasets.tum import tum_text
-from stillpoint.filters.sources import magnetometer, newest
-from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import require_distinct
-from stillpoint.scripts.flags import Inputs, OutDir
-from stillpoint.scripts.sample_lines import csv_lines
-from stillpoint.scripts.samples import samples
-from stillpoint.scripts.text_file import write_text
+from stillpoint.filters.front.sources import magnetometer, newest
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.batch import require_distinct
+from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.streaming.lines import csv_lines
+from stillpoint.scripts.streaming.replay import samples
 
 Format = Literal["csv", "stream", "tum"]
 SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum"}

@@ -12,14 +12,14 @@ from rich.console import Console
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
+from stillpoint.datasets.mcap.store import write
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
-from stillpoint.datasets.store import write
-from stillpoint.scripts.flags import OutDir
-from stillpoint.scripts.import_flags import Flags
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.shared.flags import OutDir
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.scripts.verbs.import_flags import Flags
 
 NO_FLAGS = Flags()
 STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
@@ -126,7 +126,7 @@ def _recordings(
 
 def _repaired(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
     from stillpoint.datasets.doctor import apply
-    from stillpoint.scripts.doctor import chosen, examine
+    from stillpoint.scripts.verbs.doctor import chosen, examine
 
     mended = apply(recording, chosen(examine(recording), skip))
     try:

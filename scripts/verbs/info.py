@@ -7,16 +7,16 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_hz
 from stillpoint.datasets.spin import G_MPS2, saturated
-from stillpoint.datasets.store import read
 from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
-from stillpoint.scripts.flags import Inputs
-from stillpoint.scripts.inputs import each_read, mcap_files
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.rests import rests_of
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.inputs import each_read, mcap_files
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 

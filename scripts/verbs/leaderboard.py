@@ -13,12 +13,12 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import assignments
-from stillpoint.scripts.flags import Jobs, SetFlag
-from stillpoint.scripts.jobs import Outcome, run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile
-from stillpoint.scripts.tables import print_refusals, print_table
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.flags import Jobs, SetFlag
+from stillpoint.scripts.shared.jobs import Outcome, run_jobs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile
+from stillpoint.scripts.shared.tables import print_refusals, print_table
+from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.study import Against
 

@@ -11,20 +11,20 @@ import numpy as np
 
 from stillpoint.datasets import Reference, RollReference, write
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings, chosen
-from stillpoint.datasets.store import read_reference, sha256
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
-from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import assignments, made_row, report_made, require_distinct
-from stillpoint.scripts.flags import Inputs, Jobs, OutDir, SetFlag
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.tables import print_refusals
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, SetFlag
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
-from stillpoint.smoother.graph_params import PRESETS
+from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
 
 COLUMNS = (

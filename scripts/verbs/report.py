@@ -9,20 +9,20 @@ from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
+from stillpoint.datasets.mcap.store import read, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read, sha256
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
 from stillpoint.scoring import AlignKind
-from stillpoint.scoring.report import Material, judge, report_html
-from stillpoint.scoring.spin_report import SpinMaterial, judge_spin, spin_report_html
-from stillpoint.scripts import inputs
-from stillpoint.scripts.batch import require_distinct
-from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.flags import Inputs, OutDir
-from stillpoint.scripts.inputs import KINDS
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.score_roll import is_roll, zero_of
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scoring.report.page import Material, judge, report_html
+from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, spin_report_html
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.batch import require_distinct
+from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.inputs import KINDS
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.verbs.score_roll import is_roll, zero_of
 
 PAGE = ".report.html"
 

@@ -12,19 +12,19 @@ from rich.progress import track
 from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
+from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.datasets.tum import read_tum
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
-from stillpoint.scoring.roll import RollScore, roll_score_row
-from stillpoint.scripts import inputs
-from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.flags import Inputs
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.score_roll import is_roll, print_roll_scores, score_roll_file
-from stillpoint.scripts.tables import print_table
+from stillpoint.scoring.spin import RollScore, roll_score_row
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.scripts.verbs.score_roll import is_roll, print_roll_scores, score_roll_file
 
 COLUMNS = ("recording", "estimate", "found", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw")
 WIDE = 130  # columns of a terminal that shows the angles, too

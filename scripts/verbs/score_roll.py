@@ -6,14 +6,14 @@ from itertools import groupby
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Encoder, Recording
-from stillpoint.datasets.store import read, read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.roll import ZERO_WORDS, AngleZero, RollScore, score_roll, usual_zero
-from stillpoint.scripts import inputs
-from stillpoint.scripts.beside import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.tables import print_table
+from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, RollScore, score_roll, usual_zero
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = (
     "recording",

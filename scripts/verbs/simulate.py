@@ -11,9 +11,9 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import simulate as make
-from stillpoint.scripts.flags import OutDir, Whole
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.flags import OutDir, Whole
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
 
 
 def simulate(

@@ -4,13 +4,13 @@ from cyclopts import App
 
 app = App(name="spin", help="Place accelerometers on a spinning body, and identify their noise.")
 app.command(
-    "stillpoint.scripts.spin_design:spin_design",
+    "stillpoint.scripts.verbs.spin_design:spin_design",
     name="design",
     help="Accuracy over the lever arms, with the range's limit (paper 000, section 3.2).",
     sort_key=0,
 )
 app.command(
-    "stillpoint.scripts.spin_identify:spin_identify",
+    "stillpoint.scripts.verbs.spin_identify:spin_identify",
     name="identify",
     help="Noise variances from trials with an encoder (paper 000, eqs (28)-(31), figures 7 and 8).",
     sort_key=1,

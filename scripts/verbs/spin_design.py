@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.spin import G_MPS2
-from stillpoint.scoring.spin_design import Placement, Rig, limits_m, longest, place
-from stillpoint.scoring.spin_figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
-from stillpoint.scripts.flags import OutDir
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.tables import print_table
+from stillpoint.scripts.shared.flags import OutDir
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.studies.rig.design import Placement, Rig, limits_m, longest, place
+from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
 
 DESIGN_COLUMNS = (
     "d1, m",

@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.spin import G_MPS2
-from stillpoint.filters.roll_noise import RollParams
-from stillpoint.scoring.spin_figures import DPI, STYLE, draw_variances
-from stillpoint.scoring.spin_identify import Identified, Trial, identify
-from stillpoint.scripts.flags import Inputs, OutDir
-from stillpoint.scripts.inputs import output_dir, recordings
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.tables import print_table
+from stillpoint.filters.spin.noise import RollParams
+from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.inputs import output_dir, recordings
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.studies.rig.figures import DPI, STYLE, draw_variances
+from stillpoint.studies.rig.identify import Identified, Trial, identify
 
 TRIAL_COLUMNS = (
     "recording",

@@ -13,17 +13,17 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.spin_csv import SpinOptions, geometry_of
 from stillpoint.datasets.recording import SpinGeometry
-from stillpoint.filters.heading_source import Heading
+from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS, Peer, find
-from stillpoint.scripts.flags import SetFlag, Whole
-from stillpoint.scripts.heading_watch import HeadingWatch
-from stillpoint.scripts.json_file import STDOUT, JsonFile, writable, write_json
-from stillpoint.scripts.live import Live, Make, attitude, keep, kind_of, live, roll
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.pipe import Passed, ctrl_c_quits, pipe
-from stillpoint.scripts.runs import Run, runs_of
-from stillpoint.scripts.sample_lines import ATTITUDE, spin_layout
+from stillpoint.scripts.shared.estimator_choice import Run, runs_of
+from stillpoint.scripts.shared.flags import SetFlag, Whole
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, writable, write_json
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.streaming.heading_watch import HeadingWatch
+from stillpoint.scripts.streaming.lines import ATTITUDE, spin_layout
+from stillpoint.scripts.streaming.pipe import Passed, ctrl_c_quits, pipe
+from stillpoint.scripts.streaming.streams import Live, Make, attitude, keep, kind_of, live, roll
 
 SPIN = Group("Estimators of roll", sort_key=1)
 HOST = "127.0.0.1"
@@ -156,7 +156,7 @@ def _to_foxglove(
         raise BadParameter(f"--speed {speed:g}: give a number above 0, 1 for as fast as it was recorded")
     if importlib.util.find_spec("foxglove") is None:
         raise BadParameter("--foxglove: foxglove-sdk is not installed; pip install 'stillpoint[view]'")
-    from stillpoint.scripts.foxglove_live import replay
+    from stillpoint.scripts.streaming.foxglove import replay
 
     recording = open_recording(file)
     recording.require_imu()  # before somebody waits for it

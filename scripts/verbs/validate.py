@@ -7,15 +7,15 @@ from typing import Any
 
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
-from stillpoint.scoring.validation import validate as validate_recording
-from stillpoint.scripts import inputs
-from stillpoint.scripts.flags import Inputs, Jobs
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.tables import print_refusals, print_table
-from stillpoint.scripts.validate_roll import validate_roll
+from stillpoint.scripts.shared import inputs
+from stillpoint.scripts.shared.flags import Inputs, Jobs
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.tables import print_refusals, print_table
+from stillpoint.scripts.verbs.validate_roll import validate_roll
+from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
+from stillpoint.studies.validation import validate as validate_recording
 
 COLUMNS = (
     "recording",

@@ -11,12 +11,12 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.roll import RollScore, roll_score_row, score_roll, usual_zero
-from stillpoint.scripts.jobs import exit_code, run_jobs
-from stillpoint.scripts.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.opened import open_recording
-from stillpoint.scripts.score_roll import print_roll_scores, roll_judge_of, zero_of
-from stillpoint.scripts.tables import print_refusals
+from stillpoint.scoring.spin import RollScore, roll_score_row, score_roll, usual_zero
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.tables import print_refusals
+from stillpoint.scripts.verbs.score_roll import print_roll_scores, roll_judge_of, zero_of
 from stillpoint.smoother import reference
 from stillpoint.smoother.reference import ROLL_METHODS
 

@@ -8,9 +8,9 @@ from cyclopts import Parameter
 
 from stillpoint.datasets import read
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.beside import files_of, neighbours, recording_name
-from stillpoint.scripts.flags import Inputs
-from stillpoint.scripts.inputs import kind_of, mcap_files
+from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name
+from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.inputs import kind_of, mcap_files
 
 NEEDED = "0.41.0"  # rerun's files and columns change between versions
 
@@ -37,7 +37,7 @@ def view(
     """
     if importlib.util.find_spec("rerun") is None:
         raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={NEEDED}")
-    from stillpoint.scripts.rerun_scene import finish, open_scene, show
+    from stillpoint.scripts.shared.rerun_scene import finish, open_scene, show
 
     if save is not None and not save.absolute().parent.is_dir():
         raise BadParameter(f"--save {save}: the folder is not there; make it or name another")

@@ -13,9 +13,9 @@ import numpy as np
 
 from stillpoint.datasets.doctor.witness import ask_mag
 from stillpoint.datasets.recording import Recording
-from stillpoint.smoother.evidence import Evidence
-from stillpoint.smoother.plausibility import INLIER_SHARE, Contradiction
-from stillpoint.smoother.solve import NoOptimum
+from stillpoint.smoother.attitude.evidence import Evidence
+from stillpoint.smoother.attitude.plausibility import INLIER_SHARE, Contradiction
+from stillpoint.smoother.attitude.solve import NoOptimum
 
 LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
 

@@ -7,7 +7,7 @@ from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.quaternion import Quaternion, conjugate, exp, log, multiply
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.smoother.keys import Keys
+from stillpoint.smoother.attitude.keys import Keys
 
 COVARIANCE_STEP_S = 0.3
 

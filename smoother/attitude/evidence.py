@@ -8,12 +8,10 @@ from stillpoint.datasets.earth import local_declination, normal_gravity_mps2
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
-from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
-from stillpoint.smoother.field import FieldMeasurements, measurements_at, start_of_field
-from stillpoint.smoother.graph_params import GraphParams
-from stillpoint.smoother.keys import Keys, Motion, choose_keys, motion_of
-from stillpoint.smoother.rest import find_rests
-from stillpoint.smoother.satellite import (
+from stillpoint.smoother.attitude.keys import Keys, Motion, choose_keys, motion_of
+from stillpoint.smoother.attitude.magnetometer import FieldMeasurements, measurements_at, start_of_field
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.satellite import (
     Fixes,
     fixes_at,
     heading_of_fixes,
@@ -21,7 +19,9 @@ from stillpoint.smoother.satellite import (
     path_of_fixes,
     standing,
 )
-from stillpoint.smoother.start import Start, find_start
+from stillpoint.smoother.attitude.start import Start, find_start
+from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
+from stillpoint.smoother.rest import find_rests
 from stillpoint.smoother.strapdown import GyroErrors
 
 SHORTEST_S = 2.0

@@ -24,8 +24,8 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.graph_params import GraphParams
-from stillpoint.smoother.keys import Keys, Motion
+from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.params import GraphParams
 
 CALIBRATION = 19  # 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise

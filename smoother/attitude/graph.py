@@ -18,13 +18,20 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Calibration, Reference
-from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.disturbed_field import refuse_wrong_axes, require_test_of_gyro, without_magnetometer
-from stillpoint.smoother.evidence import Evidence, gather, gravity_mps2, sign_of_gravity, turned_round, with_bias_prior
-from stillpoint.smoother.field import field_matrix, field_prior
-from stillpoint.smoother.full_rate import between_keys, covariance_between, states_with_covariance
-from stillpoint.smoother.graph_params import GraphParams
-from stillpoint.smoother.plausibility import (
+from stillpoint.smoother.attitude import factors
+from stillpoint.smoother.attitude.disturbed_field import refuse_wrong_axes, require_test_of_gyro, without_magnetometer
+from stillpoint.smoother.attitude.every_sample import between_keys, covariance_between, states_with_covariance
+from stillpoint.smoother.attitude.evidence import (
+    Evidence,
+    gather,
+    gravity_mps2,
+    sign_of_gravity,
+    turned_round,
+    with_bias_prior,
+)
+from stillpoint.smoother.attitude.magnetometer import field_matrix, field_prior
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.plausibility import (
     DOUBT_SD,
     SURPRISE_LIMIT_SD,
     Contradiction,
@@ -38,9 +45,9 @@ from stillpoint.smoother.plausibility import (
     refuse_surprise,
     surprise,
 )
-from stillpoint.smoother.satellite import believed_share, fix_factors
-from stillpoint.smoother.solve import NoOptimum, Solution, accuracy_of, rotations_of, scale_of, solve
-from stillpoint.smoother.windows import Past, Piece, attitudes_after, hand_over, joined, resume, split
+from stillpoint.smoother.attitude.satellite import believed_share, fix_factors
+from stillpoint.smoother.attitude.solve import NoOptimum, Solution, accuracy_of, rotations_of, scale_of, solve
+from stillpoint.smoother.attitude.windows import Past, Piece, attitudes_after, hand_over, joined, resume, split
 
 UNKNOWN_RAD = 2.0  # sd of an attitude that nothing is known of
 DEFINED_RAD = 1e-3  # sd of a heading that is defined by the first attitude

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
-from stillpoint.smoother.clipping import extended
-from stillpoint.smoother.graph_params import KeyParams
+from stillpoint.smoother.attitude.clipping import extended
+from stillpoint.smoother.attitude.params import KeyParams
 from stillpoint.smoother.missing import LONG_GAP_S, bridged
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping

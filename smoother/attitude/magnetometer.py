@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Mag
-from stillpoint.smoother.graph_params import FieldParams
-from stillpoint.smoother.keys import Keys, Motion
+from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.params import FieldParams
 
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 SHRINK = 0.6  # from iteration to iteration

@@ -18,11 +18,11 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Info
 from stillpoint.datasets.trajectory import BasePoseReturn, Calibration
+from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.magnetometer import weights
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.solve import Solution
 from stillpoint.smoother.base_pose import BasePose, Returns
-from stillpoint.smoother.field import weights
-from stillpoint.smoother.graph_params import GraphParams
-from stillpoint.smoother.keys import Keys
-from stillpoint.smoother.solve import Solution
 
 IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, over what the noise sizes allow
 DOUBT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro that is 5 % off: 6.5

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.earth import enu_m
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Gps, Times
-from stillpoint.smoother.graph_params import GpsParams
-from stillpoint.smoother.keys import Keys, Motion
+from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.params import GpsParams
 
 FIX_LOSS_SD = 3.0  # a fix that is so far off has half its weight
 FIX_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(FIX_LOSS_SD)

@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.attitude_graph import RETURN_LOSS
-from stillpoint.smoother.field import FIRST_SCALE, FieldMeasurements, linear_factors, next_scale, residuals
-from stillpoint.smoother.graph_params import GraphParams
+from stillpoint.smoother.attitude.factors import RETURN_LOSS
+from stillpoint.smoother.attitude.magnetometer import (
+    FIRST_SCALE,
+    FieldMeasurements,
+    linear_factors,
+    next_scale,
+    residuals,
+)
+from stillpoint.smoother.attitude.params import GraphParams
 
 RETURNS_COUNTED = 6  # at the most, in the factor on the covariances
 STEP_LIMIT_RAD = 1.0  # an iteration that turns a state by more is cut short

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
 from stillpoint.datasets.recording import Floats, Mag
-from stillpoint.smoother.keys import Motion
+from stillpoint.smoother.attitude.keys import Motion
 from stillpoint.smoother.missing import LONG_GAP_S
 from stillpoint.smoother.strapdown import integrate
 

@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.trajectory import Calibration
-from stillpoint.smoother.attitude_graph import steps_of_bias
-from stillpoint.smoother.evidence import Evidence
-from stillpoint.smoother.graph_params import GraphParams, KeyParams
-from stillpoint.smoother.keys import Keys
-from stillpoint.smoother.solve import Solution, linearised
+from stillpoint.smoother.attitude.evidence import Evidence
+from stillpoint.smoother.attitude.factors import steps_of_bias
+from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.params import GraphParams, KeyParams
+from stillpoint.smoother.attitude.solve import Solution, linearised
 
 
 @dataclass(frozen=True, eq=False)

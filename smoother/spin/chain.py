@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_encoder import EncoderReadings
-from stillpoint.smoother.roll_params import RollNoise
-from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_state import Layout, RollState, in_blocks
+from stillpoint.smoother.spin.encoder import EncoderReadings
+from stillpoint.smoother.spin.params import RollNoise
+from stillpoint.smoother.spin.samples import RollSamples
+from stillpoint.smoother.spin.state import Layout, RollState, in_blocks
 
 LONG_STEP = 1.5  # of the median step: after a longer one the samples say nothing of the acceleration between
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Encoder, Floats, Times
-from stillpoint.smoother.roll_params import EncoderParams
-from stillpoint.smoother.roll_state import LATENCY, OFFSET, Layout, RollState
+from stillpoint.smoother.spin.params import EncoderParams
+from stillpoint.smoother.spin.state import LATENCY, OFFSET, Layout, RollState
 
 UNIFORM_SD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
 FINEST = 2 * np.pi / 1e5  # rad: finer steps are not looked for

@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_blocks import Condensed, condense, inside_of, variances_of
-from stillpoint.smoother.roll_chain import Chain, angles_of
-from stillpoint.smoother.roll_line import Line
-from stillpoint.smoother.roll_params import RollGraphParams
-from stillpoint.smoother.roll_rows import RollFit, Roots, jacobian
-from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_state import (
+from stillpoint.smoother.spin.blocks import Condensed, condense, inside_of, variances_of
+from stillpoint.smoother.spin.chain import Chain, angles_of
+from stillpoint.smoother.spin.once_per_turn import Line
+from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.rows import RollFit, Roots, jacobian
+from stillpoint.smoother.spin.samples import RollSamples
+from stillpoint.smoother.spin.state import (
     AMPLITUDE,
     ARM_A,
     ARM_S,

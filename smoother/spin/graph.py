@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.roll_chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
-from stillpoint.smoother.roll_encoder import EncoderReadings, readings_of
-from stillpoint.smoother.roll_graph import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
-from stillpoint.smoother.roll_line import Line, find_line, followed
-from stillpoint.smoother.roll_optimum import RollSolution, improved, no_optimum
-from stillpoint.smoother.roll_params import RollGraphParams
-from stillpoint.smoother.roll_rows import roots_of
-from stillpoint.smoother.roll_samples import RollSamples, samples_of, sign_of
-from stillpoint.smoother.roll_start import start_of, with_gravity, with_vibration
-from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
-from stillpoint.smoother.roll_trust import GLITCH, require_agreement
-from stillpoint.smoother.roll_zero import least_squared, require_spin, smooth_squared, too_slow
+from stillpoint.smoother.spin.chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
+from stillpoint.smoother.spin.encoder import EncoderReadings, readings_of
+from stillpoint.smoother.spin.factors import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
+from stillpoint.smoother.spin.once_per_turn import Line, find_line, followed
+from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.plausibility import GLITCH, require_agreement
+from stillpoint.smoother.spin.rows import roots_of
+from stillpoint.smoother.spin.samples import RollSamples, samples_of, sign_of
+from stillpoint.smoother.spin.solve import RollSolution, improved, no_optimum
+from stillpoint.smoother.spin.start import start_of, with_gravity, with_vibration
+from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
+from stillpoint.smoother.spin.zero_rate import least_squared, require_spin, smooth_squared, too_slow
 
 ROUGH = 3  # iterations before gravity is looked for
 VIBRATION_ROUNDS = 2  # the rates before the first one follow the vibration, and so does the angle it is fitted along

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.spin import G_MPS2
-from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
-from stillpoint.smoother.roll_params import HarmonicParams
-from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_state import RollState
+from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
+from stillpoint.smoother.spin.params import HarmonicParams
+from stillpoint.smoother.spin.samples import RollSamples
+from stillpoint.smoother.spin.state import RollState
 
 FEWEST_IN_WINDOW = 48  # valid samples of each channel
 LEAST_TURNS = 2.0  # of the body in a window

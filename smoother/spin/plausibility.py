@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.smoother.roll_chain import Chain
-from stillpoint.smoother.roll_graph import Prior
-from stillpoint.smoother.roll_optimum import RollSolution
-from stillpoint.smoother.roll_rows import roots_of
-from stillpoint.smoother.roll_state import AMPLITUDE, CONSTANTS
+from stillpoint.smoother.spin.chain import Chain
+from stillpoint.smoother.spin.factors import Prior
+from stillpoint.smoother.spin.rows import roots_of
+from stillpoint.smoother.spin.solve import RollSolution
+from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS
 
 GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
 RUN = 8  # glitches in a row are more than that

@@ -16,10 +16,10 @@ from functools import cache
 import numpy as np
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_chain import Chain, angles_of, rates_of
-from stillpoint.smoother.roll_encoder import encoder_rows, residuals_of
-from stillpoint.smoother.roll_params import RollNoise
-from stillpoint.smoother.roll_state import (
+from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
+from stillpoint.smoother.spin.encoder import encoder_rows, residuals_of
+from stillpoint.smoother.spin.params import RollNoise
+from stillpoint.smoother.spin.state import (
     AMPLITUDE,
     ARM_A,
     ARM_S,

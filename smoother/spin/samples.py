@@ -9,7 +9,7 @@ from scipy.special import binom
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
 from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, saturated
-from stillpoint.smoother.roll_params import RollCalibration, RollNoise
+from stillpoint.smoother.spin.params import RollCalibration, RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
 MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.smoother.roll_chain import Chain
-from stillpoint.smoother.roll_graph import Prior, eliminated, prior_cost, step_of
-from stillpoint.smoother.roll_params import RollGraphParams
-from stillpoint.smoother.roll_rows import RollFit, Sizes, cost, fit, roots_of, sizes_of
-from stillpoint.smoother.roll_state import RollState
+from stillpoint.smoother.spin.chain import Chain
+from stillpoint.smoother.spin.factors import Prior, eliminated, prior_cost, step_of
+from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.rows import RollFit, Sizes, cost, fit, roots_of, sizes_of
+from stillpoint.smoother.spin.state import RollState
 
 ADAPTING = 6  # iterations, after which the noise is no longer fitted: it and the weights could chase each other
 HALVINGS = 8  # of a step that makes the fit worse

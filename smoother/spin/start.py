@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_chain import Chain, angles_of
-from stillpoint.smoother.roll_encoder import EncoderReadings
-from stillpoint.smoother.roll_line import Line
-from stillpoint.smoother.roll_samples import RollSamples
-from stillpoint.smoother.roll_state import (
+from stillpoint.smoother.spin.chain import Chain, angles_of
+from stillpoint.smoother.spin.encoder import EncoderReadings
+from stillpoint.smoother.spin.once_per_turn import Line
+from stillpoint.smoother.spin.samples import RollSamples
+from stillpoint.smoother.spin.state import (
     AMPLITUDE,
     ARM_S,
     CONSTANTS,
@@ -21,7 +21,7 @@ from stillpoint.smoother.roll_state import (
     RollState,
     in_blocks,
 )
-from stillpoint.smoother.roll_zero import smooth_squared
+from stillpoint.smoother.spin.zero_rate import smooth_squared
 
 
 def start_rates(samples: RollSamples, sign: float) -> Floats:

@@ -11,10 +11,10 @@ from scipy.ndimage import median_filter
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.roll_encoder import EncoderReadings
-from stillpoint.smoother.roll_line import Line
-from stillpoint.smoother.roll_params import RollCalibration
-from stillpoint.smoother.roll_samples import RollSamples
+from stillpoint.smoother.spin.encoder import EncoderReadings
+from stillpoint.smoother.spin.once_per_turn import Line
+from stillpoint.smoother.spin.params import RollCalibration
+from stillpoint.smoother.spin.samples import RollSamples
 
 MEDIAN_OF = 25  # samples of the squared rate: a glitch, or a run of them, does not move it
 OF_MEDIAN = np.sqrt(np.pi / 2 / MEDIAN_OF)  # its sd, of that of a sample

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.calibration import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
+from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.entrants import Entrant

@@ -9,8 +9,8 @@ from glob import escape
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.mcap.store import read_estimate
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.store import read_estimate
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.datasets.tum import read_tum
 from stillpoint.filters.table import ESTIMATORS

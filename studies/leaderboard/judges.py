@@ -11,8 +11,8 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.mcap.store import read_reference
 from stillpoint.datasets.recording import Floats, Recording, Truth
-from stillpoint.datasets.store import read_reference
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.compare import moving_samples
 from stillpoint.scoring.match import Mask, attitude_at, covariance_at, match, require_some, track

@@ -22,7 +22,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, BadRecording, StillpointError
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.filters.sources import magnetometer, newest
+from stillpoint.filters.front.sources import magnetometer, newest
 
 
 def load_own(target: str) -> Any:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording, StillpointError
+from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.store import read_recording
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, Comparison, compare, score_of
 from stillpoint.scoring.errors import attitude_error, rotation_error_n

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.store import provenance, sha256
+from stillpoint.datasets.mcap.store import provenance, sha256
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.result_store import ResultStore, key_of
 

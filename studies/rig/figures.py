@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.spin import G_MPS2
-from stillpoint.scoring.figures import COLOURS
-from stillpoint.scoring.spin_design import Placement, Rig, limits_m, place
-from stillpoint.scoring.spin_identify import Identified
+from stillpoint.scoring.report.figures import COLOURS
+from stillpoint.studies.rig.design import Placement, Rig, limits_m, place
+from stillpoint.studies.rig.identify import Identified
 
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 DPI = 110

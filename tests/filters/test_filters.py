@@ -24,7 +24,7 @@ from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.table import Estimator, RollEstimator
-from stillpoint.scripts.settings_pages import refreshed
+from stillpoint.scripts.pages.settings_pages import refreshed
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, RollEstimator)]
@@ -330,7 +330,7 @@ def test_quaternions_keep_length_1_over_a_million_samples() -> None:
 
 
 def test_the_page_about_estimators_is_up_to_date() -> None:
-    text = (Path(__file__).parent.parent / "docs" / "estimators.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.settings_pages"
+    text = (Path(__file__).parents[2] / "docs" / "estimators.md").read_text(encoding="utf-8")
+    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
     for name in ESTIMATORS:
         assert f"\n## {name}\n" in text

@@ -110,10 +110,10 @@ def test_machine_code_of_other_sources_is_forgotten_once(tmp_path) -> None:
     (tmp_path / compiled.STAMP).write_text("of another version")
     old = tmp_path / "complementary.step-1.py311.nbi"
     old.write_bytes(b"index")
-    compiled.drop_stale(tmp_path, Path(rotation.__file__).parent)
+    compiled.drop_stale(tmp_path, Path(rotation.__file__))
     assert not old.exists()
     old.write_bytes(b"written by these sources")
-    compiled.drop_stale(tmp_path, Path(rotation.__file__).parent)
+    compiled.drop_stale(tmp_path, Path(rotation.__file__))
     assert old.exists()
 
 

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillpoint.datasets import BadParameter, BadRecording, Unobservable, write
+from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import read_recording, sha256
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.roll import compare_roll, roll_score_row, score_roll, usual_zero
+from stillpoint.scoring.spin import compare_roll, roll_score_row, score_roll, usual_zero
 
 T_NS = np.arange(0, 2_000_000_000, 4_000_000)
 T_S = T_NS / 1e9

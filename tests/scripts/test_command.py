@@ -11,8 +11,8 @@ import pytest
 
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts import demo
 from stillpoint.scripts import main as command
+from stillpoint.scripts.verbs import demo
 
 HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
 

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts import inputs
+from stillpoint.scripts.shared import inputs
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.earth import decimal_year
-from stillpoint.scripts.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 
 
 def fail_by(how: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 pytestmark = pytest.mark.wheel
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_nothing_lands_outside_the_package(wheel: Path) -> None:
 
 def test_every_tracked_module_is_in_the_wheel(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    folders = ("datasets", "filters", "scoring", "scripts", "smoother")
+    folders = ("datasets", "filters", "scoring", "scripts", "smoother", "studies")
     listed = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, capture_output=True, text=True, check=True)
     missing = [line for line in listed.stdout.split() if f"stillpoint/{line}" not in names]
     assert missing == []

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import Imu, Mag, StillpointError, write
+from stillpoint.datasets.mcap.store import read_reference
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import read_reference
 from stillpoint.datasets.trajectory import Calibration
 from stillpoint.scoring import score
 from stillpoint.smoother import reference

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import BadParameter, Imu, Recording, read, write
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.settings import names_of
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import sha256
-from stillpoint.scripts.settings_pages import refreshed
+from stillpoint.scripts.pages.settings_pages import refreshed
 from stillpoint.smoother import METHODS, reference
-from stillpoint.smoother.graph_params import PRESETS
+from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.redistribution import RedistributionParams
 from stillpoint.smoother.rest import RestParams
 
@@ -192,8 +192,8 @@ def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, re
 
 
 def test_the_document_is_up_to_date():
-    text = (Path(__file__).parents[1] / "docs" / "method.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.settings_pages"
+    text = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
+    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
     assert names_of(RedistributionParams())[0] in text
     for method in METHODS:
         assert f"| `{method}` |" in text

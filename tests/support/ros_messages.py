@@ -6,7 +6,7 @@ import numpy as np
 from mcap.writer import Writer as OfficialWriter
 from rosbags.typesys import Stores, get_typestore
 
-from stillpoint.datasets import cdr
+from stillpoint.datasets.mcap import cdr
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 IMU, VECTOR, TF = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3Stamped", "tf2_msgs/msg/TFMessage"

@@ -13,7 +13,7 @@ from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
 from stillpoint.datasets.simulate.spin_sensor import SpinSensor, noisy
 from stillpoint.datasets.spin import BENCH
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.roll_params import RollCalibration, RollGraphParams, RollNoise
+from stillpoint.smoother.spin.params import RollCalibration, RollGraphParams, RollNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
 VARIABLE = {"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0}  # R = 40, Q = 12

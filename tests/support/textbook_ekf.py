@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.error_model import ErrorStateParams
+from stillpoint.filters.kalman.model import ErrorStateParams
 
 UP = np.array([0.0, 0.0, 1.0])
 

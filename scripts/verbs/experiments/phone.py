@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from stillpoint.datasets.nearest import require_known
-from stillpoint.scoring.phone_page import judge_rows, method_rows, phone_page
-from stillpoint.scoring.phone_study import CF, EXPERIMENTS, LongRun, Scenario, Trial, long_run, trial
 from stillpoint.scoring.score import score_row
-from stillpoint.scripts.experiment_trials import FIVE, Trials
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, write_json
-from stillpoint.scripts.tables import print_table
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
+from stillpoint.studies.papers.phone.page import judge_rows, method_rows, phone_page
+from stillpoint.studies.papers.phone.study import CF, EXPERIMENTS, LongRun, Scenario, Trial, long_run, trial
 
 COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg", "tilt", "heading")
 AGAINST_KALMAN = {CF: "cf", "Kalman, per axis": "kf-axis", "Kalman, error state": "ekf"}

@@ -3,13 +3,13 @@
 from dataclasses import asdict, dataclass
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scoring.servo_page import rows, servo_page
-from stillpoint.scoring.servo_study import Trial, trial
-from stillpoint.scripts.experiment_trials import FIVE, Trials
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, write_json
-from stillpoint.scripts.tables import print_table
-from stillpoint.scripts.text_file import write_text
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
+from stillpoint.studies.papers.servo.page import rows, servo_page
+from stillpoint.studies.papers.servo.study import Trial, trial
 
 COLUMNS = ("angle", "by", "rms at rest, deg", "low rate", "high rate")
 SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate

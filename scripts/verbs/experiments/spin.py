@@ -6,9 +6,15 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.scoring.roll import roll_score_row
-from stillpoint.scoring.roll_page import roll_page
-from stillpoint.scoring.roll_study import (
+from stillpoint.scoring.spin import roll_score_row
+from stillpoint.scripts.shared.flags import Whole
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.tables import print_table
+from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.verbs.experiments.trials import Trials
+from stillpoint.studies.papers.spin.page import roll_page
+from stillpoint.studies.papers.spin.study import (
     CONSTANT,
     METRICS,
     NOISES,
@@ -20,12 +26,6 @@ from stillpoint.scoring.roll_study import (
     trial,
     worst,
 )
-from stillpoint.scripts.experiment_trials import Trials
-from stillpoint.scripts.flags import Whole
-from stillpoint.scripts.inputs import output_dir
-from stillpoint.scripts.json_file import STDOUT, write_json
-from stillpoint.scripts.tables import print_table
-from stillpoint.scripts.text_file import write_text
 
 COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
 PAPER = {False: 10, True: 5}  # trials, offline and online

@@ -8,9 +8,9 @@ from typing import TypeVar
 from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.scripts.flags import Jobs, OutDir, Whole
-from stillpoint.scripts.jobs import run_jobs
-from stillpoint.scripts.json_file import JsonFile
+from stillpoint.scripts.shared.flags import Jobs, OutDir, Whole
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.json_file import JsonFile
 
 Job = TypeVar("Job")
 Trial = TypeVar("Trial")

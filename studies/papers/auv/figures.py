@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.gains import Gains
-from stillpoint.scoring.auv_study import Series, difference_deg
-from stillpoint.scoring.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
+from stillpoint.filters.complementary.gains import Gains
+from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
+from stillpoint.studies.papers.auv.study import Series, difference_deg
 
 PARTS = ("roll", "pitch", "heading")
 RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains

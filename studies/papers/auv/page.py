@@ -5,8 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillpoint.scoring.auv_figures import column, draw_angle, draw_gains, draw_heading_errors, draw_mission
-from stillpoint.scoring.auv_study import (
+from stillpoint.scoring.report.figures import COLOURS, ON_DARK
+from stillpoint.scoring.report.page import dotted, load_template, versions
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.studies.papers.auv.figures import column, draw_angle, draw_gains, draw_heading_errors, draw_mission
+from stillpoint.studies.papers.auv.study import (
     ADAPTIVE,
     FIXED,
     GYRO,
@@ -20,9 +23,6 @@ from stillpoint.scoring.auv_study import (
     Trial,
     over_trials,
 )
-from stillpoint.scoring.figures import COLOURS, ON_DARK
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.report import dotted, template, versions
 
 COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5}  # places in COLOURS
 TITLES: dict[SeaKind, str] = {"waves": "In waves", "calm": "In a calm sea"}
@@ -53,7 +53,7 @@ def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: s
     """The page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
     first = next(iter(trials.values()))
     kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]
-    return template("auv_page.html.j2").render(
+    return load_template("stillpoint.studies.papers.auv", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         online=online,

@@ -1,7 +1,7 @@
 """Paper 003's mission on simulated trials: what to run, what the paper printed, and the figures to set beside it.
 
-As :mod:`stillpoint.scoring.roll_study`, a study that runs filters. The paper's recordings are not public; trials come
-from :mod:`stillpoint.datasets.simulate`, in a sea with waves and in a calm one.
+As :mod:`stillpoint.studies.papers.spin.study`, a study that runs filters. The paper's recordings are not public;
+trials come from :mod:`stillpoint.datasets.simulate`, in a sea with waves and in a calm one.
 """
 
 import json
@@ -16,7 +16,7 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.auv import CASPIAN
 from stillpoint.filters import estimate
-from stillpoint.filters.gains import Gains, gains
+from stillpoint.filters.complementary.gains import Gains, gains
 
 SeaKind = Literal["waves", "calm"]
 SEAS: tuple[SeaKind, ...] = get_args(SeaKind)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
-from stillpoint.scoring.phone_study import AXES, Series
+from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
+from stillpoint.studies.papers.phone.study import AXES, Series
 
 Span = tuple[float, float]
 

@@ -5,9 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillpoint.scoring.figures import COLOURS, ON_DARK
-from stillpoint.scoring.phone_figures import Span, draw_angles, draw_judges
-from stillpoint.scoring.phone_study import (
+from stillpoint.scoring.report.figures import COLOURS, ON_DARK
+from stillpoint.scoring.report.page import dotted, load_template, versions
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.studies.papers.phone.figures import Span, draw_angles, draw_judges
+from stillpoint.studies.papers.phone.study import (
     ACC,
     ACC_MA,
     AXES,
@@ -24,8 +26,6 @@ from stillpoint.scoring.phone_study import (
     mean_over,
     rms_drift_deg,
 )
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.report import dotted, template, versions
 
 COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4}  # places in COLOURS
 SHORT = {ACC: "acc", ACC_MA: "ma"}  # in the text
@@ -73,7 +73,7 @@ def phone_page(
 ) -> str:
     """The page as text; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``."""
     first = next(iter(trials.values()))
-    return template("phone_page.html.j2").render(
+    return load_template("stillpoint.studies.papers.phone", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         scenario=scenario,

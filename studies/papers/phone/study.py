@@ -1,6 +1,6 @@
 """Paper 002's three experiments on simulated trials: what to run, what the paper printed, and the scores beside it.
 
-As :mod:`stillpoint.scoring.roll_study`, a study that runs filters and smoother. The paper scores against its own
+As :mod:`stillpoint.studies.papers.spin.study`, a study that runs filters and smoother. The paper scores against its own
 benchmark, made from the same phone; a simulated trial has its truth as well, so the benchmark is scored, too.
 """
 

@@ -6,8 +6,8 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.figures import colour_of
-from stillpoint.scoring.servo_study import GYRO, Series, from_zero
+from stillpoint.scoring.report.figures import colour_of
+from stillpoint.studies.papers.servo.study import GYRO, Series, from_zero
 
 AXES = "xyz"
 Span = tuple[float, float]

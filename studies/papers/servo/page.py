@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.simulate.servo import BENCH
-from stillpoint.scoring.figures import COLOURS, ON_DARK
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.report import template, versions
-from stillpoint.scoring.servo_figures import draw_drift, draw_rolls, draw_sensors
-from stillpoint.scoring.servo_study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, first_swing_s
+from stillpoint.scoring.report.figures import COLOURS, ON_DARK
+from stillpoint.scoring.report.page import load_template, versions
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.studies.papers.servo.figures import draw_drift, draw_rolls, draw_sensors
+from stillpoint.studies.papers.servo.study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, first_swing_s
 
 COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
 SHOWN_S = 20.0
@@ -30,7 +30,7 @@ def over_trials(trials: Sequence[Trial], key: str) -> float:
 
 def servo_page(trials: Sequence[Trial], command: str) -> str:
     """The page as text; the same trials give the same bytes."""
-    return template("servo_page.html.j2").render(
+    return load_template("stillpoint.studies.papers.servo", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         trials=len(trials),

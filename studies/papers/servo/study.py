@@ -13,7 +13,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
 from stillpoint.filters import estimate
-from stillpoint.scoring.auv_study import difference_deg
+from stillpoint.studies.papers.auv.study import difference_deg
 
 GYRO, ACC, KALMAN = "gyro", "accelerometer", "kf-axis"
 PRINTED_DRIFT_DEG = -50.0  # the paper's text to fig 5, after a minute

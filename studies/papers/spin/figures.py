@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.figures import colour_of, draw_line
-from stillpoint.scoring.roll_study import Series, Trial
+from stillpoint.scoring.report.figures import colour_of, draw_line
+from stillpoint.studies.papers.spin.study import Series, Trial
 
 MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
 GROUP = 0.8  # share of the room of a trial that its bars take

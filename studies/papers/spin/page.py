@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from stillpoint.scoring.figures import COLOURS, ON_DARK
-from stillpoint.scoring.pictures import Picture, picture
-from stillpoint.scoring.report import dotted, template, versions
-from stillpoint.scoring.roll_figures import draw_bars, draw_rates
-from stillpoint.scoring.roll_study import (
+from stillpoint.scoring.report.figures import COLOURS, ON_DARK
+from stillpoint.scoring.report.page import dotted, load_template, versions
+from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.studies.papers.spin.figures import draw_bars, draw_rates
+from stillpoint.studies.papers.spin.study import (
     FILTERS,
     METRICS,
     OF_PAPER,
@@ -45,7 +45,7 @@ def roll_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], o
     """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
     methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
     first = next(iter(trials.values()))
-    return template("roll_page.html.j2").render(
+    return load_template("stillpoint.studies.papers.spin", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         title=scenario.title,

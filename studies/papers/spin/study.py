@@ -1,6 +1,6 @@
 """Paper 000's two experiments on simulated trials: what to run, what the paper printed, who wins how often.
 
-As :mod:`stillpoint.scoring.validation`, a study that runs filters and smoother. The paper's recordings are not public;
+As :mod:`stillpoint.studies.validation`, a study that runs filters and smoother. The paper's recordings are not public;
 trials come from :mod:`stillpoint.datasets.simulate`, under four hypotheses of what the sensors' noise was made of.
 """
 
@@ -16,7 +16,7 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.roll import RollScore, compare_roll, roll_score_of
+from stillpoint.scoring.spin import RollScore, compare_roll, roll_score_of
 from stillpoint.smoother import reference
 
 NoiseKind = Literal["white", "vibration", "glitch", "replica"]

@@ -12,8 +12,8 @@ from stillpoint.datasets.doctor.candidates import choose
 from stillpoint.datasets.doctor.lag import find_lag
 from stillpoint.datasets.doctor.witness import Witness, ask_mag
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.doctor import examine
-from stillpoint.scripts.rests import rests_of
+from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.verbs.doctor import examine
 from stillpoint.smoother import find_rests
 
 MISSIONS = (0, 2)  # seeds; noise puts the best lags of the field at -31 and -80 ms, and the true one is 0

@@ -242,7 +242,7 @@ def test_ros_refuses_what_is_no_bag_and_lists_topics(tmp_path):
 
 
 def test_ros_asks_which_of_several_topics(tmp_path):
-    from stillpoint.datasets.mcap_writer import Stream, write_mcap
+    from stillpoint.datasets.mcap.writer import Stream, write_mcap
 
     t_ns = np.arange(100, dtype=np.int64) * 10_000_000
     columns = {"angular_velocity.x": np.zeros(100), "linear_acceleration.z": np.full(100, 9.81)}

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from stillpoint.datasets import cdr
-from stillpoint.datasets.topics import TOPICS
+from stillpoint.datasets.mcap import cdr
+from stillpoint.datasets.mcap.topics import TOPICS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 PAIR = "trap_msgs/msg/Pair"

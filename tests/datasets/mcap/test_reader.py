@@ -28,9 +28,10 @@ from ros_messages import (
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
-from stillpoint.datasets import BadFile, cdr, read
-from stillpoint.datasets.mcap_reader import read_log, survey
-from stillpoint.datasets.mcap_writer import Stream, write_mcap
+from stillpoint.datasets import BadFile, read
+from stillpoint.datasets.mcap import cdr
+from stillpoint.datasets.mcap.reader import read_log, survey
+from stillpoint.datasets.mcap.writer import Stream, write_mcap
 
 
 def check_imu_and_field(path, rows=N, frame="imu"):

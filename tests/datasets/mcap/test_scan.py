@@ -11,9 +11,10 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as OfficialWriter
 from ros_messages import FIELD, GYRO, STORE, VECTOR, XYZ, bag, one_topic, vector_message
 
-from stillpoint.datasets import BadFile, mcap_scan
-from stillpoint.datasets.mcap_file import MAGIC, MESSAGE_HEAD
-from stillpoint.datasets.mcap_reader import read_log
+from stillpoint.datasets import BadFile
+from stillpoint.datasets.mcap import scan as mcap_scan
+from stillpoint.datasets.mcap.file import MAGIC, MESSAGE_HEAD
+from stillpoint.datasets.mcap.reader import read_log
 
 
 def test_a_writer_that_was_killed_leaves_its_whole_chunks(tmp_path):

@@ -7,22 +7,10 @@ import pytest
 from anything import estimates, recordings, references, roll_references
 from hypothesis import given, settings
 
-from stillpoint.datasets import (
-    BadFile,
-    BadRecording,
-    Gps,
-    Imu,
-    Info,
-    Mag,
-    Recording,
-    Reference,
-    Truth,
-    read,
-    store,
-    write,
-)
+from stillpoint.datasets import BadFile, BadRecording, Gps, Imu, Info, Mag, Recording, Reference, Truth, read, write
 from stillpoint.datasets.importers.table import IMPORTERS
-from stillpoint.datasets.mcap_writer import write_mcap
+from stillpoint.datasets.mcap import store
+from stillpoint.datasets.mcap.writer import write_mcap
 
 
 def assert_same(a, b, where=""):

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from stillpoint.datasets import Imu, Mag, Recording, Truth, topics_page, write
-from stillpoint.datasets.topics import TOPICS, microtesla, tesla
+from stillpoint.datasets import Imu, Mag, Recording, Truth, write
+from stillpoint.datasets.mcap.topics import TOPICS, microtesla, tesla
+from stillpoint.scripts.pages import topics_page
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 def test_the_page_is_made_from_the_table_as_it_is():

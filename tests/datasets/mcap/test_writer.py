@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from ros_messages import ACCEL, FIELD, GYRO, IMU, T_NS, VECTOR, XYZ, N
 from rosbags.highlevel import AnyReader
 
-from stillpoint.datasets.mcap_writer import Stream, write_mcap
+from stillpoint.datasets.mcap.writer import Stream, write_mcap
 
 
 @pytest.fixture(scope="module")

@@ -282,7 +282,7 @@ def test_impossible_wishes_are_refused_in_one_line(options, message):
 
 
 def test_the_page_about_the_model_states_the_values_in_use():
-    page = (Path(__file__).parents[1] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "simulation.md").read_text(encoding="utf-8")
     rows = [[cell.strip(" `") for cell in line.split("|")[1:4]] for line in page.splitlines() if line.startswith("| ")]
     stated = {(part, name): float(value) for part, name, value in rows if hasattr(PHONE, part)}
     used = {

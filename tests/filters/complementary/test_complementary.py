@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation, wrap
 from stillpoint.filters import estimate
-from stillpoint.filters.complementary import Params, coefficients, transition
+from stillpoint.filters.complementary.complementary import Params, coefficients, transition
 from stillpoint.filters.fields import LONGEST_HOLD_S
 
 STEP_S = 0.01

@@ -8,7 +8,7 @@ from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import Stream, estimate
-from stillpoint.filters.gains import gains
+from stillpoint.filters.complementary.gains import gains
 
 STEP_S = 0.02
 

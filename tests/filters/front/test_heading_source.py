@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, BadRecording, Gps, Imu, Mag, Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
-from stillpoint.filters import estimate, front
+from stillpoint.filters import estimate
+from stillpoint.filters.front import front
+from stillpoint.filters.front.sources import as_raw_log, sources_of
 from stillpoint.filters.precision import in_precision
-from stillpoint.filters.sources import as_raw_log, sources_of
 
 Course = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 HARD_IRON = np.array([3.0, -2.0, 1.5])

@@ -13,14 +13,14 @@ from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-from stillpoint.filters.ekf import Params
-from stillpoint.filters.error_model import transition
-from stillpoint.filters.error_updates import heading_measurement
-from stillpoint.filters.known_field import no_field
+from stillpoint.filters.kalman.ekf import Params
+from stillpoint.filters.kalman.known_field import no_field
+from stillpoint.filters.kalman.model import transition
+from stillpoint.filters.kalman.update import heading_measurement
+from stillpoint.filters.kalman.window import Window, no_samples, pushed, turned, with_field
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.rotation import multiply
 from stillpoint.filters.sample import Log, sample_at
-from stillpoint.filters.window import Window, no_samples, pushed, turned, with_field
 from stillpoint.scoring import score
 
 KALMAN = ["ekf", "aekf", "iekf"]

@@ -13,7 +13,7 @@ from stillpoint.datasets.frames import euler, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters import Stream, estimate
 from stillpoint.filters.euler_axes import STEEP, covariance, frame_of
-from stillpoint.filters.kf_axis import GIMBAL, Params, without_coriolis
+from stillpoint.filters.kalman.kf_axis import GIMBAL, Params, without_coriolis
 
 G = 9.81
 NORTH = np.array([0.0, 20.0, 0.0])  # a level field: tilt errors do not leak into the heading

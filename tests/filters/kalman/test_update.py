@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from from_python import from_python
 
-from stillpoint.filters import error_updates
-from stillpoint.filters.error_model import HEADING, SIZE, Measurement
+from stillpoint.filters.kalman import update as error_updates
+from stillpoint.filters.kalman.model import HEADING, SIZE, Measurement
 
 update = from_python(error_updates.update)
 GATE = 9.0  # three standard deviations

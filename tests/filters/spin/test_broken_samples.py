@@ -12,9 +12,9 @@ from spins import CONSTANT, spoilt
 from stillpoint.datasets import Encoder, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
 from stillpoint.filters import estimate
-from stillpoint.filters.roll_stream import RollStream
+from stillpoint.filters.spin.stream import RollStream
 from stillpoint.filters.table import ROLLS
-from stillpoint.scoring.roll import score_roll
+from stillpoint.scoring.spin import score_roll
 
 X, Y, Z = np.eye(3)
 # Radial accelerometers on both sides of the axis, tangential ones likewise: the bench with one of each to spare.

@@ -11,8 +11,8 @@ from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import estimate
-from stillpoint.filters.roll_stream import RollStream
-from stillpoint.scoring.roll import score_roll
+from stillpoint.filters.spin.stream import RollStream
+from stillpoint.scoring.spin import score_roll
 
 T, Q, R = 0.004, 0.5, 80.0
 PAPER = {**CONSTANT, "first_rate": "first"}

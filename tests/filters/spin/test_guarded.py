@@ -13,9 +13,9 @@ from spins import CONSTANT, VARIABLE, exact, spoilt
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.filters.roll_guarded import Bias, Push, corrected, moved
-from stillpoint.filters.roll_sample import Roll
-from stillpoint.scoring.roll import RollScore, compare_roll, score_roll
+from stillpoint.filters.spin.guarded import Bias, Push, corrected, moved
+from stillpoint.filters.spin.sample import Roll
+from stillpoint.scoring.spin import RollScore, compare_roll, score_roll
 
 
 def f5_bias(accel):

@@ -10,7 +10,7 @@ from spins import CONSTANT, VARIABLE
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
-from stillpoint.scoring.roll import compare_roll, score_roll
+from stillpoint.scoring.spin import compare_roll, score_roll
 
 
 def test_the_paper_s_numbers_of_white_noise():

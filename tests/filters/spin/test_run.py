@@ -11,9 +11,11 @@ from stillpoint.datasets import BadParameter, BadRecording, Imu, Info, Recording
 from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, measure, specific_force
-from stillpoint.filters import estimate, roll_ekf, roll_front
-from stillpoint.filters.roll_noise import spin_channels
-from stillpoint.filters.roll_stream import RollStream
+from stillpoint.filters import estimate
+from stillpoint.filters.spin import ekf as roll_ekf
+from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin.noise import spin_channels
+from stillpoint.filters.spin.stream import RollStream
 from stillpoint.filters.table import ROLLS
 
 

@@ -6,10 +6,10 @@ import sys
 import pytest
 
 from stillpoint.datasets import BadParameter, read
-from stillpoint.scripts import bench as bench_module
-from stillpoint.scripts import bench_mcap
-from stillpoint.scripts.bench import bench
-from stillpoint.scripts.timing import Timing
+from stillpoint.scripts.bench import mcap as bench_mcap
+from stillpoint.scripts.bench.timing import Timing
+from stillpoint.scripts.verbs import bench as bench_module
+from stillpoint.scripts.verbs.bench import bench
 
 CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "against", "ratio", "ratio_is"]
 

@@ -8,8 +8,9 @@ from stillpoint.datasets import BadParameter
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts import bench_filters, bench_start
-from stillpoint.scripts.bench import bench
+from stillpoint.scripts.bench import filters as bench_filters
+from stillpoint.scripts.bench import start as bench_start
+from stillpoint.scripts.verbs.bench import bench
 
 OURS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 

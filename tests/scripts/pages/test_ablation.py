@@ -5,8 +5,8 @@ import pytest
 from stillpoint.datasets.settings import chosen
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.scripts.ablation import VARIANTS, solved
-from stillpoint.smoother.graph_params import HANDHELD
+from stillpoint.scripts.pages.ablation import VARIANTS, solved
+from stillpoint.smoother.attitude.params import HANDHELD
 
 BY_NAME = {variant.name: variant for variant in VARIANTS}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillpoint.scripts.disc_flight import DiscFlight, disc_flight
+from stillpoint.scripts.pages.disc_flight import DiscFlight, disc_flight
 
 
 @pytest.fixture(scope="module")

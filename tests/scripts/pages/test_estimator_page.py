@@ -7,20 +7,20 @@ import pytest
 
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.accuracy_page import with_table
-from stillpoint.scripts.settings_pages import refreshed
+from stillpoint.scripts.pages.accuracy_page import with_table
+from stillpoint.scripts.pages.settings_pages import refreshed
 
-PAGE = (Path(__file__).parent.parent / "docs" / "estimators.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "estimators.md").read_text(encoding="utf-8")
 
 
 def section(name: str) -> str:
     found = re.search(rf"\n## {re.escape(name)}\n(.*?)(?=\n## )", PAGE, re.DOTALL)
-    assert found is not None, f"no section ## {name}; run python -m stillpoint.scripts.settings_pages"
+    assert found is not None, f"no section ## {name}; run python -m stillpoint.scripts.pages.settings_pages"
     return found[1]
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
-    assert refreshed(PAGE) == PAGE, "run python -m stillpoint.scripts.settings_pages"
+    assert refreshed(PAGE) == PAGE, "run python -m stillpoint.scripts.pages.settings_pages"
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))

@@ -22,12 +22,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import Stream, estimate
 from stillpoint.filters.saved import plain, rebuilt
 from stillpoint.filters.table import ESTIMATORS, Estimator
-from stillpoint.scripts.heading_watch import HeadingWatch
-from stillpoint.scripts.latency import Latency
-from stillpoint.scripts.live import attitude, keep, kind_of, live
-from stillpoint.scripts.pipe import Passed, pipe
-from stillpoint.scripts.runs import runs_of
-from stillpoint.scripts.sample_lines import Lines, Malformed
+from stillpoint.scripts.shared.estimator_choice import runs_of
+from stillpoint.scripts.streaming.heading_watch import HeadingWatch
+from stillpoint.scripts.streaming.latency import Latency
+from stillpoint.scripts.streaming.lines import Lines, Malformed
+from stillpoint.scripts.streaming.pipe import Passed, pipe
+from stillpoint.scripts.streaming.streams import attitude, keep, kind_of, live
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 HEADER = "t_ns,gx,gy,gz,ax,ay,az,mx,my,mz"
@@ -412,7 +412,7 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     import socket
 
-    from stillpoint.scripts.foxglove_live import replay
+    from stillpoint.scripts.streaming.foxglove import replay
 
     recording = simulate("phone-1", seed=3, minutes=0.6)
     file = tmp_path / "run.mcap"

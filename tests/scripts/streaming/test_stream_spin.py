@@ -16,8 +16,8 @@ from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS
 from stillpoint.filters import RollStream, Stream, estimate
 from stillpoint.filters.saved import plain, rebuilt
 from stillpoint.filters.table import ROLLS
-from stillpoint.scripts.pipe import Passed, pipe
-from stillpoint.scripts.sample_lines import Lines, spin_layout
+from stillpoint.scripts.streaming.lines import Lines, spin_layout
+from stillpoint.scripts.streaming.pipe import Passed, pipe
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 

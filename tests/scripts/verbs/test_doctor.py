@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import read_recording, write
 from stillpoint.scripts.main import main
 
 

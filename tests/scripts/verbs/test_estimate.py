@@ -12,11 +12,11 @@ import pytest
 
 from stillpoint.datasets import read, write
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.store import sha256
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
-from stillpoint.scripts.estimate import estimate
+from stillpoint.scripts.verbs.estimate import estimate
 
 ALL_OF_THEM = """
 import numpy as np
@@ -24,7 +24,7 @@ from stillpoint.datasets import Imu, Info, Recording
 from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-from stillpoint.filters.roll_stream import RollStream
+from stillpoint.filters.spin.stream import RollStream
 from stillpoint.filters.table import ROLLS
 t_ns = np.arange(10) * 10_000_000
 imu = Imu(t_ns, np.zeros((10, 3)), np.tile([0, 0, 9.81], (10, 1)))

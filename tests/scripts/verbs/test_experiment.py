@@ -6,15 +6,25 @@ from importlib import import_module
 
 import pytest
 
-from stillpoint.scoring.roll_page import roll_page
-from stillpoint.scoring.roll_study import CONSTANT, METRICS, OF_PAPER, VARIABLE, Trial, in_order, trial, wins, worst
-from stillpoint.scripts.experiment import EXPERIMENTS
+from stillpoint.scripts.verbs.experiment import EXPERIMENTS
+from stillpoint.studies.papers.spin.page import roll_page
+from stillpoint.studies.papers.spin.study import (
+    CONSTANT,
+    METRICS,
+    OF_PAPER,
+    VARIABLE,
+    Trial,
+    in_order,
+    trial,
+    wins,
+    worst,
+)
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_is_there_and_explains_itself(name, call, capsys):
     module, function = EXPERIMENTS[name][0].split(":")
-    assert getattr(import_module(f"stillpoint.scripts.{module}"), function).__doc__
+    assert getattr(import_module(f"stillpoint.scripts.verbs.experiments.{module}"), function).__doc__
     assert call("experiment", name, "--help") == 0
     assert "--out" in capsys.readouterr().out
 

@@ -19,7 +19,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.datasets.tum import read_tum, tum_text
 from stillpoint.filters import Stream, estimate
-from stillpoint.scripts.sample_lines import Lines
+from stillpoint.scripts.streaming.lines import Lines
 
 POSE = "0.5 1 2 3 0 0 0.6 0.8\n"
 

@@ -9,8 +9,8 @@ import pytest
 
 from stillpoint.datasets import Recording
 from stillpoint.datasets.importers.table import IMPORTERS
-from stillpoint.datasets.store import read_recording, write
-from stillpoint.scripts.import_flags import Flags
+from stillpoint.datasets.mcap.store import read_recording, write
+from stillpoint.scripts.verbs.import_flags import Flags
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_info_of_what_is_no_recording(call, tmp_path, capsys):
 
 
 def test_every_option_of_every_kind_is_a_flag_and_stands_in_the_document():
-    page = (Path(__file__).parents[1] / "docs" / "importing.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "importing.md").read_text()
     flags = {field.name for field in fields(Flags)}
     for kind, importer in IMPORTERS.items():
         assert f"\n## {kind}\n" in page

@@ -5,9 +5,9 @@ import shutil
 
 import pytest
 
-from stillpoint.datasets.store import read_estimate, write
-from stillpoint.scripts.beside import files_of, recording_name
-from stillpoint.scripts.demo import SHOWN
+from stillpoint.datasets.mcap.store import read_estimate, write
+from stillpoint.scripts.shared.companions import files_of, recording_name
+from stillpoint.scripts.verbs.demo import SHOWN
 
 NAME = "phone-3-seed0"
 

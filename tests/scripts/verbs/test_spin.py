@@ -10,9 +10,9 @@ import pytest
 from stillpoint.datasets import read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters.table import ROLLS
-from stillpoint.scoring.roll import compare_roll
-from stillpoint.scoring.spin_report import SpinMaterial, judge_spin, spin_report_html
-from stillpoint.scoring.spin_report_figures import series_of
+from stillpoint.scoring.report.spin_figures import series_of
+from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, spin_report_html
+from stillpoint.scoring.spin import compare_roll
 
 NAME = "spin-constant-glitch-seed0"
 

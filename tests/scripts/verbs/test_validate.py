@@ -8,8 +8,8 @@ import pytest
 from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
-from stillpoint.scoring.validation import ValidationRow, summary
 from stillpoint.smoother import METHODS, reference
+from stillpoint.studies.validation import ValidationRow, summary
 
 KEYS = {
     "recording",

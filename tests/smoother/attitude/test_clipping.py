@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillpoint.smoother.clipping import FARTHEST, UNSEEN_SHARE, extended, range_where_clipped
+from stillpoint.smoother.attitude.clipping import FARTHEST, UNSEEN_SHARE, extended, range_where_clipped
 
 T_S = np.arange(2000) / 200
 

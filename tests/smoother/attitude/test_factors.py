@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
 from stillpoint.datasets.frames import quaternion
-from stillpoint.smoother import attitude_graph as factors
-from stillpoint.smoother.graph_params import GraphParams, KeyParams
-from stillpoint.smoother.keys import choose_keys, motion_of
+from stillpoint.smoother.attitude import factors
+from stillpoint.smoother.attitude.keys import choose_keys, motion_of
+from stillpoint.smoother.attitude.params import GraphParams, KeyParams
 
 G = 9.80665
 PARAMS = GraphParams()

@@ -15,8 +15,8 @@ from stillpoint.datasets.simulate import PERFECT, PHONE, simulate
 from stillpoint.datasets.trajectory import CONVENTION
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.graph_params import HANDHELD
-from stillpoint.smoother.solve import scale_of
+from stillpoint.smoother.attitude.params import HANDHELD
+from stillpoint.smoother.attitude.solve import scale_of
 
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 

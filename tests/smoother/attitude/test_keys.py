@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillpoint.datasets import Imu
-from stillpoint.smoother.graph_params import KeyParams
-from stillpoint.smoother.keys import LONG_GAP_S, choose_keys, motion_of
+from stillpoint.smoother.attitude.keys import LONG_GAP_S, choose_keys, motion_of
+from stillpoint.smoother.attitude.params import KeyParams
 
 PARAMS = KeyParams()
 

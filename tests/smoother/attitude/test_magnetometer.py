@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import H, X
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import quaternion
-from stillpoint.smoother.field import (
+from stillpoint.smoother.attitude.magnetometer import (
     FieldMeasurements,
     field_matrix,
     field_prior,
@@ -17,7 +17,7 @@ from stillpoint.smoother.field import (
     start_of_field,
     weights,
 )
-from stillpoint.smoother.graph_params import FieldParams
+from stillpoint.smoother.attitude.params import FieldParams
 
 PARAMS = FieldParams()
 MATRIX = np.array([[0.02, -0.01, 0.005], [0.015, -0.03, 0.01], [0.0, 0.02, 0.01]])

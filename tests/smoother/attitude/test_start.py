@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Mag
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
-from stillpoint.smoother.keys import motion_of
-from stillpoint.smoother.start import find_start
+from stillpoint.smoother.attitude.keys import motion_of
+from stillpoint.smoother.attitude.start import find_start
 
 NO_RESTS = np.empty((0, 2), dtype=np.int64)
 

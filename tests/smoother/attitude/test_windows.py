@@ -13,11 +13,11 @@ from stillpoint.datasets.frames import rotation  # noqa: E402
 from stillpoint.datasets.recording import Recording  # noqa: E402
 from stillpoint.datasets.simulate import simulate  # noqa: E402
 from stillpoint.datasets.trajectory import total_sd_rad  # noqa: E402
-from stillpoint.smoother.calibrating import build, reference_from  # noqa: E402
-from stillpoint.smoother.evidence import Evidence, gather  # noqa: E402
-from stillpoint.smoother.graph_params import HANDHELD  # noqa: E402
-from stillpoint.smoother.solve import linearised, solve  # noqa: E402
-from stillpoint.smoother.windows import hand_over, split  # noqa: E402
+from stillpoint.smoother.attitude.evidence import Evidence, gather  # noqa: E402
+from stillpoint.smoother.attitude.graph import build, reference_from  # noqa: E402
+from stillpoint.smoother.attitude.params import HANDHELD  # noqa: E402
+from stillpoint.smoother.attitude.solve import linearised, solve  # noqa: E402
+from stillpoint.smoother.attitude.windows import hand_over, split  # noqa: E402
 
 WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
 

@@ -7,7 +7,7 @@ import pytest
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.roll_encoder import resolution_rad
+from stillpoint.smoother.spin.encoder import resolution_rad
 
 
 def test_an_encoder_fixes_angle_arm_and_latency():

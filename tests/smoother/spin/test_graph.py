@@ -10,14 +10,14 @@ from spins import GIVEN, known
 from stillpoint.datasets import Encoder, Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.roll_chain import angles_of, chain_of
-from stillpoint.smoother.roll_encoder import readings_of
-from stillpoint.smoother.roll_graph import accuracy_of, eliminated, prior_of, step_of
-from stillpoint.smoother.roll_line import Line
-from stillpoint.smoother.roll_params import RollGraphParams
-from stillpoint.smoother.roll_rows import fit, mean_weight, roots_of, sizes_of
-from stillpoint.smoother.roll_samples import samples_of
-from stillpoint.smoother.roll_state import CONSTANTS, COS_A, COS_S, SIN_A, SIN_S, RollState, in_blocks
+from stillpoint.smoother.spin.chain import angles_of, chain_of
+from stillpoint.smoother.spin.encoder import readings_of
+from stillpoint.smoother.spin.factors import accuracy_of, eliminated, prior_of, step_of
+from stillpoint.smoother.spin.once_per_turn import Line
+from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.rows import fit, mean_weight, roots_of, sizes_of
+from stillpoint.smoother.spin.samples import samples_of
+from stillpoint.smoother.spin.state import CONSTANTS, COS_A, COS_S, SIN_A, SIN_S, RollState, in_blocks
 
 
 def small(seconds=1.0, seed=1, **sensor):

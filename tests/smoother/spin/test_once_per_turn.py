@@ -11,12 +11,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate import spin as simulated
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, noisy
 from stillpoint.filters import estimate
-from stillpoint.scoring.roll_study import CONSTANT as CONSTANT_SPEED
-from stillpoint.scoring.roll_study import VARIABLE as VARIABLE_SPEED
-from stillpoint.scoring.roll_study import settings_of
 from stillpoint.smoother import reference
-from stillpoint.smoother.roll_line import judged
-from stillpoint.smoother.roll_params import HarmonicParams, RollCalibration, RollGraphParams
+from stillpoint.smoother.spin.once_per_turn import judged
+from stillpoint.smoother.spin.params import HarmonicParams, RollCalibration, RollGraphParams
+from stillpoint.studies.papers.spin.study import CONSTANT as CONSTANT_SPEED
+from stillpoint.studies.papers.spin.study import VARIABLE as VARIABLE_SPEED
+from stillpoint.studies.papers.spin.study import settings_of
 
 KNOWN = RollGraphParams(
     calibration=RollCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)

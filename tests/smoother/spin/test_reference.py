@@ -12,10 +12,10 @@ from spins import RIG, X, Y, tilted
 from stillpoint.datasets import Spin, SpinGeometry, Unobservable, read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
-from stillpoint.scripts.settings_pages import refreshed
+from stillpoint.scripts.pages.settings_pages import refreshed
 from stillpoint.smoother import reference
-from stillpoint.smoother.roll_params import RollGraphParams, RollNoise
-from stillpoint.smoother.roll_samples import samples_of
+from stillpoint.smoother.spin.params import RollGraphParams, RollNoise
+from stillpoint.smoother.spin.samples import samples_of
 
 
 def errors(recording):
@@ -148,5 +148,5 @@ def test_the_verb_writes_what_reference_gives(call, tmp_path, capsys):
 
 
 def test_the_page_has_the_settings_as_they_are():
-    text = (Path(__file__).parents[1] / "docs" / "roll.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.settings_pages"
+    text = (Path(__file__).parents[3] / "docs" / "roll.md").read_text(encoding="utf-8")
+    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"

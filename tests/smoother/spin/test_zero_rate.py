@@ -9,9 +9,9 @@ from spins import exact, spoilt
 from stillpoint.datasets import Unobservable, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.roll_params import RollCalibration, RollNoise
-from stillpoint.smoother.roll_samples import samples_of
-from stillpoint.smoother.roll_zero import least_squared, stretches
+from stillpoint.smoother.spin.params import RollCalibration, RollNoise
+from stillpoint.smoother.spin.samples import samples_of
+from stillpoint.smoother.spin.zero_rate import least_squared, stretches
 
 
 def felt(recording, seed=0, gravity_mps2=0.0):

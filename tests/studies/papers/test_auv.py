@@ -7,7 +7,7 @@ import pytest
 
 from stillpoint.datasets.frames import euler
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scoring.auv_study import (
+from stillpoint.studies.papers.auv.study import (
     ADAPTIVE,
     GYRO,
     METHODS,

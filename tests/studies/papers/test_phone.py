@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.scoring.phone_page import judge_rows, method_rows
-from stillpoint.scoring.phone_study import (
+from stillpoint.scoring.score import score
+from stillpoint.studies.papers.phone.page import judge_rows, method_rows
+from stillpoint.studies.papers.phone.study import (
     ACC,
     ACC_MA,
     CF,
@@ -26,7 +27,6 @@ from stillpoint.scoring.phone_study import (
     rms_drift_deg,
     trial,
 )
-from stillpoint.scoring.score import score
 
 
 @pytest.fixture(scope="module")

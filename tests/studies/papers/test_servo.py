@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillpoint.scoring.servo_study import GYRO, Trial, during, first_swing_s, from_zero, trial
+from stillpoint.studies.papers.servo.study import GYRO, Trial, during, first_swing_s, from_zero, trial
 
 
 @pytest.fixture(scope="module")

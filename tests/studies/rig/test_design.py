@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from stillpoint.datasets import BadParameter
-from stillpoint.scoring.spin_design import Rig, limits_m, longest, place, steady_variance
-from stillpoint.scoring.spin_figures import draw_both, draw_radial, draw_tangential
+from stillpoint.studies.rig.design import Rig, limits_m, longest, place, steady_variance
+from stillpoint.studies.rig.figures import draw_both, draw_radial, draw_tangential
 
 PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
 

@@ -12,8 +12,8 @@ from stillpoint.datasets import BadRecording, write
 from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, EncoderModel, SpinAccel
-from stillpoint.scoring.spin_figures import draw_variances
-from stillpoint.scoring.spin_identify import identify
+from stillpoint.studies.rig.figures import draw_variances
+from stillpoint.studies.rig.identify import identify
 
 PERFECT = CONSTANT["perfect"]
 

@@ -1,0 +1,1 @@
+"""Complementary filters, and the single sensors that they blend."""

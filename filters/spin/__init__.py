@@ -1,0 +1,1 @@
+"""Estimators of angle and rate for a body that spins about one axis."""

@@ -1,0 +1,1 @@
+"""HTML pages about one recording, with their figures and templates."""

@@ -1,0 +1,1 @@
+"""The timings behind ``stillpoint bench NAME``."""

@@ -1,0 +1,1 @@
+"""The parts of ``stillpoint stream``: lines in, estimates out."""

@@ -1,0 +1,1 @@
+"""The experiments behind ``stillpoint experiment NAME``, one file for each paper."""

@@ -1,0 +1,1 @@
+"""The calibrating factor graph that makes attitude references."""

@@ -1,0 +1,1 @@
+"""The factor graph of a body that spins about one axis."""

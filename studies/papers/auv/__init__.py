@@ -1,0 +1,1 @@
+"""The underwater mission of Zia (2022)."""

@@ -1,0 +1,1 @@
+"""The phone experiments of Elmi Aziz and Mohseni Araste (2021)."""

@@ -1,0 +1,1 @@
+"""The servo bench of Byambajav et al."""

@@ -1,0 +1,1 @@
+"""The spinning-body experiments of Asghari et al. (2018)."""

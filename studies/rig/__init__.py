@@ -1,0 +1,1 @@
+"""Rigs for spinning bodies: where accelerometers sit, and how noisy they are."""
