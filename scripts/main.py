@@ -24,7 +24,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "stream": ("stream:stream", "Estimates while the samples come, or a recording live in Foxglove."),
     "score": ("score:score", "Score estimates against a reference or a truth."),
     "validate": ("validate:validate", "Score references against independent truth."),
-    "leaderboard": ("verbs.leaderboard:leaderboard", "Rank many estimators over many recordings, with verdicts."),
+    "leaderboard": ("leaderboard:leaderboard", "Rank many estimators over many recordings, with verdicts."),
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),

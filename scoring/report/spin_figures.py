@@ -1,6 +1,7 @@
 """Pictures of a spinning body's page: errors within their stated bands, and what its accelerometers read."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
@@ -15,18 +16,27 @@ from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring.report.envelope import envelope
 from stillpoint.scoring.report.figures import REST_GREY, colour_of, columns_of, draw_line
 from stillpoint.scoring.spin import RollComparison
-from stillpoint.studies.papers.spin.figures import error_limit
-from stillpoint.studies.papers.spin.study import Series
 
 BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
+OBSERVATION = "observation"  # the method whose noise is several times that of the others
+WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
 
 
-def series_of(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> Series:
+@dataclass(frozen=True, eq=False)
+class RateSeries:
+    """The rates of one recording over time, by method, beside the true one."""
+
+    t_s: Floats
+    truth_radps: Floats
+    rate_radps: Mapping[str, Floats]  # method -> rate at t_s
+
+
+def series_of(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> RateSeries:
     """Rates at the stamps that all comparisons share."""
     t_ns = reduce(np.intersect1d, (c.t_ns for c in comparisons))
     true = np.interp(t_ns, truth.t_ns, truth.rate_radps)
     rates = {c.estimated: true + c.rate_error_radps[np.searchsorted(c.t_ns, t_ns)] for c in comparisons}
-    return Series((t_ns - zero_ns) / 1e9, true, rates)
+    return RateSeries((t_ns - zero_ns) / 1e9, true, rates)
 
 
 def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_ns: int) -> None:
@@ -70,3 +80,47 @@ def draw_accelerometers(axes: Sequence[Axes], spin: Spin) -> None:
 
 def _line(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> None:
     draw_line(ax, t_s, value, longest_step_ns(t_ns) / 1e9, **style)
+
+
+def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, int], against: str = "truth") -> None:
+    """On top the rates, the truth over them; below, the error of each method on an axis of its own.
+
+    ``methods`` gives each method its colour. The observation has a scale of its own, all others share one, so that what
+    looks smaller is smaller; how many samples exceed it is said.
+    """
+    truth_degps = np.rad2deg(series.truth_radps)
+    errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
+    limits = {method: error_limit(error) for method, error in errors.items()}
+    shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
+    for method, k in methods.items():
+        draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
+    draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
+    margin = 0.06 * np.ptp(truth_degps) + spread(series, methods)
+    axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
+    axes[0].set_ylabel("rate (deg/s)")
+    for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
+        error = errors[method]
+        draw_line(ax, series.t_s, error, color=colour_of(k), lw=0.9)
+        limit = limits[method] if method == OBSERVATION else shared
+        ax.set_ylim(-limit, limit)
+        ax.set_ylabel("deg/s")
+        beyond = int((np.abs(error) > limit).sum())
+        samples = "sample" if beyond == 1 else "samples"
+        note = f"  ({beyond} {samples} beyond, up to {np.abs(error).max():.0f} deg/s)" if beyond else ""
+        ax.set_title(f"error of {method}{note}", loc="left", color=colour_of(k), fontweight="bold")
+    for ax in axes:
+        ax.set_xlim(series.t_s[0], series.t_s[-1])
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def error_limit(error: Floats) -> float:
+    """Half the height of an error's axis: all but the worst thousandth with room, or everything where that fits."""
+    most = float(np.quantile(np.abs(error), 0.999)) * 1.5
+    worst = float(np.abs(error).max())
+    return 1.05 * worst if worst < WIDE_FROM * most else most
+
+
+def spread(series: RateSeries, methods: Mapping[str, int]) -> float:
+    """Room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
+    truth = np.rad2deg(series.truth_radps)
+    return max(error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)

@@ -12,7 +12,7 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.page import dotted, facts_of_recording, load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
-from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, series_of
+from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, draw_rates, series_of
 from stillpoint.scoring.spin import (
     ZERO_WORDS,
     AngleZero,
@@ -22,7 +22,6 @@ from stillpoint.scoring.spin import (
     roll_score_of,
     usual_zero,
 )
-from stillpoint.studies.papers.spin.figures import draw_rates
 
 
 @dataclass(frozen=True, eq=False)

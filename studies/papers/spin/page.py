@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.page import dotted, load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
-from stillpoint.studies.papers.spin.figures import draw_bars, draw_rates
+from stillpoint.scoring.report.spin_figures import draw_rates
+from stillpoint.studies.papers.spin.figures import draw_bars
 from stillpoint.studies.papers.spin.study import (
     FILTERS,
     METRICS,

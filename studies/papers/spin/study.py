@@ -12,10 +12,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
+from stillpoint.scoring.report.spin_figures import RateSeries
 from stillpoint.scoring.spin import RollScore, compare_roll, roll_score_of
 from stillpoint.smoother import reference
 
@@ -51,15 +52,6 @@ class Scenario:
     printed: Mapping[bool, Printed]  # offline (False) and online (True)
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Rates over time of one trial."""
-
-    t_s: Floats
-    truth_radps: Floats
-    rate_radps: Mapping[str, Floats]  # method -> rate at t_s
-
-
 @dataclass(frozen=True)
 class Trial:
     """One recording: a score per method, or the reason why there is none."""
@@ -69,7 +61,7 @@ class Trial:
     scores: Mapping[str, RollScore]
     refused: Mapping[str, str] = field(default_factory=dict)
     params: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    series: Series | None = None
+    series: RateSeries | None = None
 
 
 def trial(
@@ -148,13 +140,13 @@ def _made(
     return estimate(recording, FILTERS[method], settings, "single" if online else "double")
 
 
-def _series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> Series:
+def _series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> RateSeries:
     assert recording.spin is not None
     assert recording.roll_truth is not None
     t_ns, truth = recording.spin.t_ns, recording.roll_truth
     rates = {method: np.asarray(thing.rate_radps) for method, thing in made.items()}
     t_s = (t_ns - t_ns[0]) / 1e9
-    return Series(t_s, np.interp(t_ns, truth.t_ns, truth.rate_radps), rates)
+    return RateSeries(t_s, np.interp(t_ns, truth.t_ns, truth.rate_radps), rates)
 
 
 CONSTANT = Scenario(

@@ -1,0 +1,48 @@
+"""The layers of the packages: imports go one way, and the contract that says so notices one that does not."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("datasets", "filters", "scoring", "scripts", "smoother", "studies")
+LINT = "from importlinter.cli import lint_imports; raise SystemExit(lint_imports('pyproject.toml', no_cache=True))"
+
+
+@pytest.fixture
+def copied_package(tmp_path: Path) -> Path:
+    for folder in FOLDERS:
+        shutil.copytree(ROOT / folder, tmp_path / "stillpoint" / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    return subprocess.run([sys.executable, "-c", LINT], cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_imports_go_one_way(copied_package):
+    linted = lint_imports(copied_package)
+    assert linted.returncode == 0, linted.stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"),
+    [
+        ("scoring/errors.py", "from stillpoint.filters import estimate", "Dependencies go one way"),
+        ("filters/run.py", "from stillpoint.smoother.rest import find_rests", "Dependencies go one way"),
+        ("datasets/earth.py", "import stillpoint.scripts.main", "Dependencies go one way"),
+        ("smoother/rest.py", "import gtsam", "gtsam is imported"),
+    ],
+)
+def test_planted_import_breaks_the_contract(copied_package, module, line, contract):
+    source = copied_package / "stillpoint" / module
+    source.write_text(source.read_text() + f"\n{line}\n")
+    linted = lint_imports(copied_package)
+    assert linted.returncode == 1
+    assert any(contract in row and "BROKEN" in row for row in linted.stdout.splitlines())
