@@ -1,44 +1,17 @@
 """The cells of a leaderboard: every estimator with every kind of input on every recording."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
 
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.studies.leaderboard.board import Row, Source
 from stillpoint.studies.leaderboard.entrants import Entrant
 from stillpoint.studies.leaderboard.estimates import EstimateJob, make_estimate, plan_estimate
+from stillpoint.studies.leaderboard.job_runner import JobRunner
 from stillpoint.studies.leaderboard.references import References
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE
 from stillpoint.studies.result_store import ResultStore
-
-
-class Outcome(Protocol):
-    """What a job gave: a value, or the one line that says why there is none."""
-
-    @property
-    def value(self) -> Any:
-        """What the function returned."""
-
-    @property
-    def error(self) -> str | None:
-        """None when it returned."""
-
-
-class JobRunner(Protocol):
-    """Runs a function over items and returns their outcomes in order: here, on a pool of processes, on a cluster."""
-
-    def __call__(self, function: Callable[[Any], Any], items: Sequence[Any], what: str) -> Sequence[Outcome]:
-        """Run all items; ``what`` names them for a progress bar."""
-
-
-@dataclass(frozen=True)
-class Done:
-    """The outcome of a job that ran in this process."""
-
-    value: Any = None
-    error: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,17 +36,6 @@ class Cell:
     line: Line
     job: EstimateJob | None  # None where there is an error before it
     error: str | None
-
-
-def run_here(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Done]:
-    """Run the items one after another in this process."""
-    outcomes = []
-    for item in items:
-        try:
-            outcomes.append(Done(function(item)))
-        except StillpointError as error:
-            outcomes.append(Done(error=str(error)))
-    return outcomes
 
 
 def list_lines(entrants: Sequence[Entrant], calibrations: Sequence[str]) -> list[Line]:

@@ -1,6 +1,6 @@
 """The references of a leaderboard: those beside the recordings, and those that it makes itself."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import provenance, read_recording, sha256
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 from stillpoint.studies.leaderboard.board import Source
+from stillpoint.studies.leaderboard.job_runner import JobRunner
 from stillpoint.studies.result_store import ResultStore, key_of
 
 
@@ -73,6 +74,21 @@ def make_reference(job: ReferenceJob) -> None:
         raise BadParameter(f"{job.target.parent}: cannot be made ({error.strerror}); name another folder") from None
     write(job.target, replace(made, made_from={Path(job.source.file).name: job.source.sha256}))
     job.store.put(job.key, {"error": None, "sha256": sha256(job.target)})
+
+
+def find_references(
+    sources: Sequence[Source], out: Path, store: ResultStore, run_jobs: JobRunner, method: str = DEFAULT_METHOD
+) -> dict[str, KeptReference]:
+    """Return the references of recordings by their names; those that are missing are made."""
+    jobs = [plan_reference(source, out, store, method) for source in sources]
+    missing = [job for job in jobs if find_reference(job) is None]
+    outcomes = run_jobs(make_reference, missing, "references") if missing else []
+    errors = {job.source.recording: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
+    return {
+        job.source.recording: find_reference(job)
+        or KeptReference(error=errors.get(job.source.recording) or "the reference is missing")
+        for job in jobs
+    }
 
 
 def _read_beside(job: ReferenceJob) -> KeptReference | None:

@@ -10,20 +10,15 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
-from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source
-from stillpoint.studies.leaderboard.cells import Cell, JobRunner, Line, list_lines, make_estimates, plan_cells, run_here
+from stillpoint.studies.leaderboard.board import Leaderboard, Source
+from stillpoint.studies.leaderboard.cells import Line, list_lines, make_estimates, plan_cells
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
+from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec
-from stillpoint.studies.leaderboard.ranking import ErrorSeries, JudgeSeries, ScoredRuns, build_table
-from stillpoint.studies.leaderboard.references import (
-    KeptReference,
-    References,
-    find_reference,
-    make_reference,
-    plan_reference,
-)
-from stillpoint.studies.leaderboard.scores import Entry, Scored, judge_key, plan_score, score_recording
+from stillpoint.studies.leaderboard.ranking import build_table
+from stillpoint.studies.leaderboard.references import References, find_references
+from stillpoint.studies.leaderboard.score_cells import score_cells
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study
@@ -115,7 +110,8 @@ def run_study(
         estimators=tuple(entrant.spelling for entrant in entrants),
         sha256={source.recording: source.sha256 for source in sources if source.sha256},
     )
-    references = _find_references(study, sources, out, store, run_jobs)
+    needed = [source for source in sources if source.error is None and _needs_reference(study, source)]
+    references = find_references(needed, out, store, run_jobs)
     fast = [entrant for entrant in entrants if not entrant.slow]
     if publish is not None and 0 < len(fast) < len(entrants):
         publish(_compare(complete, sources, list_lines(fast, study.calibration), references, store, run_jobs))
@@ -136,7 +132,7 @@ def _compare(
     tables, groups, runs = [], [], []
     for against in (TRUTH, REFERENCE) if study.against == "both" else (study.against,):
         judges = {s.recording: _find_judge(s, against, study.against == "both", references) for s in sources}
-        scored = _score(cells, judges, study.align, store, run_jobs)
+        scored = score_cells(cells, judges, study.align, store, run_jobs)
         tables.append(build_table("", scored, sources, rows))
         for name, members in list_groups(sources, study.groups):
             groups.append(build_table(name, scored, members, rows))
@@ -165,22 +161,6 @@ def list_groups(sources: Sequence[Source], wanted: Sequence[str] | None) -> Iter
             yield name, members
 
 
-def _find_references(
-    study: Study, sources: Sequence[Source], out: Path, store: ResultStore, run_jobs: JobRunner
-) -> References:
-    """Find the references that judging or calibration needs; make those that are missing."""
-    needed = [source for source in sources if source.error is None and _needs_reference(study, source)]
-    jobs = [plan_reference(source, out, store) for source in needed]
-    missing = [job for job in jobs if find_reference(job) is None]
-    outcomes = run_jobs(make_reference, missing, "references") if missing else []
-    errors = {job.source.recording: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
-    return {
-        job.source.recording: find_reference(job)
-        or KeptReference(error=errors.get(job.source.recording) or "the reference is missing")
-        for job in jobs
-    }
-
-
 def _needs_reference(study: Study, source: Source) -> bool:
     if REFERENCE in study.calibration or study.against in (REFERENCE, "both"):
         return True
@@ -203,81 +183,6 @@ def _find_judge(source: Source, against: str, at_truth: bool, references: Refere
         reference.sha256,
         reference.file,
         at_truth=at_truth and source.truth,
-    )
-
-
-def _score(
-    cells: Sequence[Cell],
-    judges: Mapping[str, JudgeSpec | str],
-    align: AlignKind,
-    store: ResultStore,
-    run_jobs: JobRunner,
-) -> ScoredRuns:
-    """Score all cells, each recording against its judge, on the samples that its estimates share."""
-    jobs = []
-    for name, judge in judges.items():
-        entries = tuple(
-            Entry(cell.line.label, cell.line.entrant.name, cell.job.key)
-            for cell in cells
-            if cell.source.recording == name and cell.job is not None and cell.error is None
-        )
-        source = next(cell.source for cell in cells if cell.source.recording == name)
-        if isinstance(judge, JudgeSpec) and entries:
-            jobs.append(plan_score(source, judge, align, entries, store))
-    missing = [job for job in jobs if job.scored() is None]
-    outcomes = run_jobs(score_recording, missing, "scores") if missing else []
-    errors = {job.key: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
-    scored: dict[tuple[str, str], Scored] = {}
-    for job in jobs:
-        error = errors.get(job.key) or "the scores are missing"
-        found = job.scored() or [Scored(entry.label, None, error) for entry in job.entries]
-        scored |= {(job.source.recording, one.label): one for one in found}
-    return _collect(cells, judges, scored, store)
-
-
-def _collect(
-    cells: Sequence[Cell],
-    judges: Mapping[str, JudgeSpec | str],
-    scored: Mapping[tuple[str, str], Scored],
-    store: ResultStore,
-) -> ScoredRuns:
-    """Return every cell as a run, with the series from which the effect of a reference's error is computed."""
-    runs, errors, covariances = {}, {}, {}
-    for cell in cells:
-        place = (cell.source.recording, cell.line.label)
-        judge, one = judges[cell.source.recording], scored.get(place)
-        run = _start_run(cell, judge, store)
-        result = None if one is None or one.key is None else store.get(one.key)
-        if run.error is None and result is None:
-            reason = "the score is missing" if one is None else one.error
-            run = replace(run, error=judge if isinstance(judge, str) else reason)
-        if run.error is None and result is not None and isinstance(judge, JudgeSpec):
-            figures = {name: value for name, value in result.facts.items() if name != "samples_hash"}
-            run = replace(run, **figures, score_key=one.key if one else None)
-            errors[place] = ErrorSeries(result.arrays["bins"], result.arrays["error_n_deg"])
-            kept = store.get(judge_key(judge, result.facts)) if judge.file is not None else None
-            if kept is not None:
-                covariances[cell.source.recording] = JudgeSeries(kept.arrays["bins"], kept.arrays["cov_n_deg2"])
-        runs[place] = run
-    return ScoredRuns(runs, errors, covariances)
-
-
-def _start_run(cell: Cell, judge: JudgeSpec | str, store: ResultStore) -> Run:
-    """Return the run of a cell with what is known before it is scored."""
-    facts = None if cell.job is None else store.facts(cell.job.key)
-    known = facts if facts is not None and facts["error"] is None else {}
-    against, file = ("", None) if isinstance(judge, str) else (judge.name, str(judge.file or cell.source.file))
-    return Run(
-        recording=cell.source.recording,
-        estimator=cell.line.entrant.name,
-        calibration=cell.line.calibration,
-        label=cell.line.label,
-        against=against,
-        ns_per_sample=known.get("ns_per_sample"),
-        magnetometer_left_out=known.get("magnetometer_left_out"),
-        parameters=known.get("params", {}),
-        judge_file=file,
-        error=cell.error,
     )
 
 
