@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scripts import inputs
+from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Jobs, SetFlag
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
