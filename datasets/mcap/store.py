@@ -195,7 +195,8 @@ def _stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[A
     if topic.frame:
         constants["header.frame_id"] = topic.frame
     metadata = {"holds": topic.holds, "columns": "; ".join(contents)}
-    return Stream(topic.name, topic.type_name, t_ns, columns, constants, metadata)
+    group = topic.stream.removesuffix("_remainder")
+    return Stream(topic.name, topic.type_name, t_ns, columns, constants, metadata, group)
 
 
 def _open(log: Log) -> tuple[str, dict[str, Any]]:

@@ -6,9 +6,10 @@ metadata, attachments, then chunks of 1 MiB (zstd, CRC) with their message index
 section and of the summary. Facts come before the chunks so that a file that was cut still says what it is.
 """
 
+import heapq
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -39,7 +40,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.mcap import cdr
 from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, atomic, windows
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
+CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
 ZSTD_LEVEL = 3
 
 
@@ -58,6 +60,7 @@ class Stream:
     columns: Mapping[str, NDArray[Any]]
     constants: Mapping[str, Any] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)  # of the channel
+    group: str = ""  # topics of one group share chunks, so that one sensor can be fetched without the others
 
 
 def write_mcap(
@@ -67,21 +70,41 @@ def write_mcap(
     attachments: Mapping[str, bytes],
     library: str = "stillpoint",
 ) -> None:
-    """Write one file, atomically; messages are ordered by time, and at equal times by the order of ``streams``.
+    """Write one file, atomically.
+
+    Within a group of streams, messages are ordered by time, and at equal times by the order of ``streams``; chunks are
+    ordered by their first message. Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
+    """
+    with atomic(path) as file:
+        out = _Writer(file)
+        out.file_bytes(MAGIC)
+        out.record(Header(profile="ros2", library=library))
+        out.declare(*_declarations(streams))
+        out.describe(metadata, attachments)
+        for buffer, indexes in _chunks(streams):
+            out.chunk(buffer, indexes)
+        out.finish()
+
+
+def write_blocks(
+    path: Path,
+    schemas: Sequence[Schema],
+    channels: Sequence[Channel],
+    metadata: Mapping[str, Mapping[str, str]],
+    attachments: Mapping[str, bytes],
+    blocks: Iterable[tuple[NDArray[np.uint8], Mapping[int, NDArray[np.void]]]],
+) -> None:
+    """Write messages that are packed already: blocks of message records, each with the message index of its channels.
 
     Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
     with atomic(path) as file:
         out = _Writer(file)
         out.file_bytes(MAGIC)
-        out.record(Header(profile="ros2", library=library))
-        out.describe(streams)
-        for name, facts in metadata.items():
-            at, length = out.record(Metadata(name=name, metadata=dict(facts)))
-            out.metadata.append(MetadataIndex(offset=at, length=length, name=name))
-        for name, data in attachments.items():
-            out.attach(name, data)
-        for buffer, indexes in _chunks(streams):
+        out.record(Header(profile="ros2", library="stillpoint"))
+        out.declare(schemas, channels)
+        out.describe(metadata, attachments)
+        for buffer, indexes in blocks:
             out.chunk(buffer, indexes)
         out.finish()
 
@@ -129,17 +152,31 @@ class _Messages:
 
 
 def _chunks(streams: Sequence[Stream]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
-    """The bytes of each chunk, and per channel its message index."""
-    makers = [_Messages(stream, k + 1) for k, stream in enumerate(streams)]
+    """The bytes of each chunk, and per channel its message index; each group of streams has chunks of its own."""
+    groups: dict[str, list[_Messages]] = {}
+    for k, stream in enumerate(streams):
+        groups.setdefault(stream.group, []).append(_Messages(stream, k + 1))
+    yield from heapq.merge(*map(_chunks_of_group, groups.values()), key=lambda chunk: _first_time(chunk[1]))
+
+
+def _first_time(indexes: Mapping[int, NDArray[np.void]]) -> int:
+    return min(int(entries["log_time"][0]) for entries in indexes.values())
+
+
+def _chunks_of_group(makers: Sequence[_Messages]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
+    """The chunks of streams that share them, by time."""
+    streams = [maker.stream for maker in makers]
     times = np.concatenate([np.asarray(stream.t_ns) for stream in streams]) if streams else np.empty(0, np.int64)
     which = np.repeat(np.arange(len(streams), dtype=np.int32), [len(stream.t_ns) for stream in streams])
-    which = which[np.argsort(times, kind="stable")]
+    order = np.argsort(times, kind="stable")
+    which = which[order]
     sizes = np.array([maker.dtype.itemsize for maker in makers], np.int64)
     end = np.cumsum(sizes[which])
     start = end - sizes[which]
     total = int(end[-1]) if len(end) else 0
     cuts = np.searchsorted(end, np.arange(CHUNK_BYTES, total, CHUNK_BYTES))
-    bounds = np.unique(np.concatenate([[0], cuts, [len(end)]]))
+    spans = np.flatnonzero(np.diff((times[order] - times.min()) // CHUNK_SPAN_NS)) + 1 if total else []
+    bounds = np.unique(np.concatenate([[0], cuts, spans, [len(end)]]).astype(np.int64))
     done = [0] * len(streams)
     for first, last in pairwise(bounds):
         base = start[first]
@@ -157,6 +194,28 @@ def _chunks(streams: Sequence[Stream]) -> Iterator[tuple[NDArray[np.uint8], dict
             entries["log_time"], entries["offset"] = maker.stream.t_ns[rows], offsets
             indexes[maker.channel] = entries
         yield buffer, indexes
+
+
+def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
+    """The schemas of the streams' types, and one channel per stream."""
+    schemas: dict[str, Schema] = {}
+    channels = []
+    for k, stream in enumerate(streams):
+        if stream.type_name not in schemas:
+            text = cdr.definition(stream.type_name).encode()
+            schemas[stream.type_name] = Schema(
+                id=len(schemas) + 1, name=stream.type_name, encoding="ros2msg", data=text
+            )
+        channels.append(
+            Channel(
+                id=k + 1,
+                topic=stream.topic,
+                message_encoding="cdr",
+                schema_id=schemas[stream.type_name].id,
+                metadata={"offered_qos_profiles": "", **stream.metadata},
+            )
+        )
+    return list(schemas.values()), channels
 
 
 class _Writer:
@@ -185,25 +244,20 @@ class _Writer:
         self.file_bytes(data)
         return at, len(data)
 
-    def describe(self, streams: Sequence[Stream]) -> None:
-        """Schemas and channels."""
-        ids: dict[str, int] = {}
-        for k, stream in enumerate(streams):
-            if stream.type_name not in ids:
-                text = cdr.definition(stream.type_name).encode()
-                ids[stream.type_name] = len(ids) + 1
-                schema = Schema(id=len(ids), name=stream.type_name, encoding="ros2msg", data=text)
-                self.record(schema)
-                self.schemas.append(schema)
-            channel = Channel(
-                id=k + 1,
-                topic=stream.topic,
-                message_encoding="cdr",
-                schema_id=ids[stream.type_name],
-                metadata={"offered_qos_profiles": "", **stream.metadata},
-            )
-            self.record(channel)
-            self.channels.append(channel)
+    def declare(self, schemas: Sequence[Schema], channels: Sequence[Channel]) -> None:
+        """Write schemas and channels."""
+        for record in (*schemas, *channels):
+            self.record(record)
+        self.schemas += schemas
+        self.channels += channels
+
+    def describe(self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]) -> None:
+        """Write metadata and attachments."""
+        for name, facts in metadata.items():
+            at, length = self.record(Metadata(name=name, metadata=dict(facts)))
+            self.metadata.append(MetadataIndex(offset=at, length=length, name=name))
+        for name, data in attachments.items():
+            self.attach(name, data)
 
     def attach(self, name: str, data: bytes) -> None:
         """An attachment; its times are 0, so that the same input gives the same bytes."""
@@ -217,7 +271,7 @@ class _Writer:
 
     def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
         """One chunk and its message indexes."""
-        first = min(int(entries["log_time"][0]) for entries in indexes.values())
+        first = _first_time(indexes)
         last = max(int(entries["log_time"][-1]) for entries in indexes.values())
         raw = buffer.data
         packed = self.compress(raw)

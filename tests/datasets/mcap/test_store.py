@@ -156,7 +156,7 @@ def test_any_flipped_bit_is_found(small, tmp_path):
 
 
 def test_a_cut_recording_gives_its_whole_chunks_and_says_what_is_lost(tmp_path):
-    n = 6000
+    n = 18_000  # six chunks of each sensor
     recording = phone(n)
     path, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
     write(path, recording)
