@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
     "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
+    "archive": ("archive:app", "Keep, find, verify and publish datasets."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }

@@ -1,0 +1,454 @@
+"""An archive of datasets: objects named by their SHA-256, a record beside each, a catalogue that can be made anew.
+
+    ARCHIVE/objects/ab/cdef….mcap    the bytes, never rewritten
+    ARCHIVE/records/ab/cdef….json    file name, tags, metadata, when it was added or removed
+    ARCHIVE/names/run7.mcap          links to the objects under the names that they were added with
+    ARCHIVE/catalogue.sqlite         what queries read; `rebuild` makes it from the rest
+    ARCHIVE/incoming/                changes under way
+
+Of a remote archive (an fsspec URL) the objects and records are remote; catalogue and incoming lie in a local cache.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from stillpoint.datasets.archive.catalogue import FILE, Catalogue, Entry, put_labels, put_object
+from stillpoint.datasets.archive.describe import Description, describe_object
+from stillpoint.datasets.archive.incoming import Change, Incoming, finish_dead_changes
+from stillpoint.datasets.archive.locks import hold_lock
+from stillpoint.datasets.archive.query import parse_query
+from stillpoint.datasets.archive.record import (
+    SHA256,
+    Record,
+    now,
+    record_from_bytes,
+    record_key,
+    sha256_of_key,
+    suffix_of,
+)
+from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
+from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
+from stillpoint.datasets.remote import url_of
+
+MARK = "stillpoint-archive.txt"
+MARK_TEXT = """This folder is an archive of stillpoint, format 1.
+objects/ab/cdef...  files, named by the SHA-256 of their bytes (abcdef...); sha256sum checks them
+records/ab/cdef...  JSON beside each object: its file name, tags, metadata, when it was added or removed
+names/              links to the objects under the names they were added with
+catalogue.sqlite    answers queries; made from the rest by `stillpoint archive rebuild`
+"""
+BATCH = 64  # files that `add` copies before it moves them in, in one transaction of the catalogue
+SHORTEST_ID = 4  # characters of a hash that name an object
+
+
+@dataclass(frozen=True)
+class Added:
+    """What became of one file given to :meth:`Archive.add`."""
+
+    source: Path
+    sha256: str  # "" when it was refused
+    kind: str
+    status: str  # added, present, restored, refused
+    reason: str = ""  # why it was refused
+
+
+class Archive:
+    """An open archive; use :func:`open_archive` or :func:`create_archive`, and close it, or use ``with``."""
+
+    def __init__(self, storage: Storage, home: Path) -> None:
+        self.storage = storage
+        self.home = home
+        self.catalogue = Catalogue(home / FILE)
+
+    def __enter__(self) -> "Archive":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the catalogue."""
+        self.catalogue.close()
+
+    # -- adding -------------------------------------------------------------------------------------------------------
+
+    def add(
+        self, files: Iterable[Path], tags: Sequence[str] = (), metadata: Mapping[str, str] | None = None
+    ) -> Iterator[Added]:
+        """Keep files; yields what became of each, once it is safe on the disk.
+
+        A file that cannot be read, or that claims to be MCAP and is damaged, is refused; the others are kept.
+        """
+        batch: list[Path] = []
+        for file in files:
+            batch.append(file)
+            if len(batch) == BATCH:
+                yield from self._add_batch(batch, tags, metadata or {})
+                batch = []
+        if batch:
+            yield from self._add_batch(batch, tags, metadata or {})
+
+    def _add_batch(self, files: Sequence[Path], tags: Sequence[str], metadata: Mapping[str, str]) -> list[Added]:
+        with self._incoming() as incoming:
+            changes: list[Change] = []
+            descriptions: dict[str, Description] = {}
+            outcomes = []
+            for file in files:
+                try:
+                    copy, sha256, size = incoming.copy(file)
+                    outcome = self._stage_new(incoming, file, copy, sha256, size, tags, metadata, changes, descriptions)
+                except StillpointError as error:
+                    outcome = Added(file, "", "", "refused", str(error))
+                outcomes.append(outcome)
+            self._commit(changes, descriptions)
+        return outcomes
+
+    def _stage_new(
+        self,
+        incoming: Incoming,
+        file: Path,
+        copy: Path,
+        sha256: str,
+        size: int,
+        tags: Sequence[str],
+        metadata: Mapping[str, str],
+        changes: list[Change],
+        descriptions: dict[str, Description],
+    ) -> Added:
+        """Decide what one copied file needs: nothing, a new object, or a record that is not removed any more."""
+        if sha256 in descriptions:
+            return Added(file, sha256, descriptions[sha256].kind, "present")
+        known = self.find_record(sha256)
+        if known is not None and not known.removed and self.storage.has(known.object_key):
+            return Added(file, sha256, self._kind(sha256), "present")
+        described = describe_object(copy, file.name)
+        if described.problem:
+            raise BadFile(f"{described.problem.replace(str(copy), str(file))}; it is not added")
+        descriptions[sha256] = described
+        if known is not None:
+            changes.append(incoming.stage(replace(known, removed="", reason="", freed=""), copy, replaces=True))
+            return Added(file, sha256, described.kind, "restored")
+        record = Record(sha256, suffix_of(file.name), file.name, size, now(), tuple(tags), dict(metadata))
+        changes.append(incoming.stage(record, copy))
+        return Added(file, sha256, described.kind, "added")
+
+    @contextmanager
+    def _incoming(self) -> Iterator[Incoming]:
+        self.finish_interrupted()
+        incoming = Incoming(self.home)
+        try:
+            yield incoming
+        finally:
+            incoming.close()
+
+    def finish_interrupted(self) -> int:
+        """Complete or delete what killed processes left; returns how many there were."""
+        return finish_dead_changes(self.home, self._commit)
+
+    def _commit(self, changes: Sequence[Change], descriptions: Mapping[str, Description] | None = None) -> None:
+        """Move changes to their places and tell the catalogue. Repeating it after a kill does no harm."""
+        if not changes:
+            return
+        with hold_lock(self.home / "lock"):
+            for change in changes:
+                self._move_in(change)
+            with self.catalogue.change() as connection:
+                for change in changes:
+                    kept = self.read_record(change.record.sha256)
+                    described = (descriptions or {}).get(kept.sha256)
+                    if described is None and change.object_file is None and self._kind(kept.sha256) and not kept.freed:
+                        put_labels(connection, kept)
+                        continue
+                    if described is None:
+                        described = self.describe(kept)
+                    put_object(connection, kept, described, self._link(kept))
+
+    def _move_in(self, change: Change) -> None:
+        record = change.record
+        if change.object_file is not None and change.object_file.exists() and not self.storage.has(record.object_key):
+            self.storage.move_in(change.object_file, record.object_key)
+        if change.record_file.exists() and (change.replaces or not self.storage.has(record.record_key)):
+            self.storage.move_in(change.record_file, record.record_key)
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    def find(self, query: str) -> list[Entry]:
+        """Objects that a query finds, oldest first; see :mod:`stillpoint.datasets.archive.query`."""
+        condition = parse_query(query)
+        return self.catalogue.entries(condition.sql, condition.parameters)
+
+    def resolve(self, text: str) -> Entry:
+        """The one object that an ID, the beginning of one, a file name or a name stands for.
+
+        Raises :class:`BadParameter` when there is none, or more than one.
+        """
+        if len(text) >= SHORTEST_ID and all(letter in "0123456789abcdef" for letter in text.lower()):
+            found = self.catalogue.entries("substr(o.sha256, 1, ?) = ?", (len(text), text.lower()))
+            if len(found) == 1:
+                return found[0]
+        found = self.catalogue.entries("(o.file_name = ? OR o.link = ?) AND o.removed = ''", (text, text))
+        if not found:
+            found = self.catalogue.entries("o.name = ? AND o.kind = 'recording' AND o.removed = ''", (text,))
+        if len(found) == 1:
+            return found[0]
+        if found:
+            several = ", ".join(f"{entry.sha256[:12]} ({entry.kind})" for entry in found[:5])
+            raise BadParameter(f"{text}: names {len(found)} objects ({several}); give the ID of one")
+        raise BadParameter(f"{text}: the archive {self.storage.name} has no such object; see stillpoint archive list")
+
+    def path_of(self, entry: Entry) -> Path:
+        """A path that :func:`stillpoint.datasets.read` takes: the link with the human name, where there is one."""
+        if entry.link and isinstance(self.storage, FolderStorage):
+            return self.home / "names" / entry.link
+        return self.storage.path(self.object_key(entry.sha256))
+
+    def object_key(self, sha256: str) -> str:
+        """Where the bytes of an object lie."""
+        rows = self.catalogue.select("SELECT suffix FROM objects WHERE sha256 = ?", (sha256,))
+        return f"objects/{sha256[:2]}/{sha256[2:]}{rows[0]['suffix']}" if rows else self.read_record(sha256).object_key
+
+    def find_record(self, sha256: str) -> Record | None:
+        """The record of an object, None when there is none; raises :class:`BadFile` when it is damaged."""
+        return self.read_record(sha256) if self.storage.has(record_key(sha256)) else None
+
+    def read_record(self, sha256: str) -> Record:
+        """The record of an object; raises :class:`BadFile` when it is damaged or not there."""
+        key = record_key(sha256)
+        return record_from_bytes(read_key(self.storage, key), str(self.storage.path(key)))
+
+    def labels(self, sha256: str) -> tuple[list[str], dict[str, str]]:
+        """Tags and metadata of an object."""
+        tags = self.catalogue.select("SELECT tag FROM tags WHERE sha256 = ? ORDER BY tag", (sha256,))
+        pairs = self.catalogue.select("SELECT key, value FROM metadata WHERE sha256 = ? ORDER BY key", (sha256,))
+        return [row["tag"] for row in tags], {row["key"]: row["value"] for row in pairs}
+
+    def parents(self, sha256: str) -> list[tuple[str, str]]:
+        """(file name, sha256) of what an object was made from, kept here or not."""
+        rows = self.catalogue.select("SELECT name, parent FROM parents WHERE child = ? ORDER BY name", (sha256,))
+        return [(row["name"], row["parent"]) for row in rows]
+
+    def children(self, sha256: str) -> list[Entry]:
+        """What was made from an object and is not removed."""
+        where = "o.removed = '' AND o.sha256 IN (SELECT child FROM parents WHERE parent = ?)"
+        return self.catalogue.entries(where, (sha256,))
+
+    def entry(self, sha256: str) -> Entry | None:
+        """The object with this hash, None when the catalogue has none."""
+        found = self.catalogue.entries("o.sha256 = ?", (sha256,))
+        return found[0] if found else None
+
+    # -- changing -----------------------------------------------------------------------------------------------------
+
+    def label(
+        self,
+        sha256s: Iterable[str],
+        tags: Sequence[str] = (),
+        without: Sequence[str] = (),
+        metadata: Mapping[str, str] | None = None,
+    ) -> int:
+        """Add and take away tags, and set metadata (a key with the value "" is deleted); returns how many changed."""
+        changed = []
+        for sha256 in sha256s:
+            record = self.read_record(sha256)
+            kept = {key: value for key, value in {**record.metadata, **(metadata or {})}.items() if value}
+            new = replace(record, tags=tuple(sorted({*record.tags, *tags} - set(without))), metadata=kept)
+            if new != record:
+                changed.append(new)
+        self._replace_records(changed)
+        return len(changed)
+
+    def remove(self, sha256s: Sequence[str], reason: str, with_derived: bool = False) -> list[Entry]:
+        """Mark objects as removed; their bytes stay until :meth:`collect`. Returns what was marked.
+
+        Raises :class:`BadParameter` when something that is not removed was made from one of them.
+        """
+        if not reason.strip():
+            raise BadParameter("--reason: say why; the reason stays in the archive")
+        wanted = dict.fromkeys(sha256s)
+        for sha256 in wanted:
+            derived = [entry for entry in self._derived(sha256) if entry.sha256 not in wanted]
+            if derived and not with_derived:
+                names = ", ".join(entry.file_name for entry in derived[:5])
+                raise BadParameter(
+                    f"{sha256[:12]}: {len(derived)} objects were made from it ({names}); remove them first, or all "
+                    "with --with-derived"
+                )
+            wanted |= dict.fromkeys(entry.sha256 for entry in derived)
+        marked = [record for record in map(self.read_record, wanted) if not record.removed]
+        self._replace_records([replace(record, removed=now(), reason=reason.strip()) for record in marked])
+        return [entry for record in marked if (entry := self.entry(record.sha256)) is not None]
+
+    def removable(self, older_than: timedelta) -> list[Entry]:
+        """Objects whose mark of removal is at least this old and whose bytes are still there."""
+        limit = (datetime.now(UTC) - older_than).isoformat(timespec="microseconds").replace("+00:00", "Z")
+        return self.catalogue.entries("o.removed != '' AND o.removed <= ? AND o.freed = ''", (limit,))
+
+    def collect(self, entries: Iterable[Entry]) -> int:
+        """Delete the bytes of removed objects, keep their records; returns the bytes freed."""
+        freed = 0
+        for entry in entries:
+            record = self.read_record(entry.sha256)
+            if not record.removed:
+                continue  # somebody added it again meanwhile
+            self.storage.delete(record.object_key)
+            self._replace_records([replace(record, freed=now())])
+            freed += record.size
+        return freed
+
+    def _derived(self, sha256: str) -> list[Entry]:
+        found: dict[str, Entry] = {}
+        left = [sha256]
+        while left:
+            for child in self.children(left.pop()):
+                if child.sha256 not in found:
+                    found[child.sha256] = child
+                    left.append(child.sha256)
+        return list(found.values())
+
+    def _replace_records(self, records: Sequence[Record]) -> None:
+        if not records:
+            return
+        with self._incoming() as incoming:
+            self._commit([incoming.stage(record, None, replaces=True) for record in records])
+
+    # -- the catalogue ------------------------------------------------------------------------------------------------
+
+    def rebuild(self) -> list[str]:
+        """Make the catalogue anew from objects and records; returns what could not be taken in.
+
+        Of a record that is damaged, what the old catalogue knows is kept.
+        """
+        self.finish_interrupted()
+        problems = []
+        with hold_lock(self.home / "lock"):
+            records = []
+            for key, _ in self.storage.keys("records"):
+                try:
+                    records.append(self.read_record(sha256_of_key(key)))
+                except BadFile as error:
+                    remembered = self.remembered_record(sha256_of_key(key))
+                    problems.append(f"{error}{'' if remembered is None else '; the catalogue remembers it'}")
+                    records += [] if remembered is None else [remembered]
+            self.catalogue.close()
+            for suffix in ("", "-wal", "-shm"):
+                (self.home / f"{FILE}{suffix}").unlink(missing_ok=True)
+            self.catalogue = Catalogue(self.home / FILE)
+            records.sort(key=lambda record: (record.added, record.sha256))
+            for start in range(0, len(records), BATCH):
+                with self.catalogue.change() as connection:
+                    for record in records[start : start + BATCH]:
+                        put_object(connection, record, self.describe(record), self._link(record))
+        return problems
+
+    def remembered_record(self, sha256: str) -> Record | None:
+        """The record of an object as the catalogue remembers it, None when it does not."""
+        try:
+            rows = self.catalogue.select("SELECT * FROM objects WHERE sha256 = ?", (sha256,))
+            tags, metadata = self.labels(sha256)
+        except BadFile:
+            return None
+        if not rows:
+            return None
+        names = ("suffix", "file_name", "size", "added", "removed", "reason", "freed")
+        return Record(sha256, **{name: rows[0][name] for name in names}, tags=tuple(tags), metadata=metadata)
+
+    def describe(self, record: Record) -> Description:
+        """The description of an object that lies in the archive; damage and absence become its ``problem``."""
+        if record.freed:
+            return Description("removed", record.file_name)
+        if not self.storage.has(record.object_key):
+            return Description("missing", record.file_name, problem="its object is not there")
+        return describe_object(self.storage.path(record.object_key), record.file_name)
+
+    def _kind(self, sha256: str) -> str:
+        rows = self.catalogue.select("SELECT kind FROM objects WHERE sha256 = ?", (sha256,))
+        return str(rows[0]["kind"]) if rows else ""
+
+    def _link(self, record: Record) -> str:
+        """The link under ``names/`` to an object, made or taken away as its record asks; "" when it has none."""
+        if not isinstance(self.storage, FolderStorage):
+            return ""
+        folder = self.home / "names"
+        target = f"../{record.object_key}"
+        stem, dot, rest = record.file_name.partition(".")
+        for name in (record.file_name, f"{stem}~{record.sha256[:8]}{dot}{rest}"):
+            link = folder / name
+            try:
+                if record.removed:
+                    if link.is_symlink() and os.readlink(link) == target:
+                        link.unlink()
+                    continue
+                folder.mkdir(exist_ok=True)
+                if link.is_symlink() and os.readlink(link) == target:
+                    return name
+                os.symlink(target, link)
+                return name
+            except FileExistsError:
+                continue
+            except OSError:  # a file system without links, a name that it does not take
+                return ""
+        return ""
+
+
+def create_archive(place: str | Path) -> Archive:
+    """Make an archive in a new or empty folder, or below a URL. Raises :class:`BadParameter` where something lies."""
+    storage = storage_at(place)
+    home = _home(storage)
+    if storage.has(MARK):
+        raise BadParameter(f"{storage.name}: is an archive already")
+    taken = isinstance(storage, FolderStorage) and storage.root.exists()
+    if taken and (not home.is_dir() or any(home.iterdir())):
+        raise BadParameter(f"{storage.name}: is no empty folder; name a new one for the archive")
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        (home / "incoming").mkdir(exist_ok=True)
+        mark = home / "incoming" / MARK
+        mark.write_text(MARK_TEXT, encoding="utf-8")
+    except OSError as error:
+        raise BadParameter(f"{storage.name}: cannot be made ({error.strerror}); name another place") from None
+    storage.move_in(mark, MARK)
+    return Archive(storage, home)
+
+
+def open_archive(place: str | Path) -> Archive:
+    """Open an archive; what killed processes left is completed or deleted first. Raises :class:`BadParameter`."""
+    storage = storage_at(place)
+    if not storage.has(MARK):
+        raise BadParameter(f"{storage.name}: is no archive; make one: stillpoint archive init {storage.name}")
+    home = _home(storage)
+    home.mkdir(parents=True, exist_ok=True)
+    is_new = not (home / FILE).exists()
+    archive = Archive(storage, home)
+    if is_new and next(storage.keys("records"), None) is not None:
+        archive.rebuild()
+    else:
+        archive.finish_interrupted()
+    return archive
+
+
+def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
+    """Paths of the objects that IDs, names or the lines of ``archive find`` stand for, in their order.
+
+    The first word of a line counts. Raises :class:`BadParameter`.
+    """
+    with open_archive(place) as archive:
+        words = [line.split()[0] for line in lines if line.strip()]
+        return [archive.path_of(archive.resolve(word)) for word in words]
+
+
+def is_sha256(text: str) -> bool:
+    """Whether a text is a whole SHA-256 in hex."""
+    return SHA256.fullmatch(text) is not None
+
+
+def _home(storage: Storage) -> Path:
+    """Where the catalogue lies: in the archive itself, or for a remote one in the user's cache."""
+    if isinstance(storage, FolderStorage):
+        return storage.root
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "stillpoint" / "archives" / hashlib.sha256(url_of(storage.name).encode()).hexdigest()[:16]

@@ -1,0 +1,122 @@
+"""Changes under way: each process writes what it wants to keep into a folder of its own first, then moves it in.
+
+``incoming/TOKEN/`` is a journal. A change is complete when its record lies there; then the record and the object are
+moved to their places and the catalogue is told. A process that dies leaves its folder and a lock file that nobody
+holds: the next command moves in what is complete and deletes the rest, so that nothing is lost and nothing half done.
+"""
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillpoint.datasets.archive.locks import OwnLock, lock_of_dead_process
+from stillpoint.datasets.archive.record import Record, record_from_bytes, record_to_bytes
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.remote import open_binary
+
+BLOCK = 1 << 20  # bytes that are copied at once
+
+
+@dataclass(frozen=True)
+class Change:
+    """A record to be kept, with the bytes of its object when these are new."""
+
+    record: Record
+    record_file: Path
+    object_file: Path | None  # None: the record alone changes
+    replaces: bool  # False: a record that is there already wins
+
+
+class Incoming:
+    """The folder of this process; close it when its changes are moved in."""
+
+    def __init__(self, home: Path) -> None:
+        base = home / "incoming"
+        base.mkdir(exist_ok=True)
+        token = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self._lock = OwnLock(base / f"{token}.lock")
+        self.folder = base / token
+        self.folder.mkdir()
+
+    def close(self) -> None:
+        """Delete the folder; what was not moved in is given up."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self._lock.release()
+
+    def copy(self, source: Path) -> tuple[Path, str, int]:
+        """Copy a file here, durably, while its hash is computed; returns the copy, the SHA-256 and the size.
+
+        Raises :class:`BadFile` when the source cannot be read or the disk is full.
+        """
+        target = self.folder / f"{secrets.token_hex(8)}.copy"
+        digest, size = hashlib.sha256(), 0
+        try:
+            with open_binary(source) as incoming, open(target, "xb") as kept:
+                while block := incoming.read(BLOCK):
+                    digest.update(block)
+                    kept.write(block)
+                    size += len(block)
+                kept.flush()
+                os.fsync(kept.fileno())
+        except OSError as error:
+            target.unlink(missing_ok=True)
+            raise BadFile(f"{source}: cannot be copied ({error.strerror}); check the file and the disk") from error
+        return target, digest.hexdigest(), size
+
+    def stage(self, record: Record, copy: Path | None, replaces: bool = False) -> Change:
+        """Write the record, which makes the change complete: it happens even when this process is killed now."""
+        return _stage(self.folder, record, copy, replaces)
+
+
+def _stage(folder: Path, record: Record, copy: Path | None, replaces: bool) -> Change:
+    object_file = None
+    if copy is not None:
+        object_file = copy.rename(folder / f"{record.sha256}.object")
+    target = folder / f"{record.sha256}.{'replace' if replaces else 'new'}.json"
+    part = target.with_suffix(".part")
+    with open(part, "xb") as file:
+        file.write(record_to_bytes(record))
+        file.flush()
+        os.fsync(file.fileno())
+    part.rename(target)
+    return Change(record, target, object_file, replaces)
+
+
+def finish_dead_changes(home: Path, commit: Callable[[Sequence[Change]], None]) -> int:
+    """Commit what dead processes left complete, delete what they left in parts; returns how many folders there were."""
+    count = 0
+    for name, folder in _folders(home):
+        lock = home / "incoming" / f"{name}.lock"
+        with lock_of_dead_process(lock) as dead:
+            if not dead:
+                continue
+            if folder.is_dir():
+                commit(_complete_changes(folder))
+                shutil.rmtree(folder, ignore_errors=True)
+                count += 1
+            lock.unlink(missing_ok=True)
+    return count
+
+
+def _folders(home: Path) -> Iterator[tuple[str, Path]]:
+    base = home / "incoming"
+    if base.is_dir():
+        for name in sorted({entry.name.removesuffix(".lock") for entry in base.iterdir()}):
+            yield name, base / name
+
+
+def _complete_changes(folder: Path) -> list[Change]:
+    changes = []
+    for file in sorted(folder.glob("*.json")):
+        try:
+            record = record_from_bytes(file.read_bytes(), str(file))
+        except BadFile:
+            continue  # written by another version: its process never told anybody that it was done
+        object_file = folder / f"{record.sha256}.object"
+        replaces = file.name.endswith(".replace.json")
+        changes.append(Change(record, file, object_file if object_file.exists() else None, replaces))
+    return changes

@@ -1,0 +1,221 @@
+"""The language of ``stillpoint archive find``: conditions joined by and, or, not, and brackets.
+
+    rate > 100 and has:mag and tag:fast and duration > 60 and sensor ~ 'iphone'
+
+A condition is ``FIELD OPERATOR VALUE`` (``=``, ``!=``, ``<``, ``<=``, ``>``, ``>=``; ``~`` contains, ``!~`` does not,
+case aside), ``has:STREAM``, ``tag:NAME``, ``kind:NAME``, ``id:PREFIX``, ``meta.KEY OPERATOR VALUE``, ``rate.STREAM
+OPERATOR VALUE``, or a word alone, which is looked for in the name. ``all`` finds everything. The grammar becomes SQL
+whose values are parameters; no text of the user becomes SQL.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from stillpoint.datasets.archive.catalogue import DESCRIBED, NUMBERS, SCORE_FIGURES
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.nearest import nearest
+
+GRAMMAR = r"""
+start: alternatives
+?alternatives: conditions ("or"i conditions)*
+?conditions: condition ("and"i condition)*
+?condition: "not"i condition -> negation
+    | "(" alternatives ")"
+    | NAME OPERATOR value -> comparison
+    | NAME ":" value -> label
+    | value -> anywhere
+value: NUMBER | QUOTED | NAME | WORD
+OPERATOR: "!=" | "<=" | ">=" | "!~" | "=" | "<" | ">" | "~"
+NUMBER.4: /[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?(?![\w.:-])/
+NAME.3: /(?!(and|or|not)\b)[a-z_][\w]*(\.[\w-]+)?(?![\w.-])/i
+WORD.2: /(?!(and|or|not)\b)[\w.+*\/-]+/i
+QUOTED: /'[^']*'/ | /"[^"]*"/
+%ignore /\s+/
+"""
+FIELDS = {
+    **{name: f"o.{name}" for name in ("kind", "name", "file_name", "size", "added", "problem", *DESCRIBED)},
+    "rate": "o.rate_hz",
+    "duration": "o.duration_s",
+    "license": "o.licence",
+    "sd": "o.sd_median_deg",
+    "file": "o.file_name",
+    "latitude": "o.latitude_deg",
+    "longitude": "o.longitude_deg",
+}
+OF_STREAMS = {
+    "rate": "rate_hz", "samples": "samples", "length": "length_s", "gaps": "gaps", "longest_gap": "longest_gap_s",
+}  # fmt: skip
+LABELS = ("has", "tag", "kind", "id", "is")
+_SQL = {"=": "=", "!=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
+_CONTAINS = "instr(lower({}), lower(?)) > 0"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition on ``objects o`` in SQL, and the values of its parameters."""
+
+    sql: str
+    parameters: tuple[Any, ...] = ()
+
+
+def parse_query(text: str) -> Condition:
+    """The SQL condition of a query; raises :class:`BadParameter` with the place where it cannot be understood."""
+    from lark.exceptions import UnexpectedInput, VisitError
+
+    if text.strip().lower() in ("", "all", "*"):
+        return Condition("o.removed = ''")
+    try:
+        tree = _parser().parse(text)
+        found = _translator().transform(tree)
+    except UnexpectedInput as error:
+        place = getattr(error, "column", 0) or len(text) + 1
+        raise BadParameter(
+            f"query: cannot be understood from character {place} on ({text[max(place - 1, 0) :][:30] or 'its end'!r}); "
+            "write for example: rate > 100 and has:mag and tag:fast"
+        ) from None
+    except VisitError as error:
+        if isinstance(error.orig_exc, BadParameter):
+            raise error.orig_exc from None
+        raise
+    if "o.removed" in found.sql:
+        return Condition(found.sql, found.parameters)
+    return Condition(f"({found.sql}) AND o.removed = ''", found.parameters)
+
+
+@cache
+def _parser() -> Any:
+    from lark import Lark
+
+    return Lark(GRAMMAR, parser="lalr")
+
+
+@cache
+def _translator() -> Any:
+    from lark import Transformer
+
+    class Translator(Transformer):  # type: ignore[misc]  # lark has no types for it
+        """Turns the tree of a query into one condition."""
+
+        def start(self, parts: list[Condition]) -> Condition:
+            return parts[0]
+
+        def alternatives(self, parts: list[Condition]) -> Condition:
+            return _join(" OR ", parts)
+
+        def conditions(self, parts: list[Condition]) -> Condition:
+            return _join(" AND ", parts)
+
+        def negation(self, parts: list[Condition]) -> Condition:
+            return Condition(f"NOT ({parts[0].sql})", parts[0].parameters)
+
+        def comparison(self, parts: list[Any]) -> Condition:
+            return compare_field(_field(parts[0]), str(parts[1]), parts[2])
+
+        def label(self, parts: list[Any]) -> Condition:
+            return match_label(_field(parts[0]), parts[1])
+
+        def anywhere(self, parts: list[str]) -> Condition:
+            word = parts[0]
+            tests = " OR ".join(_CONTAINS.format(f"o.{column}") for column in ("name", "file_name"))
+            return Condition(f"({tests})", (word, word))
+
+        def value(self, parts: list[Any]) -> str:
+            token = parts[0]
+            return str(token)[1:-1] if token.type == "QUOTED" else str(token)
+
+    return Translator()
+
+
+def _field(name: Any) -> str:
+    """A field as it is written, in lower case; a key of metadata keeps its case."""
+    head, dot, rest = str(name).partition(".")
+    return f"{head.lower()}{dot}{rest}"
+
+
+def _join(word: str, parts: list[Condition]) -> Condition:
+    sql = word.join(f"({part.sql})" for part in parts)
+    return Condition(sql, tuple(value for part in parts for value in part.parameters))
+
+
+def compare_field(name: str, operator: str, value: str) -> Condition:
+    """The condition ``name operator value``."""
+    head, dot, rest = name.partition(".")
+    if head == "meta" and dot:
+        return _within("metadata", "key", rest, _compare("t.value", operator, value, number=_is_number(value)))
+    if head in OF_STREAMS and dot:
+        column = f"t.{OF_STREAMS[head]}"
+        return _within("streams", "stream", rest, _compare(column, operator, _number(name, value), number=True))
+    if head == "tag":
+        return match_label("tag", value) if operator == "=" else _tag_condition(operator, value)
+    if name in SCORE_FIGURES:
+        test = _compare(f"t.{name}", operator, _number(name, value), number=True)
+        return Condition(
+            f"EXISTS (SELECT 1 FROM score_rows t WHERE t.sha256 = o.sha256 AND {test.sql})", test.parameters
+        )
+    if name not in FIELDS:
+        raise BadParameter(f"query: no field {name!r}; {nearest(name, [*FIELDS, *SCORE_FIGURES])}; or meta.KEY")
+    column = FIELDS[name]
+    if column.removeprefix("o.") in NUMBERS:
+        return _compare(column, operator, _number(name, value), number=True)
+    return _compare(column, operator, value, number=False)
+
+
+def match_label(name: str, value: str) -> Condition:
+    """The condition ``name:value``."""
+    if name == "has":
+        return Condition("EXISTS (SELECT 1 FROM streams t WHERE t.sha256 = o.sha256 AND t.stream = ?)", (value,))
+    if name == "tag":
+        return Condition("EXISTS (SELECT 1 FROM tags t WHERE t.sha256 = o.sha256 AND t.tag = ?)", (value,))
+    if name == "id":
+        return Condition("substr(o.sha256, 1, ?) = ?", (len(value), value.lower()))
+    if name == "is" and value == "removed":
+        return Condition("o.removed != ''")
+    if name == "is" and value == "damaged":
+        return Condition("o.problem != ''")
+    if name == "is":
+        raise BadParameter(f"query: is:{value} is not known; write is:removed or is:damaged")
+    if name in FIELDS or "." in name:
+        return compare_field(name, "=", value)
+    raise BadParameter(f"query: no label {name}:; {nearest(name, [*LABELS, *FIELDS])}")
+
+
+def _compare(column: str, operator: str, value: Any, number: bool) -> Condition:
+    if operator in ("~", "!~"):
+        test = _CONTAINS.format(f"coalesce({column}, '')")
+        return Condition(test if operator == "~" else f"NOT {test}", (str(value),))
+    if number:
+        column = f"CAST({column} AS REAL)"
+        return Condition(f"{column} {_SQL[operator]} ?", (float(value),))
+    return Condition(f"coalesce({column}, '') {_SQL[operator]} ? COLLATE NOCASE", (value,))
+
+
+def _tag_condition(operator: str, value: str) -> Condition:
+    test = _compare("t.tag", operator.removeprefix("!") or operator, value, number=False)
+    exists = f"EXISTS (SELECT 1 FROM tags t WHERE t.sha256 = o.sha256 AND {test.sql})"
+    return Condition(f"NOT {exists}" if operator.startswith("!") else exists, test.parameters)
+
+
+def _within(table: str, key_column: str, key: str, test: Condition) -> Condition:
+    """A condition on the row of another table that belongs to the object and has this key."""
+    return Condition(
+        f"EXISTS (SELECT 1 FROM {table} t WHERE t.sha256 = o.sha256 AND t.{key_column} = ? AND {test.sql})",
+        (key, *test.parameters),
+    )
+
+
+def _is_number(value: str) -> bool:
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(name: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise BadParameter(
+            f"query: {name} is a number, and {value!r} is none; write for example {name} > 100"
+        ) from None

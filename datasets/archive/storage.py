@@ -1,0 +1,127 @@
+"""Where objects and records lie: a folder, or any place that fsspec reaches. Keys are ``objects/ab/cdef….mcap``."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.remote import is_url, open_binary, open_url, url_of
+
+
+class Storage(Protocol):
+    """A place that keeps files under keys; a file appears under its key whole or not at all."""
+
+    name: str
+
+    def keys(self, folder: str) -> Iterator[tuple[str, int]]:
+        """Keys below a folder with the sizes of their files, in order."""
+
+    def path(self, key: str) -> Path:
+        """What :func:`stillpoint.datasets.read` takes to read the file; a URL for a remote one."""
+
+    def has(self, key: str) -> bool:
+        """Whether there is a file under this key."""
+
+    def move_in(self, file: Path, key: str) -> None:
+        """Keep a local file under this key and delete it where it was; its bytes are on the disk already."""
+
+    def delete(self, key: str) -> None:
+        """Delete the file under this key; nothing happens when there is none."""
+
+
+class FolderStorage:
+    """Plain files in a local folder."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.name = str(root)
+        self._made: set[Path] = set()
+
+    def keys(self, folder: str) -> Iterator[tuple[str, int]]:
+        """Keys below a folder with the sizes of their files, in order."""
+        base = self.root / folder
+        if not base.is_dir():
+            return
+        for shard in sorted(os.listdir(base)):
+            if not (base / shard).is_dir():
+                yield f"{folder}/{shard}", (base / shard).stat().st_size
+                continue
+            with os.scandir(base / shard) as entries:
+                for entry in sorted(entries, key=lambda each: each.name):
+                    yield f"{folder}/{shard}/{entry.name}", entry.stat().st_size
+
+    def path(self, key: str) -> Path:
+        """The file itself."""
+        return self.root / key
+
+    def has(self, key: str) -> bool:
+        """Whether there is a file under this key."""
+        return (self.root / key).is_file()
+
+    def move_in(self, file: Path, key: str) -> None:
+        """Rename a file of the same file system, and make the new name durable."""
+        target = self.root / key
+        if target.parent not in self._made:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            self._made.add(target.parent)
+        os.replace(file, target)
+
+    def delete(self, key: str) -> None:
+        """Delete the file under this key."""
+        (self.root / key).unlink(missing_ok=True)
+
+
+class RemoteStorage:
+    """Files behind an fsspec URL: S3, HTTP servers that take uploads, memory://, any other."""
+
+    def __init__(self, url: str) -> None:
+        self.name = url.rstrip("/")
+        self._fs: Any
+        self._fs, self._root = open_url(self.name)
+        self._root = self._root.rstrip("/")
+
+    def keys(self, folder: str) -> Iterator[tuple[str, int]]:
+        """Keys below a folder with the sizes of their files, in order."""
+        self._fs.invalidate_cache()
+        try:
+            found = self._fs.find(f"{self._root}/{folder}", detail=True)
+        except FileNotFoundError:
+            return
+        start = len(self._root.strip("/")) + 1
+        for path in sorted(found):
+            yield path.strip("/")[start:], int(found[path]["size"])
+
+    def path(self, key: str) -> Path:
+        """The URL of a file, as a path that :func:`open_binary` takes."""
+        return Path(f"{self.name}/{key}")
+
+    def has(self, key: str) -> bool:
+        """Whether there is a file under this key."""
+        self._fs.invalidate_cache()
+        return bool(self._fs.isfile(f"{self._root}/{key}"))
+
+    def move_in(self, file: Path, key: str) -> None:
+        """Upload a file, then delete the local one."""
+        try:
+            self._fs.makedirs(f"{self._root}/{key.rpartition('/')[0]}", exist_ok=True)
+            self._fs.put_file(str(file), f"{self._root}/{key}")
+        except Exception as error:  # every protocol has exceptions of its own
+            raise BadFile(f"{self.name}/{key}: cannot be written ({error}); check the connection") from error
+        file.unlink()
+
+    def delete(self, key: str) -> None:
+        """Delete the file under this key."""
+        if self.has(key):
+            self._fs.rm_file(f"{self._root}/{key}")
+
+
+def storage_at(place: str | Path) -> Storage:
+    """The storage at a folder or at a URL."""
+    return RemoteStorage(url_of(place)) if is_url(place) else FolderStorage(Path(place))
+
+
+def read_key(storage: Storage, key: str) -> bytes:
+    """All bytes under a key; raises :class:`BadFile`."""
+    with open_binary(storage.path(key)) as file:
+        return file.read()

@@ -1,0 +1,238 @@
+"""Check an archive against itself: bytes, records, MCAP checksums, catalogue, provenance, links."""
+
+import hashlib
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.archive.archive import MARK, Archive
+from stillpoint.datasets.archive.catalogue import TABLES, Catalogue, put_object
+from stillpoint.datasets.archive.describe import Description, describe_object
+from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
+from stillpoint.datasets.archive.storage import FolderStorage
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.remote import open_binary
+
+MADE = ("reference", "roll reference", "estimate", "score", "leaderboard")  # kinds that are made from others
+BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong."""
+
+    level: str  # object, record, content, catalogue, provenance, link, remade
+    sha256: str  # of the object that it concerns, "" when it concerns none
+    where: str  # a file, or what else is wrong
+    what: str
+    repair: str  # what to do
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What a check found."""
+
+    objects: int
+    bytes: int
+    faults: tuple[Fault, ...]
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """One object read from its first to its last byte."""
+
+    sha256: str
+    described: Description
+    faults: tuple[Fault, ...]
+
+
+def verify_archive(archive: Archive) -> Verified:
+    """Read everything that the archive holds and list what is wrong, by place."""
+    archive.finish_interrupted()
+    faults: list[Fault] = []
+    records = dict(_read_records(archive, faults))
+    objects = dict(_list_objects(archive, records, faults))
+    kept = {sha256: record for sha256, record in records.items() if not record.freed}
+    for sha256, record in kept.items():
+        if sha256 not in objects:
+            where = str(archive.storage.path(record.object_key))
+            faults.append(Fault("object", sha256, where, f"{record.file_name} is missing", _FETCH))
+    present = [record for sha256, record in kept.items() if sha256 in objects]
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        checked = list(pool.map(lambda record: _check_object(archive, record), present))
+    for one in checked:
+        faults += one.faults
+    described = {one.sha256: one.described for one in checked}
+    faults += _compare_catalogue(archive, records, described)
+    faults += _check_provenance(archive, records, described)
+    faults += _check_links(archive, records)
+    return Verified(len(present), sum(objects[record.sha256] for record in present), tuple(faults))
+
+
+_FETCH = "fetch it from a copy: stillpoint archive repair --from OTHER"
+_RESTORE = "stillpoint archive repair restores it from the catalogue, or --from OTHER from a copy"
+_REBUILD = "stillpoint archive rebuild"
+
+
+def _read_records(archive: Archive, faults: list[Fault]) -> Iterator[tuple[str, Record]]:
+    """The sound records by hash."""
+    if not archive.storage.has(MARK):
+        faults.append(Fault("record", "", MARK, "is missing", f"write any text to {MARK}"))
+    for key, _ in archive.storage.keys("records"):
+        sha256, where = sha256_of_key(key), str(archive.storage.path(key))
+        if not sha256 or key != record_key(sha256):
+            faults.append(Fault("record", "", where, "is no record of this archive", "move it away"))
+            continue
+        try:
+            record = archive.read_record(sha256)
+        except BadFile as error:
+            faults.append(Fault("record", sha256, where, str(error).partition(": ")[2].partition(";")[0], _RESTORE))
+            continue
+        if record.sha256 != sha256:
+            faults.append(Fault("record", sha256, where, f"is the record of {record.sha256[:12]}", _RESTORE))
+            continue
+        yield sha256, record
+
+
+def _list_objects(archive: Archive, records: Mapping[str, Record], faults: list[Fault]) -> Iterator[tuple[str, int]]:
+    """Hash and size of each object that has a record; others are faults."""
+    damaged = {fault.sha256 for fault in faults}
+    for key, size in archive.storage.keys("objects"):
+        sha256, where = sha256_of_key(key), str(archive.storage.path(key))
+        record = records.get(sha256)
+        if record is None and sha256 in damaged:
+            continue
+        if record is None:
+            known = f"it has no record{'' if sha256 else ', and its name is no hash'}"
+            repair = "add the file to the archive, then delete this one" if sha256 else "move it away"
+            faults.append(Fault("record", sha256, where, known, _RESTORE if archive.entry(sha256) else repair))
+        elif key != record.object_key:
+            faults.append(Fault("object", sha256, where, f"should be {record.object_key}", "rename it"))
+        elif record.freed:
+            faults.append(Fault("object", sha256, where, "its bytes were freed, and are there", "delete it"))
+        else:
+            yield sha256, size
+
+
+def _check_object(archive: Archive, record: Record) -> _Checked:
+    """Hash an object, and read it: every checksum in an MCAP file is tested."""
+    path = archive.storage.path(record.object_key)
+    try:
+        found = hash_file(path)
+    except (OSError, BadFile) as error:
+        fault = Fault("object", record.sha256, str(path), f"cannot be read ({error})", _FETCH)
+        return _Checked(record.sha256, Description("unreadable", record.file_name), (fault,))
+    described = describe_object(path, record.file_name)
+    problem = described.problem.removeprefix(f"{path}: ").partition("; restore it")[0]
+    if found != record.sha256:
+        size = path.stat().st_size if path.exists() else record.size
+        length = "" if size == record.size else f", {size} bytes where {record.size} were added"
+        what = f"{record.file_name} is damaged: its hash is {found[:12]}…{length}{f'; {problem}' if problem else ''}"
+        repair = f"{_FETCH}; what is readable: stillpoint recover {path}" if path.suffix == ".mcap" else _FETCH
+        return _Checked(record.sha256, described, (Fault("object", record.sha256, str(path), what, repair),))
+    if problem:
+        what = f"{record.file_name} is as it was added, and it is damaged: {problem}"
+        repair = f"stillpoint recover {path}; add the result and remove this one"
+        return _Checked(record.sha256, described, (Fault("content", record.sha256, str(path), what, repair),))
+    return _Checked(record.sha256, described, ())
+
+
+def hash_file(path: Path) -> str:
+    """The SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
+    digest = hashlib.sha256()
+    with open_binary(path) as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _compare_catalogue(
+    archive: Archive, records: Mapping[str, Record], described: Mapping[str, Description]
+) -> Iterator[Fault]:
+    """Compare each row of the catalogue with one made now from the same object and record."""
+    where = str(archive.catalogue.path)
+    try:
+        sound = [row[0] for row in archive.catalogue.select("PRAGMA integrity_check")]
+        links = {row[0]: row[1] for row in archive.catalogue.select("SELECT sha256, link FROM objects")}
+        actual = _rows_by_object(archive.catalogue)
+    except BadFile as error:
+        yield Fault("catalogue", "", where, str(error).partition(": ")[2].partition(";")[0], _REBUILD)
+        return
+    if sound != ["ok"]:
+        yield Fault("catalogue", "", where, f"SQLite finds it damaged: {sound[0]}", _REBUILD)
+        return
+    fresh = Catalogue(Path(":memory:"))
+    with fresh.change() as connection:
+        for sha256, record in records.items():
+            known = described.get(sha256) or archive.describe(record)
+            put_object(connection, record, known, links.get(sha256, ""))
+    expected = _rows_by_object(fresh)
+    fresh.close()
+    for sha256 in sorted({*actual, *expected}):
+        if sha256 not in records:
+            continue  # its record is damaged or missing, which is a fault already
+        if sha256 not in actual:
+            yield Fault("catalogue", sha256, where, f"lacks {records[sha256].file_name}", _REBUILD)
+        elif actual[sha256] != expected[sha256] and (sha256 in described or records[sha256].freed):
+            tables = [name for name in TABLES if actual[sha256].get(name) != expected[sha256].get(name)]
+            what = f"{records[sha256].file_name}: rows of {', '.join(tables)} differ from the object"
+            yield Fault("catalogue", sha256, where, what, _REBUILD)
+    for sha256 in sorted(set(actual) - set(records)):
+        if not archive.storage.has(record_key(sha256)):
+            yield Fault("record", sha256, str(archive.storage.path(record_key(sha256))), "is missing", _RESTORE)
+
+
+def _rows_by_object(catalogue: Catalogue) -> dict[str, dict[str, list[tuple[Any, ...]]]]:
+    found: dict[str, dict[str, list[tuple[Any, ...]]]] = {}
+    for table, rows in catalogue.dump().items():
+        for row in rows:
+            found.setdefault(row[0], {}).setdefault(table, []).append(row)
+    return found
+
+
+def _check_provenance(
+    archive: Archive, records: Mapping[str, Record], described: Mapping[str, Description]
+) -> Iterator[Fault]:
+    """Everything that was made must have its parents here, back to a recording."""
+    for sha256, one in described.items():
+        record = records[sha256]
+        if one.kind not in MADE or record.removed:
+            continue
+        where = str(archive.storage.path(record.object_key))
+        for name, parent in one.parents:
+            kept = records.get(parent)
+            if kept is None:
+                what = f"{record.file_name} was made from {name} ({parent[:12]}…), which is not in the archive"
+                yield Fault("provenance", sha256, where, what, f"stillpoint archive add {name}")
+            elif kept.removed:
+                what = f"{record.file_name} was made from {name}, which was removed ({kept.reason})"
+                yield Fault("provenance", sha256, where, what, f"add {name} again, or remove what was made from it")
+        kinds = {described[parent].kind for _, parent in one.parents if parent in described}
+        if one.kind in ("reference", "roll reference", "estimate") and kinds and "recording" not in kinds:
+            what = f"{record.file_name} names no recording among what it was made from"
+            yield Fault("provenance", sha256, where, what, "make it anew from its recording")
+
+
+def _check_links(archive: Archive, records: Mapping[str, Record]) -> Iterator[Fault]:
+    """Links under names/ must lead to the object that the catalogue says."""
+    if not isinstance(archive.storage, FolderStorage):
+        return
+    folder = archive.home / "names"
+    try:
+        rows = archive.catalogue.select("SELECT sha256, link FROM objects WHERE link != ''")
+    except (BadFile, sqlite3.DatabaseError):
+        return  # a damaged catalogue is a fault already
+    expected = {row["link"]: row["sha256"] for row in rows}
+    for name, sha256 in expected.items():
+        link = folder / name
+        target = os.readlink(link) if link.is_symlink() else None
+        if sha256 in records and target != f"../{records[sha256].object_key}":
+            what = "is missing" if target is None else f"leads to {target}"
+            yield Fault("link", sha256, str(link), what, _REBUILD)
+    for link in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if link.name not in expected:
+            yield Fault("link", "", str(link), "leads to nothing that the catalogue has", "delete it")
