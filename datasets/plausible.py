@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadRecording
 
 if TYPE_CHECKING:
-    from stillpoint.datasets.recording import Recording
+    from stillpoint.datasets.recording import Imu, Recording
 
 GRAVITY_RANGE_MPS2 = (8.0, 12.0)  # a question of units only; a steady bend or braking adds 1-2 m/s^2 to gravity
 GRAVITY_IN = {
@@ -22,34 +22,52 @@ STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at 
 STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
 WINDOW_S = 1.0
+WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its specific force; 0.4 g is none
 
 
 def check_units(recording: "Recording") -> None:
     """Raise :class:`BadRecording` with the likely unit when a size does not fit; silent when nothing is still."""
     if recording.imu is not None:
-        fastest = float(np.abs(recording.imu.gyro_b_radps).max())
-        if fastest > FASTEST_GYRO_RADPS:
-            raise BadRecording(
-                f"{recording.name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
-                "multiply by pi/180, or set units_unchecked to look at it with the doctor"
-            )
-        size = still_norm(recording.imu.t_ns, recording.imu.accel_b_mps2, recording.imu.gyro_b_radps)
-        if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
-            _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
-            hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
-            raise BadRecording(
-                f"{recording.name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
-                "convert it, or set units_unchecked to look at it with the doctor"
-            )
+        _check_imu(recording.name, recording.imu)
     if recording.mag is not None and not recording.info.mag_uncalibrated:
-        size = float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1)))
-        if not FIELD_RANGE_UT[0] <= size <= FIELD_RANGE_UT[1]:
-            fitting = (factor for factor in FIELD_IN if FIELD_RANGE_UT[0] <= size * factor <= FIELD_RANGE_UT[1])
-            hint = "".join(f"; it looks like {FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
+        doubt = describe_field_size(float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1))))
+        if doubt:
             raise BadRecording(
-                f"{recording.name}: mag.mag_b_ut has a median size of {size:.4g} uT, not 20-70{hint}; "
+                f"{recording.name}: mag.mag_b_ut has a {doubt}; "
                 "convert it, or set mag_uncalibrated where the sensor is not calibrated"
             )
+
+
+def _check_imu(name: str, imu: "Imu") -> None:
+    fastest = float(np.abs(imu.gyro_b_radps).max())
+    if fastest > FASTEST_GYRO_RADPS:
+        raise BadRecording(
+            f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
+            "multiply by pi/180, or set units_unchecked to look at it with the doctor"
+        )
+    size = still_norm(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
+    if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
+        _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
+        hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
+        raise BadRecording(
+            f"{name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
+            "convert it, or set units_unchecked to look at it with the doctor"
+        )
+    usual = float(np.median(np.linalg.norm(imu.accel_b_mps2, axis=1)))
+    if size is None and usual < WITHOUT_GRAVITY_MPS2 and imu.t_ns[-1] - imu.t_ns[0] > WINDOW_S * 1e9:
+        raise BadRecording(
+            f"{name}: imu.accel_b_mps2 has a median size of {usual:.3g} m/s^2, so that gravity was taken out of it "
+            "(linear acceleration); log the accelerometer with gravity, or set units_unchecked to look at it"
+        )
+
+
+def describe_field_size(median_ut: float) -> str:
+    """Return what is wrong with the median size of a field, with its likely unit; "" for one the Earth can have."""
+    if FIELD_RANGE_UT[0] <= median_ut <= FIELD_RANGE_UT[1]:
+        return ""
+    fitting = (factor for factor in FIELD_IN if FIELD_RANGE_UT[0] <= median_ut * factor <= FIELD_RANGE_UT[1])
+    hint = "".join(f"; it looks like {FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
+    return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
 
 
 def still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:

@@ -6,6 +6,7 @@ Verbs are imported when they are called, so that ``stillpoint --help`` loads nei
 
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
 
@@ -34,6 +35,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }
 HELP, VERSION = ["--help", "-h"], ["--version"]
+# Flags of every verb: the traceback of an error, and inputs above the limits of datasets/limits.py.
+DEBUG, LARGE = "--debug", "--large"
 
 
 def app() -> "App":
@@ -44,7 +47,8 @@ def app() -> "App":
 
     cli = App(
         name="stillpoint",
-        help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.",
+        help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.\n\n"
+        "Every verb takes --debug (show the traceback of an error) and --large (read inputs above the size limits).",
         version=lambda: metadata.version("stillpoint"),
         version_flags=VERSION,
         help_flags=HELP,
@@ -57,13 +61,19 @@ def app() -> "App":
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the console script; never returns normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
+    debug = DEBUG in tokens
+    if LARGE in tokens:
+        from stillpoint.datasets import limits
+
+        os.environ[limits.LARGE] = "1"
+    tokens = [token for token in tokens if token not in (DEBUG, LARGE)]
     try:
-        _run(tokens)
+        _run(tokens, debug)
     except KeyboardInterrupt:
         sys.exit(130)
 
 
-def _run(tokens: Sequence[str]) -> NoReturn:
+def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
     from cyclopts import CycloptsError
 
     if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
@@ -84,6 +94,8 @@ def _run(tokens: Sequence[str]) -> NoReturn:
         from stillpoint.datasets.errors import StillpointError
 
         if isinstance(error, StillpointError):
+            if debug:
+                traceback.print_exc()
             _stop(str(error))
         raise
     sys.exit(code if isinstance(code, int) else 0)

@@ -11,13 +11,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
-from scipy.io.matlab import MatReadError
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.bundle import digests, existing
-from stillpoint.datasets.importers.clock import Log, finite_rows
+from stillpoint.datasets.importers.arrays import load_mat, read_array, to_floats
+from stillpoint.datasets.importers.files import digests, reading, require_existing
+from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording, Truth
 
@@ -28,24 +28,27 @@ CITATION = (
 )
 
 
-def read_broad(source: Path, options: Options) -> Iterator[Recording]:
+def read_broad(source: Path, options: Options) -> Iterator[Imported]:
     """The trial of a file, or all trials of a folder in the order of their names. Raises :class:`BadSource`."""
-    existing(source)
+    require_existing(source)
     files = sorted([*source.glob("*.mat"), *source.glob("*.hdf5")]) if source.is_dir() else [source]
     if not files:
         raise BadSource(f"{source}: holds no .mat or .hdf5 trial; name BROAD's folder data_mat or data_hdf5")
     for file in files:
-        yield _trial(file, options)
+        yield Imported(_read_trial(file, options))
 
 
-def _trial(file: Path, options: Options) -> Recording:
-    fields = _fields(file)
+def _read_trial(file: Path, options: Options) -> Recording:
+    fields = _read_fields(file)
     log = Log()
+    rate_hz = float(fields["sampling_rate"].squeeze())
+    if not 1.0 <= rate_hz <= 1e5:
+        raise BadSource(f"{file}: its sampling_rate is {rate_hz:g} Hz; download it again")
     # 285.714 Hz is 3.5 ms; the file's rounded rate would drift by ns, so that the period is what is rounded.
-    period_ns = round(1e9 / float(fields["sampling_rate"].squeeze()))
+    period_ns = round(1e9 / rate_hz)
     t_ns = np.arange(len(fields["imu_gyr"]), dtype=np.int64) * period_ns
     q_nb = fields["opt_quat"]
-    known = finite_rows(q_nb)
+    known = find_finite_rows(q_nb) & (np.linalg.norm(q_nb, axis=1) > 0.5)
     if not known.all():
         log.noted(f"truth: {int((~known).sum())} of {len(known)} samples are NaN in the source (gaps)")
     q_nb = q_nb[known] / np.linalg.norm(q_nb[known], axis=1, keepdims=True)
@@ -56,7 +59,7 @@ def _trial(file: Path, options: Options) -> Recording:
     if disturbed:
         log.noted(f"mag: median size {field_ut:.0f} uT is not the Earth's; marked as uncalibrated")
     log.converted("stamps from the sampling rate: sample k at k x %.6f ms" % (period_ns / 1e6))
-    extra, described = _described(file)
+    extra, described = _read_description(file)
     info = Info(
         source="BROAD",
         licence="CC BY 4.0",
@@ -73,41 +76,38 @@ def _trial(file: Path, options: Options) -> Recording:
     return Recording(file.stem, imu=imu, mag=Mag(t_ns, fields["imu_mag"]), truth=truth, info=info)
 
 
-def _fields(file: Path) -> dict[str, Floats]:
-    """The arrays of one trial; a value may stand as a dataset or as an attribute."""
+def _read_fields(file: Path) -> dict[str, Floats]:
+    """Return the arrays of one trial; a value may stand as a dataset or as an attribute."""
     raw: dict[str, Any]
-    try:
+    with reading(file, "a BROAD trial"):
         if file.suffix == ".hdf5":
             with h5py.File(file) as trial:
-                raw = {key: trial[key][()] for key in FIELDS if key in trial}
+                raw = {key: read_array(trial[key], file) for key in FIELDS if key in trial}
                 raw |= {key: trial.attrs[key] for key in FIELDS if key in trial.attrs}
         else:
-            raw = {key: value for key, value in scipy.io.loadmat(file).items() if key in FIELDS}
-    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError) as error:
-        reason = str(error).splitlines()[0]
-        raise BadSource(f"{file}: cannot be read as a BROAD trial ({reason}); download it again") from None
+            raw = load_mat(file, FIELDS)
     missing = [key for key in FIELDS if key not in raw]
     if missing:
         raise BadSource(
             f"{file}: has no {', '.join(missing)}; it is not a BROAD trial: name one of data_mat or data_hdf5"
         )
-    fields = {key: np.ascontiguousarray(np.asarray(value, dtype=np.float64)) for key, value in raw.items()}
+    fields = {key: to_floats(value, f"{file}: {key}") for key, value in raw.items()}
     n = len(fields["imu_gyr"])
     for key, width in FIELDS.items():
         wanted = 1 if key == "sampling_rate" else n * width
         if fields[key].size != wanted:
             raise BadSource(f"{file}: {key} has {fields[key].size} values, not {wanted}; download it again")
+        if width > 1 and fields[key].shape != (n, width):
+            raise BadSource(f"{file}: {key} has the shape {fields[key].shape}, not {(n, width)}; download it again")
     return fields
 
 
-def _described(file: Path) -> tuple[dict[str, str], list[Path]]:
-    """What ``trials.json`` beside the file says about this trial, if it is there."""
+def _read_description(file: Path) -> tuple[dict[str, str], list[Path]]:
+    """Return what ``trials.json`` beside the file says about this trial, if it is there."""
     path = file.with_name("trials.json")
     if not path.is_file():
         return {}, []
-    try:
+    with reading(path, "BROAD's list of trials", "remove it or download it again"):
         trial = json.loads(path.read_text(encoding="utf-8"))["trials"].get(file.stem, {})
-    except (ValueError, KeyError, AttributeError):
-        raise BadSource(f"{path}: is not BROAD's list of trials; remove it or download it again") from None
-    extra = {"description": str(trial.get("description", "")), "groups": " ".join(trial.get("groups", []))}
+        extra = {"description": str(trial.get("description", "")), "groups": " ".join(trial.get("groups", []))}
     return {key: value for key, value in extra.items() if value}, [path]

@@ -1,145 +1,225 @@
-"""Stamps of a source become clocks that rise; nothing is dropped, moved or interpolated without a line that says so."""
+"""Clocks of logs: text becomes exact nanoseconds; wrong units, wraps and wild stamps are recognised."""
 
-from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from decimal import Decimal
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.recording import Floats, Imu, Times
+from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.recording import LAST_T_NS, Times
 
+TIME_EXPONENT: dict[str, int] = {"s": 0, "ms": -3, "us": -6, "ns": -9}
+TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+ISO = "iso"  # the unit of ISO 8601 dates and times
 UNIX_FROM_NS = 10**17  # stamps beyond 1973 count from 1970; no device runs for three years
-BRIDGED_S = 0.1  # a gap of the accelerometer up to this is bridged, or three of its steps where that is more
+EPOCHS_S = (6e8, 2**31)  # 1989 to 2038: a number in this range of seconds is a date
+BLANK = ("", "nan", "null", "none", "na", "n/a", "-nan")
+
+# Rates outside are no inertial sensor's: the slowest loggers give 5 Hz, the fastest accelerometers 27 kHz.
+RATES_HZ = (2.0, 30_000.0)
+USUAL_HZ = (10.0, 2000.0)  # where a proposed unit should lead
+DISORDER_NS = 1_000_000_000  # packets overtake each other by less; a larger step back is a clock that was set
+COUNTER_BITS = (16, 24, 32)  # widths of the counters that wrap
+WILD_NS = 1_000_000_000  # a stamp that lies this far from its neighbours, between which it does not fit, is an error
+WILD_EDGE_NS = 86_400_000_000_000  # a first or last stamp has neighbours on one side only: a day
+MEDIAN_OF = 9  # stamps; up to four wild ones in a row are recognised
 
 
-@dataclass
-class Log:
-    """What an importer did, in the words of ``Info.conversions`` and ``Info.notes``."""
-
-    conversions: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def converted(self, line: str) -> None:
-        """A change of unit, sign, frame or clock."""
-        self.conversions.append(line)
+class Notes(Protocol):
+    """Where the changes are counted; see :class:`stillpoint.datasets.importers.series.Log`."""
 
     def noted(self, line: str) -> None:
-        """Something dropped, merged, missing or doubtful."""
-        self.notes.append(line)
+        """Add a note."""
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
-    """Samples of one sensor with its own stamps."""
+class Clock:
+    """The stamps of all rows of a table; a row without a usable stamp is not ``known``."""
 
+    name: str  # the column, for messages
+    unit: str
     t_ns: Times  # (N,)
-    values: Floats  # (N, k)
-
-    def where(self, keep: NDArray[np.bool_]) -> "Series":
-        """The samples of a mask."""
-        return Series(self.t_ns[keep], self.values[keep])
+    known: NDArray[np.bool_]  # (N,)
 
 
-def finite_rows(values: Floats) -> NDArray[np.bool_]:
-    """(N,) True where a row of (N, k) holds numbers only."""
-    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+def parse_times(cells: list[str], unit: str, where: str, lines: list[int], column: str = "time") -> Clock:
+    """Return exact nanoseconds of text stamps; a double keeps only 0.2 us of epoch seconds.
 
-
-def seconds_to_ns(t_s: Floats) -> Times:
-    """Whole nanoseconds."""
-    return np.asarray(np.round(np.asarray(t_s, dtype=np.float64) * 1e9), dtype=np.int64)
+    ``unit`` is s, ms, us, ns or iso; ``lines`` are the line numbers of the cells. An empty cell is an unknown stamp.
+    Raises :class:`BadSource` for a cell that is no time, and names the unit that fits where one does.
+    """
+    t_ns = np.zeros(len(cells), dtype=np.int64)
+    known = np.ones(len(cells), dtype=np.bool_)
+    for row, cell in enumerate(cells):
+        if cell.strip().lower() in BLANK:
+            known[row] = False
+            continue
+        try:
+            t_ns[row] = _parse_iso(cell) if unit == ISO else _parse_number(cell, TIME_EXPONENT[unit])
+        except (ArithmeticError, ValueError):
+            advice = _propose_unit(cell, column, unit) or "remove this line"
+            raise BadSource(f"{where}, line {lines[row]}: {cell[:40]!r} is not a time in {unit}; {advice}") from None
+    if not known.any():
+        raise BadSource(f"{where}: column {column!r} holds no time; name another column")
+    return Clock(column, unit, t_ns, known)
 
 
 def cells_to_ns(cells: list[str], exponent: int, where: str, first_line: int) -> Times:
-    """Exact nanoseconds of decimal numbers in units of 10^exponent s (a double keeps only 0.2 us of epoch seconds)."""
-    times = np.empty(len(cells), dtype=np.int64)
-    for row, cell in enumerate(cells):
-        try:
-            times[row] = int(Decimal(cell).scaleb(9 + exponent).to_integral_value())
-        except (InvalidOperation, ValueError, OverflowError):
-            raise BadSource(f"{where}, line {first_line + row}: {cell!r} is not a time; remove this line") from None
-    return times
+    """Return exact nanoseconds of numbers in units of 10^exponent s that stand in consecutive lines, none empty."""
+    unit = next(name for name, known in TIME_EXPONENT.items() if known == exponent)
+    clock = parse_times(cells, unit, where, list(range(first_line, first_line + len(cells))))
+    if not clock.known.all():
+        row = int(clock.known.argmin())
+        raise BadSource(f"{where}, line {first_line + row}: {cells[row]!r} is not a time in {unit}; remove this line")
+    return clock.t_ns
 
 
-def rising(series: Series, what: str, log: Log) -> Series:
-    """Sort by time and keep the first of equal stamps; both are counted in the notes."""
-    moved = int((np.diff(series.t_ns) < 0).sum())
-    if moved:
-        order = np.argsort(series.t_ns, kind="stable")
-        series = Series(series.t_ns[order], series.values[order])
-        log.noted(f"{what}: {moved} steps back in time; sorted by stamp")
-    first = np.diff(series.t_ns, prepend=series.t_ns[:1] - 1) > 0
-    if not first.all():
-        log.noted(f"{what}: {int((~first).sum())} samples with the stamp of the one before dropped")
-        series = series.where(first)
-    return series
+def _parse_number(cell: str, exponent: int) -> int:
+    value = Decimal(cell.strip()).scaleb(9 + exponent)
+    if not abs(value) < LAST_T_NS + 1_000_000_000:  # also NaN; the size is tested before a long integer is made
+        raise ValueError("beyond 2038")
+    return int(value.to_integral_value())
 
 
-def from_zero(series: Series, what: str, log: Log) -> Series:
-    """Without the samples before the zero of the clock, counted."""
-    keep = series.t_ns >= 0
-    if not keep.all():
-        log.noted(f"{what}: {int((~keep).sum())} samples before the zero of the clock dropped")
-        series = series.where(keep)
-    return series
+def _parse_iso(cell: str) -> int:
+    """Return ns since 1970 of ``2025-08-31T12:00:00.123456789+02:00``; without a zone the time is taken as UTC."""
+    text = cell.strip().replace(",", ".")
+    head, point, tail = text.partition(".")
+    digits = tail[: len(tail) - len(tail.lstrip("0123456789"))]
+    moment = datetime.fromisoformat(head + (tail[len(digits) :] if point else ""))
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return round(moment.timestamp()) * 1_000_000_000 + int((digits + "0" * 9)[:9] if point else 0)
 
 
-def finite(series: Series, what: str, log: Log) -> Series:
-    """Without the rows that are not numbers, counted."""
-    keep = finite_rows(series.values)
-    if not keep.all():
-        log.noted(f"{what}: {int((~keep).sum())} of {len(keep)} rows without a number dropped")
-        series = series.where(keep)
-    return series
+def _propose_unit(cell: str, column: str, declared: str) -> str:
+    """Return advice on the unit that makes this cell a date, or nothing."""
+    try:
+        _parse_iso(cell)
+        return f"this looks like dates: --time {column}:iso"
+    except ValueError:
+        pass
+    try:
+        value = float(cell)
+    except ValueError:
+        return ""
+    for unit, exponent in TIME_EXPONENT.items():
+        if unit != declared and EPOCHS_S[0] < value * 10.0**exponent < EPOCHS_S[1]:
+            return f"this looks like {TIME_NAMES[unit]}: --time {column}:{unit}"
+    return ""
 
 
-def merge(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
-    """One IMU clock: the gyro's, with the accelerometer brought onto its stamps by linear interpolation.
-
-    Gyro samples with no accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. The gyro is
-    the one to keep: it is integrated, and the accelerometer is averaged. Raises :class:`BadSource` when none is left.
-    """
-    if len(gyro.t_ns) == len(accel.t_ns) and (gyro.t_ns == accel.t_ns).all():
-        return Imu(gyro.t_ns, gyro.values, accel.values)
-    if len(accel.t_ns) < 2 or len(gyro.t_ns) == 0:
-        raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
-    right = np.clip(np.searchsorted(accel.t_ns, gyro.t_ns, side="left"), 1, len(accel.t_ns) - 1)
-    span_ns = accel.t_ns[right] - accel.t_ns[right - 1]
-    inside = (gyro.t_ns >= accel.t_ns[0]) & (gyro.t_ns <= accel.t_ns[-1])
-    exact = np.isin(gyro.t_ns, accel.t_ns)
-    bridge_ns = max(BRIDGED_S * 1e9, 3 * float(np.median(np.diff(accel.t_ns))))
-    keep = inside & ((span_ns <= bridge_ns) | exact)
-    if not keep.any():
-        raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
-    t_ns, right = gyro.t_ns[keep], right[keep]
-    left = right - 1
-    share = ((t_ns - accel.t_ns[left]) / (accel.t_ns[right] - accel.t_ns[left]))[:, None]
-    force = accel.values[left] * (1 - share) + accel.values[right] * share
-    log.converted(
-        f"accelerometer ({len(accel.t_ns)} samples on its own stamps) interpolated linearly onto the gyro's stamps"
+def check_rate(clock: Clock, where: str) -> None:
+    """Raise :class:`BadParameter` where the unit gives a rate that no inertial sensor has, with the unit that fits."""
+    t_ns = clock.t_ns[clock.known]
+    steps = np.diff(t_ns)
+    rising = steps[steps > 0]
+    if len(t_ns) < 5 or len(rising) == 0:
+        return
+    _check_resolution(steps, where, clock.name)
+    rate_hz = 1e9 / float(np.median(rising))
+    if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        return
+    advice = "check its unit, or give --units-unchecked"
+    for unit, exponent in TIME_EXPONENT.items():
+        if clock.unit in TIME_EXPONENT and exponent != TIME_EXPONENT[clock.unit]:
+            proposed_hz = rate_hz * 10.0 ** (TIME_EXPONENT[clock.unit] - exponent)
+            if USUAL_HZ[0] <= proposed_hz <= USUAL_HZ[1]:
+                advice = f"this looks like {TIME_NAMES[unit]} ({proposed_hz:.4g} Hz): --time {clock.name}:{unit}"
+                break
+    raise BadParameter(
+        f"{where}: --time {clock.name}:{clock.unit} gives {rate_hz:.4g} Hz over {np.ptp(t_ns) / 1e9:.4g} s, "
+        f"which no inertial sensor has; {advice}"
     )
-    lost = int((~keep).sum())
-    if lost:
-        log.noted(f"gyro: {lost} samples without accelerometer samples around them dropped")
-    return Imu(t_ns, gyro.values[keep], force)
 
 
-def straight(t_s: Floats, what: str, log: Log) -> Floats:
-    """Evenly spaced times for stamps of receipt that come in bursts: the straight line through them.
+def _check_resolution(steps_ns: NDArray[np.int64], where: str, column: str) -> None:
+    """Raise where most stamps equal the one before and the others are whole steps apart, as in a float32 epoch."""
+    equal = float((steps_ns == 0).mean())
+    smallest_ns = int(steps_ns[steps_ns > 0].min())
+    if equal > 0.7 and (steps_ns % smallest_ns == 0).all():
+        raise BadSource(
+            f"{where}: {equal:.0%} of the stamps in {column!r} equal the one before; time was rounded to "
+            f"{smallest_ns / 1e9:g} s, as a float32 does; log it as integers or float64, or import with --rate HZ"
+        )
 
-    The line is fitted to time against sample number by least squares with Huber weights, so that a late burst
-    pulls little. It says the rate and the delay of the stamps against it.
+
+def repair_clock(clock: Clock, log: Notes) -> Clock:
+    """Unwrap a counter that overflowed and drop single stamps that fit nowhere; both are noted."""
+    t_ns, known = clock.t_ns.copy(), clock.known.copy()
+    t_ns[known] = unwrap_counter(t_ns[known], clock.name, log)
+    wild = find_wild_stamps(t_ns[known])
+    if wild.any():
+        first = int(np.flatnonzero(wild)[0])
+        log.noted(
+            f"time {clock.name!r}: {int(wild.sum())} stamps far from their neighbours dropped, first sample {first}"
+        )
+        known[np.flatnonzero(known)[wild]] = False
+    return Clock(clock.name, clock.unit, t_ns, known)
+
+
+def unwrap_counter(t_ns: Times, what: str, log: Notes) -> Times:
+    """Add what a counter of 16, 24 or 32 bits (of s, ms, us or ns) lost where it overflowed, with a note."""
+    steps = np.diff(t_ns)
+    if not (steps < 0).any() or not (steps > 0).any():
+        return t_ns
+    usual_ns = float(np.median(steps[steps > 0]))
+    added = np.zeros(len(t_ns), dtype=np.int64)
+    for k in np.flatnonzero(steps < 0):
+        span = _find_wrap(int(t_ns[k]), int(t_ns[k + 1]), usual_ns)
+        if span is not None:
+            bits, unit = span
+            added[k + 1 :] += (1 << bits) * 10 ** (9 + TIME_EXPONENT[unit])
+            log.noted(f"time {what!r}: counter of 2^{bits} {unit} wrapped after sample {k}; unwrapped")
+    return t_ns + added
+
+
+def _find_wrap(before_ns: int, after_ns: int, usual_ns: float) -> tuple[int, str] | None:
+    """Return width and unit of the counter whose overflow explains a step back, or None."""
+    for unit, exponent in TIME_EXPONENT.items():
+        for bits in COUNTER_BITS:
+            span_ns = (1 << bits) * 10 ** (9 + exponent)
+            step_ns = after_ns + span_ns - before_ns
+            if not 0 < step_ns <= 10 * usual_ns or span_ns < 20 * usual_ns:
+                continue
+            from_its_end = before_ns < span_ns <= before_ns + 10 * usual_ns and after_ns >= 0
+            if from_its_end or span_ns > 1000 * usual_ns:
+                return bits, unit
+    return None
+
+
+def find_wild_stamps(t_ns: Times) -> NDArray[np.bool_]:
+    """Return a mask (N,) of the stamps that lie far ahead of or behind both neighbours.
+
+    The running median of a rising sequence is the sequence itself, so that gaps are not touched. At the ends, where
+    neighbours stand on one side only, the distance must exceed a day and ten times the span of all others.
     """
-    number = np.arange(len(t_s), dtype=np.float64)
-    weight = np.ones(len(t_s))
-    for _ in range(20):
-        slope, start = np.polyfit(number, t_s, 1, w=np.sqrt(weight))
-        residual = t_s - (start + slope * number)
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
-        weight = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-300))
-    log.converted(
-        f"{what} times of receipt -> straight line at {1 / slope:.3f} Hz "
-        f"(residual rms {1e3 * np.sqrt(np.mean(residual**2)):.1f} ms, largest {1e3 * np.abs(residual).max():.1f} ms)"
+    wild = np.zeros(len(t_ns), dtype=np.bool_)
+    if len(t_ns) < MEDIAN_OF:
+        return wild
+    steps = np.abs(np.diff(t_ns))
+    usual_ns = float(np.median(steps))
+    off = np.abs(t_ns - median_filter(t_ns, MEDIAN_OF, mode="mirror"))
+    wild = off > max(WILD_NS, 50 * usual_ns)
+    half = MEDIAN_OF // 2
+    inner = t_ns[half:-half][~wild[half:-half]]
+    far_ns = max(WILD_EDGE_NS, 10 * int(np.ptp(inner)) if len(inner) else 0)
+    wild[:half] &= off[:half] > far_ns
+    wild[-half:] &= off[-half:] > far_ns
+    return np.asarray(wild)
+
+
+def describe_disorder(t_ns: Times, lines: list[int], clock: Clock, where: str) -> str:
+    """Return the message about stamps that do not rise: how many, how far back, and what to do about it."""
+    falls = np.flatnonzero(np.diff(t_ns) <= 0)
+    back_ns = int((np.maximum.accumulate(t_ns) - t_ns).max())
+    at = f"{where}, line {lines[int(falls[0]) + 1]}, column {clock.name!r}: time does not rise ({len(falls)} such lines"
+    if back_ns <= DISORDER_NS:
+        return f"{at}, at most {back_ns / 1e6:g} ms back); correct the log, or import it with --drop-disordered"
+    return (
+        f"{at}, up to {back_ns / 1e9:.6g} s back); the clock was set or a second log begins: "
+        "split the file where the time steps back, and import the parts"
     )
-    return np.asarray(start + slope * number, dtype=np.float64)

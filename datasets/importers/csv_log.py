@@ -1,29 +1,53 @@
-"""Any delimited log: its columns, units, signs and clock are said by flags or by a small TOML file.
+"""Any delimited log: its columns, units, signs and clocks are named by flags or by a small TOML file.
 
 ``gyro = "gx,gy,gz:deg/s"`` names three columns and their unit; a leading ``-`` turns a sign; ``0.061*mg`` is a unit
-per count. Columns go by their names in the header, or by numbers from 1 where there is none.
+per count. Columns go by their names in the header, or by numbers from 1.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation
-from stillpoint.datasets.importers.bundle import digests
-from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising
-from stillpoint.datasets.importers.columns import quaternion_columns, vector
+from stillpoint.datasets.importers.clock import Clock
+from stillpoint.datasets.importers.columns import (
+    ANGLE,
+    FIELD,
+    FORCE,
+    LENGTH,
+    RATE,
+    parse_columns,
+    parse_quaternion,
+)
 from stillpoint.datasets.importers.delimited import Table
-from stillpoint.datasets.importers.log_options import LogOptions, clock_of, log_files, table_of, with_config
-from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.units import FIELD, FORCE, LENGTH, RATE
-from stillpoint.datasets.recording import Mag, Recording, Times, Truth
+from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.log import (
+    LogOptions,
+    apply_config,
+    list_logs,
+    order_series,
+    read_clock,
+    read_sensor,
+    read_table,
+    shift_to_zero,
+)
+from stillpoint.datasets.importers.options import make_info
+from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu
+from stillpoint.datasets.recording import Floats, Mag, Recording, Truth
+from stillpoint.datasets.trajectories import read_poses
 
 SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
 FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
+EULER_ORDER = re.compile(r"[XYZ]{3}|[xyz]{3}")
+GPS_COLUMNS = ("latitude", "longitude", "altitude", "speed", "course")
+GPS_FORM = "LAT,LON[,ALT[,SPEED[,COURSE]]]"
 
 
 @dataclass(frozen=True)
@@ -33,39 +57,67 @@ class CsvOptions(LogOptions):
     gyro: str | None = None  # "X,Y,Z:UNIT"
     accel: str | None = None
     mag: str | None = None
-    truth: str | None = None  # "W,X,Y,Z"
-    truth_frame: Literal["enu", "nwu", "ned"] = "enu"  # the local frame that the truth's quaternion leads to
+    gyro_time: str | None = None  # "COLUMN:UNIT", where a sensor has a time column of its own
+    accel_time: str | None = None
+    mag_time: str | None = None
+    gps: str | None = None  # "LAT,LON[,ALT[,SPEED[,COURSE]]]" in deg, deg, m, m/s, deg
+    gps_time: str | None = None
+    truth: str | None = None  # "W,X,Y,Z", or a file that read_poses reads
+    truth_time: str | None = None  # "COLUMN:UNIT" of the truth, in its own file or in the log
+    truth_columns: str | None = None  # "W,X,Y,Z" in the truth's own file
+    truth_euler: str | None = None  # "A,B,C:UNIT" in the order of truth_order
+    truth_order: str = "ZYX"  # capitals turn about moving axes, small letters about fixed ones
+    truth_frame: Literal["enu", "nwu", "ned"] = "enu"  # the local frame that the truth leads to
+    truth_inverse: bool = False  # the truth takes the local frame to the body
     position: str | None = None  # "X,Y,Z:UNIT" in the truth's local frame
     moving: str | None = None  # a column that is 0 where the truth is not to be scored
 
 
-def read_csv(source: Path, options: CsvOptions) -> Iterator[Recording]:
+def read_csv(source: Path, options: CsvOptions) -> Iterator[Imported]:
     """The recording of one file, or of each .csv, .tsv and .txt file of a folder.
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """
-    files = log_files(source)
-    options = with_config(options)
+    files = list_logs(source)
+    options = apply_config(options)
     for file in files:
-        yield _recording(file, options)
+        yield Imported(_read_log(file, options))
 
 
-def _recording(file: Path, options: CsvOptions) -> Recording:
-    reading = Reading(table_of(file, options), options, Log())
-    t_ns = clock_of(reading.table, options, reading.log)
-    gyro = reading.series("gyro", t_ns)
-    accel = reading.series("accel", t_ns)
+def _read_log(file: Path, options: CsvOptions) -> Recording:
+    log = Log()
+    reading = Reading(read_table(file, options.delimiter, log), options, log)
+    streams = {what: reading.read_sensor(what) for what in SENSORS}
+    gyro, accel = streams["gyro"], streams["accel"]
     if gyro is None or accel is None:
         raise BadParameter(
             f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
             f"the file has {reading.table.listed}"
         )
-    mag = reading.series("mag", t_ns)
-    imu = merge(gyro, accel, str(file), reading.log)
-    truth = reading.truth(t_ns)
-    info = own_info(f"delimited log {file.name}", options, t_ns, digests([file], file.parent), reading.log)
-    mag_stream = None if mag is None else Mag(mag.t_ns, mag.values)
-    return Recording(file.stem, imu=imu, mag=mag_stream, truth=truth, info=info)
+    streams["gps"] = reading.read_gps()
+    streams["truth"] = reading.read_truth()
+    streams = shift_to_zero({what: series for what, series in streams.items() if series is not None}, log)
+    imu = merge_imu(streams["gyro"], streams["accel"], str(file), log)
+    mag = Mag(streams["mag"].t_ns, streams["mag"].values) if "mag" in streams else None
+    gps = make_gps(streams["gps"], log) if "gps" in streams else None
+    truth = reading.make_truth(streams["truth"]) if "truth" in streams else None
+    files = [file]
+    if truth is None and (truth_file := find_truth_file(options, file)) is not None:
+        truth = reading.read_truth_file(truth_file)
+        files += [truth_file] if truth_file.is_file() else []
+    sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
+    info = make_info(f"delimited log {file.name}", options, imu.t_ns, sha256, log)
+    return Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info)
+
+
+def find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
+    """Return the truth's own file where ``--truth`` names one; in a folder of logs ``{name}`` stands for the log's."""
+    if options.truth is None or options.truth.count(",") == 3:
+        return None
+    path = Path(options.truth.replace("{name}", log_file.stem))
+    if not path.exists():
+        raise BadParameter(f"--truth {options.truth!r}: is neither four columns W,X,Y,Z nor a file that is there")
+    return path
 
 
 @dataclass(frozen=True)
@@ -76,45 +128,136 @@ class Reading:
     options: CsvOptions
     log: Log
 
-    def series(self, what: str, t_ns: Times) -> Series | None:
-        """One sensor in SI on the stamps of its rows; a row without numbers for it is no sample of it."""
+    def read_sensor(self, what: str) -> Series | None:
+        """Return one sensor in SI; a row without numbers for it is no sample of it."""
         text = getattr(self.options, what)
         if text is None:
             return None
         units, target = SENSORS[what]
-        columns = vector(text, f"--{what}", units)
-        series = finite(Series(t_ns, columns.values(self.table)), what, self.log)
-        if len(series.t_ns) == 0:
-            raise BadSource(f"{self.table.where}: no row has numbers in all columns of --{what}; check the columns")
+        columns = parse_columns(text, f"--{what}", units)
+        clock = self._clock(what)
+        series = read_sensor(self.table, clock, columns, what, f"--{what}", self.options, self.log)
         self.log.converted(f"{what} {columns.written} {columns.unit.written} -> {target}{columns.flipped}")
-        return rising(series, what, self.log) if self.options.drop_disordered else series
+        return series
 
-    def truth(self, t_ns: Times) -> Truth | None:
-        """Quaternions w, x, y, z that take the body to the local frame; rows without one are gaps."""
-        options, table = self.options, self.table
-        if options.truth is None:
+    def read_gps(self) -> Series | None:
+        """Return fixes (N, 5): latitude, longitude, altitude, course, speed; a row without a position is no fix."""
+        if self.options.gps is None:
             return None
-        values = quaternion_columns(options.truth, "--truth").values(table)
-        norm = np.linalg.norm(values, axis=1)
-        known = np.isfinite(norm) & (norm > 0.5)
-        if options.drop_disordered:
-            known &= np.diff(np.maximum.accumulate(t_ns), prepend=-1) > 0
+        names = tuple(name.strip() for name in self.options.gps.split(","))
+        if not 2 <= len(names) <= len(GPS_COLUMNS) or not all(names):
+            raise BadParameter(f"--gps {self.options.gps!r}: write the columns as {GPS_FORM}")
+        values = np.full((len(self.table.rows), 5), np.nan)
+        values[:, : len(names)] = self.table.floats(names)
+        values = values[:, [0, 1, 2, 4, 3]]
+        clock = self._clock("gps")
+        keep = np.isfinite(values[:, :2]).all(axis=1) & clock.known
+        # Loggers repeat the last fix on the rows between two fixes.
+        changed = np.ones(int(keep.sum()), dtype=np.bool_)
+        found = values[keep]
+        changed[1:] = (np.diff(np.nan_to_num(found), axis=0) != 0).any(axis=1)
+        if not len(found):
+            raise BadSource(f"{self.table.where}: no row has a position in {self.options.gps}; check --gps")
+        self.log.converted(f"gps {self.options.gps} as {','.join(GPS_COLUMNS[: len(names)])}")
+        if not changed.all():
+            self.log.noted(f"gps: {int((~changed).sum())} rows repeat the fix before them; dropped")
+        series = Series(clock.t_ns[keep][changed], found[changed])
+        lines = [self.table.lines[k] for k in np.flatnonzero(keep)[changed].tolist()]
+        return order_series(series, lines, clock, self.table.where, "gps", self.options, self.log)
+
+    def read_truth(self) -> Series | None:
+        """Return rows (N, 8) of the truth in the log: quaternion wxyz body to ENU, position (NaN if none), moving."""
+        options, table = self.options, self.table
+        if options.truth_euler is not None and options.truth is not None:
+            raise BadParameter("--truth, --truth-euler: name the truth twice; give one of them")
+        if options.truth_euler is not None:
+            q_nl = self._read_euler(options.truth_euler)
+        elif options.truth is not None and options.truth.count(",") == 3:
+            q_nl = self._read_quaternions(options.truth)
+        else:
+            return None
+        known = np.isfinite(q_nl).all(axis=1)
+        clock = self._clock("truth")
         if not known.all():
             self.log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
+        known &= clock.known
+        turned = rotation(q_nl[known])
+        to_enu = local_from_enu(options.truth_frame).inv()
+        values = np.full((int(known.sum()), 8), np.nan)
+        values[:, :4] = quaternion(to_enu * (turned.inv() if options.truth_inverse else turned))
+        values[:, 7] = 1.0
+        if options.position is not None:
+            local_m = parse_columns(options.position, "--position", LENGTH).values(table)[known]
+            values[:, 4:7] = local_m @ to_enu.as_matrix().T
+        if options.moving is not None:
+            values[:, 7] = table.floats((options.moving,))[known, 0] > 0
+        lines = [table.lines[k] for k in np.flatnonzero(known).tolist()]
+        series = Series(clock.t_ns[known], values)
+        return order_series(series, lines, clock, table.where, "truth", options, self.log)
+
+    def make_truth(self, series: Series) -> Truth:
+        """Return the truth of rows (N, 8); see :meth:`read_truth`."""
+        position_n_m = series.values[:, 4:7] if self.options.position is not None else None
+        return Truth(series.t_ns, series.values[:, :4], series.values[:, 7] > 0, position_n_m)
+
+    def read_truth_file(self, file: Path) -> Truth:
+        """Return the truth of a file of its own, on its own clock."""
+        options = self.options
+        truth = read_poses(
+            file,
+            self.log,
+            time=options.truth_time,
+            quaternion=options.truth_columns,
+            frame=options.truth_frame,
+            inverse=options.truth_inverse,
+        )
+        inverse = ", inverted" if options.truth_inverse else ""
+        frame = options.truth_frame.upper()
+        self.log.converted(f"truth from {file.name}, body -> {frame} -> East-North-Up{inverse}, on its own clock")
+        return truth
+
+    def _clock(self, what: str) -> Clock:
+        time = getattr(self.options, f"{what}_time")
+        return read_clock(self.table, self.options, self.log, time, f"--{what}-time" if time else "--time")
+
+    def _read_quaternions(self, columns: str) -> Floats:
+        """Return (N, 4) wxyz as the file has them, NaN where there is none."""
+        values = parse_quaternion(columns, "--truth").values(self.table)
+        norm = np.linalg.norm(values, axis=1)
+        known = np.isfinite(norm) & (norm > 0.5)
         if not known.any():
-            raise BadSource(f"{table.where}: no row has a quaternion in {options.truth}; check the columns of --truth")
+            raise BadSource(f"{self.table.where}: no row has a quaternion in {columns}; check the columns of --truth")
         off = np.where(known, np.abs(norm - 1), 0.0)
         if off.max() > FARTHEST_NORM:
-            line = table.first_line + int(off.argmax())
-            raise BadSource(f"{table.where}, line {line}: {options.truth} is no unit quaternion; check the columns")
-        to_enu = local_from_enu(options.truth_frame).inv()
-        frame = options.truth_frame.upper()
-        self.log.converted(f"truth {options.truth} as w,x,y,z, body -> {frame} -> East-North-Up")
-        moving = np.ones(int(known.sum()), dtype=np.bool_)
-        if options.moving is not None:
-            moving = table.floats((options.moving,))[known, 0] > 0
-        position_n_m = None
-        if options.position is not None:
-            local_m = vector(options.position, "--position", LENGTH).values(table)[known]
-            position_n_m = local_m @ to_enu.as_matrix().T
-        return Truth(t_ns[known], quaternion(to_enu * rotation(values[known])), moving, position_n_m)
+            line = self.table.lines[int(off.argmax())]
+            raise BadSource(f"{self.table.where}, line {line}: {columns} is no unit quaternion; check the columns")
+        values[~known] = np.nan
+        frame = self.options.truth_frame.upper()
+        way = f"{frame} -> body, inverted" if self.options.truth_inverse else f"body -> {frame}"
+        self.log.converted(f"truth {columns} as w,x,y,z, {way} -> East-North-Up")
+        return values
+
+    def _read_euler(self, text: str) -> Floats:
+        """Return (N, 4) wxyz of Euler angles, NaN where one is missing."""
+        order = self.options.truth_order
+        if not EULER_ORDER.fullmatch(order):
+            raise BadParameter(f"--truth-order {order!r}: give three letters, ZYX about moving or zyx about fixed axes")
+        columns = parse_columns(text, "--truth-euler", ANGLE)
+        angles_rad = columns.values(self.table)
+        known = np.isfinite(angles_rad).all(axis=1)
+        if not known.any():
+            raise BadSource(
+                f"{self.table.where}: no row has numbers in all columns of --truth-euler; check the columns"
+            )
+        largest = float(np.abs(angles_rad[known]).max())
+        if largest > 20 * np.pi:
+            raise BadSource(
+                f"{self.table.where}: {text} reaches {largest / (2 * np.pi):.3g} turns; check the unit (rad or deg)"
+            )
+        q = np.full((len(angles_rad), 4), np.nan)
+        q[known] = quaternion(Rotation.from_euler(order, angles_rad[known]))
+        axes = "moving" if order.isupper() else "fixed"
+        self.log.converted(
+            f"truth {columns.written} {columns.unit.written}: turns about the {axes} axes {order} in this order"
+        )
+        return q

@@ -1,18 +1,21 @@
-"""Delimited text -> columns of numbers; what is wrong is said with file, line and column."""
+"""Delimited text becomes columns of numbers; messages name file, line and column."""
 
 import csv
 import io
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.clock import cells_to_ns
+from stillpoint.datasets.importers.clock import BLANK, Clock, cells_to_ns, parse_times
+from stillpoint.datasets.limits import LARGEST_LINE, limited
 from stillpoint.datasets.recording import Floats, Times
 
-DELIMITERS = (",", ";", "\t", "|")
-BLANK = ("", "nan", "null", "none", "na", "n/a", "-nan")
+DELIMITERS = ("\t", ";", "|", ",")  # before commas, which may also be decimal signs
+SAMPLED = 30  # lines at the end of a file that tell its delimiter and its number of columns
 
 
 @dataclass(frozen=True)
@@ -22,8 +25,10 @@ class Table:
     where: str  # for messages
     columns: tuple[str, ...]
     rows: list[list[str]]
-    first_line: int  # of the first row, counted from 1
+    lines: list[int]  # the line of each row, counted from 1
     decimal_comma: bool
+    skipped: int = 0  # lines before the table that belong to no row
+    delimiter: str = ","
 
     @property
     def listed(self) -> str:
@@ -44,17 +49,25 @@ class Table:
         return places
 
     def place(self, column: str) -> int:
-        """Where a column stands; raises :class:`BadSource` with the columns there are."""
-        if column not in self.index:
-            raise BadSource(f"{self.where}: no column {column!r}; it has {self.listed}")
-        return self.index[column]
+        """Return where a column stands, by its name or by its number; raises :class:`BadSource`."""
+        if column in self.index:
+            return self.index[column]
+        if column.isdecimal() and 1 <= int(column[:6]) <= len(self.columns):
+            return int(column) - 1
+        raise BadSource(f"{self.where}: no column {column!r}; it has {self.listed}")
+
+    def select(self, keep: NDArray[np.bool_]) -> "Table":
+        """Return the table with the rows of a mask (N,)."""
+        kept = np.flatnonzero(keep).tolist()
+        rows, lines = [self.rows[k] for k in kept], [self.lines[k] for k in kept]
+        return Table(self.where, self.columns, rows, lines, self.decimal_comma, self.skipped, self.delimiter)
 
     def floats(self, columns: tuple[str, ...]) -> Floats:
-        """Columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for a cell that is no number."""
+        """Return columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for any other text."""
         places = [self.place(column) for column in columns]
         values = np.empty((len(self.rows), len(places)))
         for k, place in enumerate(places):
-            cells = self._cells(place)
+            cells = self.cells(place)
             try:
                 values[:, k] = np.array(cells, dtype=np.float64)
             except ValueError:
@@ -62,16 +75,24 @@ class Table:
         return values
 
     def times(self, column: str, exponent: int) -> Times:
-        """A time column in units of 10^exponent s as exact nanoseconds."""
-        return cells_to_ns(self._cells(self.place(column)), exponent, f"{self.where}", self.first_line)
+        """Return a column of times in units of 10^exponent s as exact nanoseconds; none may be empty."""
+        return cells_to_ns(self.cells(self.place(column)), exponent, self.where, self.lines[0] if self.lines else 0)
 
-    def _cells(self, place: int) -> list[str]:
+    def clock(self, column: str, unit: str) -> Clock:
+        """Return the stamps of a column; empty cells are unknown. ``unit`` is s, ms, us, ns or iso."""
+        cells = [row[place] if place < len(row) else "" for place in [self.place(column)] for row in self.rows]
+        if self.decimal_comma:
+            cells = [cell.replace(",", ".") for cell in cells]
+        return parse_times(cells, unit, self.where, self.lines, column)
+
+    def cells(self, place: int) -> list[str]:
+        """Return the text of a column; raises :class:`BadSource` for a row that ends before it."""
         try:
             cells = [row[place] for row in self.rows]
         except IndexError:
             short = next(k for k, row in enumerate(self.rows) if len(row) <= place)
             raise BadSource(
-                f"{self.where}, line {self.first_line + short}: has {len(self.rows[short])} cells, "
+                f"{self.where}, line {self.lines[short]}: has {len(self.rows[short])} cells, "
                 f"column {self.columns[place]!r} is number {place + 1}; remove or complete this line"
             ) from None
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
@@ -83,42 +104,118 @@ class Table:
             return float(cell)
         except ValueError:
             raise BadSource(
-                f"{self.where}, line {self.first_line + row}, column {column!r}: {cell!r} is not a number; "
+                f"{self.where}, line {self.lines[row]}, column {column!r}: {cell[:40]!r} is not a number; "
                 "remove or correct this line"
             ) from None
 
 
 def parse(text: str, where: str, delimiter: str | None = None) -> Table:
-    """Read a delimited text. The delimiter is found from the first line unless given; ``#`` starts a comment line.
+    """Read a delimited text whose delimiter, header and first row are found unless given.
 
-    A first row with a cell that is no number is the header. Decimal commas are understood where the delimiter is
-    not a comma. Raises :class:`BadSource` for a text without rows.
+    Lines before the header (device data, ``sep=,``) and a row of units below it are skipped and counted. Lines that
+    start with ``#`` are comments; where there is no other header, the last of them before the rows is the header if
+    it has as many names as the rows have cells. Decimal commas are understood where the comma is not the delimiter.
+    Raises :class:`BadSource` for a text without rows.
     """
+    lines = _split_lines(text, where)
+    content = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    if content and lines[content[0]].lower().startswith("sep=") and len(lines[content[0]].strip()) == 5:
+        delimiter = delimiter or lines[content[0]].strip()[-1]
+        content = content[1:]
+    if not content:
+        raise BadSource(f"{where}: is empty; export the log again")
+    delimiter = delimiter or _find_delimiter([lines[k] for k in content])
+    cells, numbers = _split_cells(lines, content, delimiter)
+    width = Counter(len(row) for row in cells[-SAMPLED:]).most_common(1)[0][0]
+    decimal_comma = delimiter != "," and "," in "".join(cells[-1])
+    start = next((k for k, row in enumerate(cells) if len(row) == width), 0)
+    if start and not _holds_number(cells[start - 1], decimal_comma) and abs(len(cells[start - 1]) - width) <= 1:
+        start -= 1  # a header with one name more or less than the rows have cells
+    names, first = _find_header(cells, start, decimal_comma)
+    if names is None:
+        before = range(numbers[start] - 1)
+        names = next((row for k in reversed(before) if (row := _comment_names(lines[k], delimiter, width))), None)
+    if first >= len(cells):
+        raise BadSource(f"{where}: has a header and no rows; export the log again")
+    columns = tuple(names) if names else tuple(str(k + 1) for k in range(width))
+    skipped = first - (first > start)
+    return Table(where, columns, cells[first:], numbers[first:], decimal_comma, skipped, delimiter)
+
+
+def _split_lines(text: str, where: str) -> list[str]:
     if "\0" in text:
         raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")
     lines = text.splitlines()
-    skipped = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
-    if skipped is None:
-        raise BadSource(f"{where}: is empty; export the log again")
-    head = lines[skipped]
-    if delimiter is None:
-        delimiter = max(DELIMITERS, key=head.count)
-        if delimiter not in head:
-            delimiter = " "
-    rows = [
-        [cell.strip() for cell in row]
-        for row in csv.reader(io.StringIO("\n".join(lines[skipped:])), delimiter=delimiter, skipinitialspace=True)
-        if row
-    ]
+    longest = limited(LARGEST_LINE)
+    if len(text) > longest and any(len(line) > longest for line in lines):
+        at = next(k for k, line in enumerate(lines) if len(line) > longest)
+        raise BadSource(f"{where}, line {at + 1}: is longer than {longest} characters; name a log, or give --large")
+    return lines
+
+
+def _find_delimiter(content: list[str]) -> str:
+    """Return the character that splits the last lines, and a line before them, into equally many cells."""
+    tail = content[-SAMPLED:]
+    found = []
+    for order, delimiter in enumerate(DELIMITERS):
+        count, times = Counter(line.count(delimiter) for line in tail).most_common(1)[0]
+        if count and times >= 0.6 * len(tail):
+            agreeing = [line.split(delimiter) for line in content[:SAMPLED] if line.count(delimiter) == count]
+            has_header = any(not _holds_number(row, delimiter != ",") for row in agreeing)
+            found.append((has_header, -order, delimiter))
+    return max(found)[-1] if found else " "
+
+
+def _split_cells(lines: list[str], content: list[int], delimiter: str) -> tuple[list[list[str]], list[int]]:
+    """Return the cells of the lines, stripped, and the number of the line on which each row starts."""
     if delimiter == " ":
-        rows = [[cell for cell in row if cell] for row in rows]
-    decimal_comma = delimiter != "," and "," in "".join(rows[-1])
-    has_header = any(not _is_number(cell, decimal_comma) for cell in rows[0])
-    columns = tuple(rows[0]) if has_header else tuple(str(k + 1) for k in range(len(rows[0])))
-    body = rows[1:] if has_header else rows
-    if not body:
-        raise BadSource(f"{where}: has a header and no rows; export the log again")
-    return Table(where, columns, body, skipped + 1 + has_header, decimal_comma)
+        return [lines[k].split() for k in content], [k + 1 for k in content]
+    if not any('"' in lines[k] for k in content):
+        split = [lines[k].split(delimiter) for k in content]
+        return [[cell.strip() for cell in row] for row in split], [k + 1 for k in content]
+    rows, numbers = [], []
+    reader = csv.reader(io.StringIO("\n".join(lines[k] for k in content)), delimiter=delimiter, skipinitialspace=True)
+    before = 0
+    for row in reader:
+        rows.append([cell.strip() for cell in row])
+        numbers.append(content[min(before, len(content) - 1)] + 1)
+        before = reader.line_num
+    return rows, numbers
+
+
+def _find_header(cells: list[list[str]], start: int, decimal_comma: bool) -> tuple[list[str] | None, int]:
+    """Return the header, or None, and the index of the first row below it."""
+    first = cells[start]
+    numbers = [_is_number(cell, decimal_comma) for cell in first]
+    if all(numbers):
+        return None, start
+    if start + 1 >= len(cells):
+        return first, start + 1
+    below = [_is_number(cell, decimal_comma) for cell in cells[start + 1]]
+    if not any(numbers) and not any(_is_written_number(cell, decimal_comma) for cell in cells[start + 1]):
+        third = cells[start + 2] if start + 2 < len(cells) else []
+        if any(_is_written_number(cell, decimal_comma) for cell in third):
+            return first, start + 2  # a row of units
+    if any(is_below and not is_first for is_first, is_below in zip(numbers, below, strict=False)):
+        return first, start + 1
+    return (None, start) if any(_is_written_number(cell, decimal_comma) for cell in first) else (first, start + 1)
+
+
+def _comment_names(line: str, delimiter: str, width: int) -> list[str] | None:
+    """Return the names in a comment line that has as many of them as the rows have cells."""
+    if not line.lstrip().startswith("#"):
+        return None
+    text = line.lstrip().lstrip("#").strip()
+    names = text.split() if delimiter == " " else [name.strip() for name in text.split(delimiter)]
+    return names if len(names) == width and width > 1 else None
+
+
+def _holds_number(row: list[str], decimal_comma: bool) -> bool:
+    return any(_is_written_number(cell, decimal_comma) for cell in row)
+
+
+def _is_written_number(cell: str, decimal_comma: bool) -> bool:
+    return cell.strip().lower() not in BLANK and _is_number(cell, decimal_comma)
 
 
 def _is_number(cell: str, decimal_comma: bool) -> bool:

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.bundle import digests
-from stillpoint.datasets.importers.clock import Log
-from stillpoint.datasets.importers.log_options import LogOptions, log_files, table_of
+from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
+from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.log import list_logs, read_table
 from stillpoint.datasets.importers.options import Options
-from stillpoint.datasets.importers.units import FIELD, FORCE, RATE
+from stillpoint.datasets.importers.series import Log
 from stillpoint.datasets.recording import Info, Mag, Recording, Spin, SpinGeometry
 
 RATE_HZ = 100
@@ -30,14 +31,15 @@ GEOMETRY = SpinGeometry(
 )
 
 
-def read_flatball(source: Path, options: Options) -> Iterator[Recording]:
+def read_flatball(source: Path, options: Options) -> Iterator[Imported]:
     """The flight of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
-    for file in log_files(source):
-        yield _flight(file, options)
+    for file in list_logs(source):
+        yield Imported(_read_flight(file, options))
 
 
-def _flight(file: Path, options: Options) -> Recording:
-    table, log = table_of(file, LogOptions()), Log()
+def _read_flight(file: Path, options: Options) -> Recording:
+    log = Log()
+    table = read_table(file, None, log)
     missing = [name for name in (*ACCEL, *GYRO, *MAG) if name not in table.columns]
     if missing:
         raise BadSource(f"{file}: no column {', '.join(missing)}; name a log of the flatball firmware")

@@ -1,7 +1,16 @@
-"""What a user may set about an import; the fields of a kind's options are the flags that the kind takes."""
+"""What a user may set about an import, and the facts about a recording that follow from it.
 
-from dataclasses import dataclass
-from typing import Literal
+The fields of a kind's options are the flags that the kind takes.
+"""
+
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
+from typing import Any, Literal
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.importers.clock import UNIX_FROM_NS
+from stillpoint.datasets.importers.series import Log
+from stillpoint.datasets.recording import Info, Times
 
 
 @dataclass(frozen=True)
@@ -9,6 +18,8 @@ class Options:
     """Options of every kind."""
 
     units_unchecked: bool = False  # keep a recording whose sizes are implausible, for the doctor to look at
+    place: str | None = None  # "LAT,LON" or "LAT,LON,ALT", deg and m
+    date: str | None = None  # ISO date of the recording
 
 
 @dataclass(frozen=True)
@@ -34,3 +45,49 @@ class TyrexOptions(Options):
     """Options of the Tyrex trials."""
 
     mag: Literal["raw", "calibrated"] = "raw"
+
+
+def parse_place(text: str) -> tuple[float, float, float]:
+    """Return latitude and longitude in deg and altitude in m of ``LAT,LON[,ALT]``; raises :class:`BadParameter`."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+        latitude, longitude, altitude = numbers if len(numbers) == 3 else (*numbers, 0.0)
+    except ValueError:
+        raise BadParameter(f"--place {text!r}: is not LAT,LON or LAT,LON,ALT in deg and m") from None
+    if not (abs(latitude) <= 90 and abs(longitude) <= 360 and abs(altitude) < 100_000):
+        raise BadParameter(
+            f"--place {text!r}: lies outside +-90, +-360 deg; give LAT,LON in deg, south and west negative"
+        )
+    return latitude, longitude, altitude
+
+
+def parse_date(text: str) -> str:
+    """Return an ISO date as it is written; raises :class:`BadParameter`."""
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise BadParameter(f"--date {text!r}: is not a date; write it as 2025-08-31") from None
+
+
+def apply_place_and_date(info: Info, options: Options) -> Info:
+    """Return the facts of a recording with the place and the date that the user gave."""
+    if options.place is not None:
+        info = replace(info, place_lat_lon_alt=parse_place(options.place))
+    return info if options.date is None else replace(info, date=parse_date(options.date))
+
+
+def make_info(source: str, options: OwnOptions, t_ns: Times, sha256: dict[str, str], log: Log, **known: Any) -> Info:
+    """Return the :class:`Info` of a recording whose stamps are ``t_ns``; ``known`` fields come from the log itself."""
+    unix = t_ns[0] >= UNIX_FROM_NS
+    given: dict[str, Any] = {
+        "licence": options.licence,
+        "citation": options.citation,
+        "sensor": options.sensor,
+        "epoch": "unix" if unix else "source",
+        "date": datetime.fromtimestamp(t_ns[0] / 1e9, UTC).date().isoformat() if unix else "",
+        "mag_uncalibrated": options.mag_uncalibrated,
+        "units_unchecked": options.units_unchecked,
+        "conversions": tuple(log.conversions),
+        "notes": tuple(log.notes),
+    }
+    return Info(source=source, sha256=sha256, **given | known)

@@ -14,23 +14,23 @@ from pathlib import Path
 import numpy as np
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.bundle import Bundle, digests, open_bundle
-from stillpoint.datasets.importers.clock import (
+from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, normalise_unit
+from stillpoint.datasets.importers.delimited import Table, parse
+from stillpoint.datasets.importers.files import Bundle, digests, open_bundle, read_text
+from stillpoint.datasets.importers.imported import Imported, make_mag
+from stillpoint.datasets.importers.options import OwnOptions, make_info
+from stillpoint.datasets.importers.series import (
     Log,
     Series,
-    finite,
-    finite_rows,
-    from_zero,
-    merge,
-    rising,
+    drop_before_zero,
+    drop_incomplete_rows,
+    find_finite_rows,
+    make_gps,
+    merge_imu,
     seconds_to_ns,
+    sort_by_time,
 )
-from stillpoint.datasets.importers.delimited import Table, parse
-from stillpoint.datasets.importers.gps import fixes
-from stillpoint.datasets.importers.options import OwnOptions
-from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.units import FIELD, FORCE, RATE, plain
-from stillpoint.datasets.recording import Floats, Gps, Mag, Recording, Times
+from stillpoint.datasets.recording import Floats, Gps, Recording, Times
 
 SENSORS = {"gyro": RATE, "accel": FORCE, "mag": FIELD}
 TARGET = {"gyro": "rad/s", "accel": "m/s^2", "mag": "uT"}
@@ -49,49 +49,57 @@ class Found:
     unit: str
 
 
-def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Recording]:
+def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Imported]:
     """The one recording of an export. Raises :class:`BadSource`."""
-    bundle = _bundle(source)
+    bundle = _open(source)
     log = Log()
     tables = [
-        parse(text, bundle.where(name)) for name, text in bundle.texts.items() if not name.lower().startswith("meta/")
+        parse(text, bundle.where(name))
+        for name, text in bundle.texts.items()
+        if not name.lower().startswith("meta/") and text.strip()
     ]
-    found = [sensor for table in tables for sensor in _sensors(table, log)]
-    starts = _starts(bundle, log)
-    streams = {sensor: _series(source, sensor, found, starts, log) for sensor in SENSORS}
+    found = [sensor for table in tables for sensor in _find_sensors(table, log)]
+    starts = _read_starts(bundle, log)
+    streams = {sensor: _read_series(source, sensor, found, starts, log) for sensor in SENSORS}
     gyro, accel, mag = streams["gyro"], streams["accel"], streams["mag"]
     if gyro is None or accel is None:
         missing = "gyroscope (rad/s)" if gyro is None else "acceleration with gravity (m/s^2)"
         raise BadSource(f"{source}: has no columns x, y, z of the {missing}; record it with phyphox and export again")
-    imu = merge(gyro, accel, str(source), log)
-    device = _properties(bundle)
-    gps = _gps(tables, starts, log)
-    info = own_info(
+    imu = merge_imu(gyro, accel, str(source), log)
+    device = _read_properties(bundle)
+    gps = _read_gps(tables, starts, log)
+    field, uncalibrated = (None, options.mag_uncalibrated)
+    if mag is not None:
+        field, uncalibrated = make_mag(mag, options.mag_uncalibrated, log)
+    info = make_info(
         "phyphox",
         options,
         imu.t_ns,
         bundle.sha256,
         log,
         sensor=options.sensor or device.get("deviceModel", ""),
+        mag_uncalibrated=uncalibrated,
         extra={key: device[key] for key in ("version", "deviceBrand", "deviceRelease") if key in device},
     )
-    yield Recording(bundle.name, imu=imu, mag=None if mag is None else Mag(mag.t_ns, mag.values), gps=gps, info=info)
+    yield Imported(Recording(bundle.name, imu=imu, mag=field, gps=gps, info=info))
 
 
-def _bundle(source: Path) -> Bundle:
+def _open(source: Path) -> Bundle:
     if source.suffix.lower() == ".csv" and source.is_file():
-        text = source.read_text(encoding="utf-8-sig")
+        text = read_text(source)
         return Bundle(source, {source.name: text}, digests([source], source.parent))
     return open_bundle(source)
 
 
-def _sensors(table: Table, log: Log) -> Iterator[Found]:
+def _find_sensors(table: Table, log: Log) -> Iterator[Found]:
     """The sensors of a file, by the units of columns that end in x, y, z."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for column in table.columns:
         match = AXIS.match(column)
         if match:
-            groups.setdefault((match["what"].strip(), plain(match["unit"])), {})[match["axis"].lower()] = column
+            groups.setdefault((match["what"].strip(), normalise_unit(match["unit"])), {})[match["axis"].lower()] = (
+                column
+            )
     for (what, unit), axes in groups.items():
         sensor = next((name for name, units in SENSORS.items() if unit in units), None)
         if sensor is None or set(axes) != set("xyz"):
@@ -102,7 +110,7 @@ def _sensors(table: Table, log: Log) -> Iterator[Found]:
         yield Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
 
 
-def _series(source: Path, sensor: str, found: list[Found], starts: Floats, log: Log) -> Series | None:
+def _read_series(source: Path, sensor: str, found: list[Found], starts: Floats, log: Log) -> Series | None:
     here = [one for one in found if one.sensor == sensor]
     if len(here) > 1:
         places = " and ".join(f"{Path(one.table.where).name} ({one.columns[0]})" for one in here)
@@ -112,21 +120,21 @@ def _series(source: Path, sensor: str, found: list[Found], starts: Floats, log: 
     one = here[0]
     values = one.table.floats(one.columns) * SENSORS[sensor][one.unit]
     log.converted(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {TARGET[sensor]}")
-    series = finite(Series(_clock(one.table, starts), values), sensor, log)
-    return rising(from_zero(series, sensor, log), sensor, log)
+    series = drop_incomplete_rows(Series(_read_clock(one.table, starts), values), sensor, log)
+    return sort_by_time(drop_before_zero(series, sensor, log), sensor, log)
 
 
-def _time_column(table: Table) -> str:
+def _find_time_column(table: Table) -> str:
     times = [column for column in table.columns if column.strip().lower().endswith("(s)")]
     if len(times) != 1:
-        said = f"has {len(times)} time columns ({', '.join(times)})" if times else "has no time column 'Time (s)'"
-        raise BadSource(f"{table.where}: {said}; export the raw data of one experiment")
+        reason = f"has {len(times)} time columns ({', '.join(times)})" if times else "has no time column 'Time (s)'"
+        raise BadSource(f"{table.where}: {reason}; export the raw data of one experiment")
     return times[0]
 
 
-def _clock(table: Table, starts: Floats) -> Times:
+def _read_clock(table: Table, starts: Floats) -> Times:
     """Nanoseconds: since 1970 where the starts are known, else since the start of the experiment."""
-    t_ns = table.times(_time_column(table), 0)
+    t_ns = table.times(_find_time_column(table), 0)
     if len(starts) == 0:
         return t_ns
     experiment_ns = seconds_to_ns(starts[:, 0])
@@ -135,7 +143,7 @@ def _clock(table: Table, starts: Floats) -> Times:
     return np.asarray(t_ns - experiment_ns[at] + system_ns[at], dtype=np.int64)
 
 
-def _starts(bundle: Bundle, log: Log) -> Floats:
+def _read_starts(bundle: Bundle, log: Log) -> Floats:
     """(K, 2) experiment time and system time, in s, of every start; K = 0 where they are not said."""
     name = bundle.find("meta/time.csv")
     if name is None:
@@ -150,14 +158,14 @@ def _starts(bundle: Bundle, log: Log) -> Floats:
     return starts
 
 
-def _properties(bundle: Bundle) -> dict[str, str]:
+def _read_properties(bundle: Bundle) -> dict[str, str]:
     name = bundle.find("meta/device.csv")
     if name is None:
         return {}
     return {row[0]: row[1] for row in parse(bundle.texts[name], bundle.where(name)).rows if len(row) > 1}
 
 
-def _gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
+def _read_gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
     for table in tables:
         columns = [
             next((c for c in table.columns if c.lower().startswith(word) and c.endswith(f"({unit})")), None)
@@ -165,9 +173,9 @@ def _gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
         ]
         if all(columns):
             values = table.floats(tuple(str(column) for column in columns))
-            series = Series(_clock(table, starts), values)
-            keep = finite_rows(series.values[:, :2])
-            return fixes(series.where(keep), log) if keep.any() else None
+            series = Series(_read_clock(table, starts), values)
+            keep = find_finite_rows(series.values[:, :2])
+            return make_gps(series.where(keep), log) if keep.any() else None
         if any(column.endswith("(°)") for column in table.columns):
             log.noted(f"{Path(table.where).name}: a location in other words than English is not imported")
     return None

@@ -1,7 +1,8 @@
 """ROS 1 bags, ROS 2 bags and MCAP files of others: Imu, MagneticField, NavSatFix, and an attitude as truth.
 
 Stamps are those of the headers. Vectors are as ROS defines them (REP 103, REP 145): rad/s, m/s^2 with +g up at rest,
-tesla; the attitude takes the body to a local East-North-Up frame.
+tesla; an attitude takes the body to a local East-North-Up frame. A first covariance of -1 means that the driver does
+not give that part of the message.
 """
 
 from collections.abc import Iterator
@@ -9,103 +10,312 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadParameter, BadSource
-from stillpoint.datasets.importers.bundle import digests, existing
-from stillpoint.datasets.importers.clock import Log, Series, finite, rising
-from stillpoint.datasets.importers.gps import fixes
-from stillpoint.datasets.importers.options import OwnOptions
-from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.ros_messages import LEAVES, TF, Source, open_source
-from stillpoint.datasets.importers.units import FIELD
-from stillpoint.datasets.recording import Gps, Imu, Mag, Recording, Truth
+from stillpoint.datasets.frames import quaternion, rotation
+from stillpoint.datasets.importers.clock import find_wild_stamps
+from stillpoint.datasets.importers.columns import FIELD
+from stillpoint.datasets.importers.files import digests, require_existing
+from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag
+from stillpoint.datasets.importers.options import OwnOptions, make_info
+from stillpoint.datasets.importers.ros_files import Leaves, Messages, RosFiles, collect_messages, open_ros
+from stillpoint.datasets.importers.ros_frames import StaticFrames, keep_frame, list_names
+from stillpoint.datasets.importers.series import (
+    Log,
+    Series,
+    drop_incomplete_rows,
+    find_finite_rows,
+    make_gps,
+    merge_imu,
+    sort_by_time,
+)
+from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
+
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
+TF_LIST = "transforms"
+IMU, MAG, GPS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/NavSatFix"
+ODOMETRY = "nav_msgs/msg/Odometry"
+UNSYNCED_NS = 86_400_000_000_000  # a stamp this far from the time of receipt was made before the clock was set
+
+
+def _leaves(prefix: str, names: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}.{name}" for name in names)
+
+
+def _pose(prefix: str) -> Leaves:
+    return {"q": _leaves(f"{prefix}.orientation", "wxyz"), "position": _leaves(f"{prefix}.position", "xyz")}
+
+
+_TRANSFORM: Leaves = {"q": _leaves("transform.rotation", "wxyz"), "position": _leaves("transform.translation", "xyz")}
+_COVARIANCES = ("orientation_covariance[0]", "angular_velocity_covariance[0]", "linear_acceleration_covariance[0]")
+IMU_LEAVES: Leaves = {
+    "gyro": _leaves("angular_velocity", "xyz"),
+    "accel": _leaves("linear_acceleration", "xyz"),
+    "q": _leaves("orientation", "wxyz"),
+    "covariances": _COVARIANCES,
+}
+MAG_LEAVES: Leaves = {"mag": _leaves("magnetic_field", "xyz")}
+GPS_LEAVES: Leaves = {"fix": ("latitude", "longitude", "altitude", "status.status")}
+POSES: dict[str, Leaves] = {
+    "geometry_msgs/msg/PoseStamped": _pose("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
+    ODOMETRY: _pose("pose.pose"),
+    "geometry_msgs/msg/TransformStamped": _TRANSFORM,
+    "geometry_msgs/msg/QuaternionStamped": {"q": _leaves("quaternion", "wxyz")},
+    **dict.fromkeys(TF, _TRANSFORM),
+}
 
 
 @dataclass(frozen=True)
 class RosOptions(OwnOptions):
-    """Which topics to take, where there is more than one of a type."""
+    """Which topics and frames to take, where there is more than one."""
 
     imu_topic: str | None = None
+    gyro_topic: str | None = None  # where gyro and accelerometer have a topic each
+    accel_topic: str | None = None
     mag_topic: str | None = None
     gps_topic: str | None = None
     truth_topic: str | None = None
-    truth_child: str | None = None  # the child frame to take from a TF topic
+    truth_parent: str | None = None  # the fixed frame of the truth
+    truth_child: str | None = None  # the moving frame to take from a TF topic
+    frame: str | None = None  # the frame_id to take from a topic that holds several sensors
+    imu_frame: str | None = None  # the sensors' frame in /tf_static, where the headers say another
+    body_frame: str | None = None  # turn the sensors into this frame by /tf_static
 
 
-def read_ros(source: Path, options: RosOptions) -> Iterator[Recording]:
+def read_ros(source: Path, options: RosOptions) -> Iterator[Imported]:
     """The one recording of a ``.bag``, a ROS 2 bag (folder), or an ``.mcap``. Raises :class:`BadSource`."""
-    existing(source)
-    log = Log()
-    series: dict[str, Series] = {}
-    with open_source(source) as bag:
-        for stream, leaves in LEAVES.items():
-            topic = _topic(source, bag, stream, options)
-            if topic is not None:
-                kind = bag.types[topic]
-                log.converted(f"{stream} from {topic} ({kind.replace('/msg/', '/')}), stamps of its headers")
-                series[stream] = bag.read(topic, leaves[kind], options.truth_child, log)
-    streams = {
-        stream: rising(one if stream == "gps" else finite(one, stream, log), stream, log)
-        for stream, one in series.items()
-    }
-    yield _recording(source, streams, options, log)
+    require_existing(source)
+    bag = open_ros(source)
+    log = Log(notes=list(bag.notes))
+    imu_topics = _choose_imu_topics(bag, options)
+    mag_topic = _choose_topic(bag, "mag", (MAG,), options.mag_topic)
+    gps_topic = _choose_topic(bag, "gps", (GPS,), options.gps_topic)
+    truth_topic = _choose_truth_topic(bag, options, log)
+    static = "/tf_static" if options.body_frame is not None else None
+    logs = bag.read([topic for topic in (*imu_topics, mag_topic, gps_topic, truth_topic, static) if topic])
+
+    mounting = StaticFrames.none()
+    if static is not None:
+        mounting = StaticFrames.read(bag, collect_messages(static, _kind(bag, static), logs, _TRANSFORM, TF_LIST))
+    parts = [collect_messages(topic, IMU, logs, IMU_LEAVES) for topic in imu_topics]
+    imu, device = _read_imu(source, parts, options, mounting, log)
+    mag, uncalibrated = None, options.mag_uncalibrated
+    if mag_topic is not None:
+        messages = collect_messages(mag_topic, MAG, logs, MAG_LEAVES)
+        series = _read_vectors(messages, "mag", np.ones(len(messages.stamps_ns), np.bool_), options, mounting, log)
+        log.converted("mag T -> uT")
+        mag, uncalibrated = make_mag(Series(series.t_ns, FIELD["T"] * series.values), uncalibrated, log)
+    gps = None
+    if gps_topic is not None:
+        gps = make_gps(_read_fixes(collect_messages(gps_topic, GPS, logs, GPS_LEAVES), log), log)
+    truth = None
+    if truth_topic is not None:
+        truth = read_pose_topic(bag, truth_topic, logs, options.truth_parent, options.truth_child, log)
+
+    sha256 = digests(bag.files, source.parent if source.is_file() else source)
+    estimates = ()
+    if device is not None:
+        source_name = f"orientation of {imu_topics[0]}"
+        estimates = make_device_estimate(device.t_ns, device.values, source.stem, source_name, sha256, log)
+    known = {"extra": {"truth_type": bag.types[truth_topic].replace("/msg/", "/")}} if truth_topic is not None else {}
+    info = make_info(
+        f"ROS bag {source.name}", options, imu.t_ns, sha256, log, **{"mag_uncalibrated": uncalibrated, **known}
+    )
+    yield Imported(Recording(source.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info), estimates)
 
 
-def _topic(source: Path, bag: Source, stream: str, options: RosOptions) -> str | None:
-    """The topic of a stream: the one that was named, or the only one of its types."""
-    named = getattr(options, f"{stream}_topic")
-    listed = ", ".join(f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in bag.types.items()) or "no topic"
-    found = sorted(topic for topic, kind in bag.types.items() if kind in LEAVES[stream])
+def _kind(bag: RosFiles, topic: str) -> str:
+    if topic not in bag.types:
+        raise BadParameter(f"--body-frame: {bag.source} has no topic {topic}; leave the frame out")
+    return bag.types[topic]
+
+
+def _list_topics(bag: RosFiles) -> str:
+    return ", ".join(f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in bag.types.items()) or "no topic"
+
+
+def _find_topics(bag: RosFiles, kinds: tuple[str, ...]) -> list[str]:
+    return sorted(topic for topic, kind in bag.types.items() if kind in kinds and bag.counts.get(topic, 0))
+
+
+def _choose_topic(bag: RosFiles, what: str, kinds: tuple[str, ...], named: str | None) -> str | None:
+    """Return the topic that was named, or the only one of these types; raises :class:`BadParameter`."""
+    found = _find_topics(bag, kinds)
     if named is not None:
-        if named not in found:
-            raise BadParameter(f"--{stream}-topic {named}: {source} has no such topic for {stream}; it has {listed}")
-        return str(named)
-    if stream == "truth":
-        # TF holds whatever moves: it is taken for the truth only when nothing says more.
-        found = [topic for topic in found if bag.types[topic] not in TF] or [t for t in found if t != "/tf_static"]
-    if stream == "imu" and not found:
-        raise BadSource(f"{source}: has no topic of sensor_msgs/Imu; it has {listed}")
+        if bag.types.get(named) not in kinds:
+            raise BadParameter(
+                f"--{what}-topic {named}: {bag.source} has no such topic for {what}; it has {_list_topics(bag)}"
+            )
+        return named
     if len(found) > 1:
         raise BadParameter(
-            f"{source}: has {len(found)} {stream} topics, {', '.join(found)}; name one: --{stream}-topic"
+            f"{bag.source}: has {len(found)} {what} topics, {', '.join(found)}; name one: --{what}-topic"
         )
     return found[0] if found else None
 
 
-def _recording(source: Path, series: dict[str, Series], options: RosOptions, log: Log) -> Recording:
-    imu = series["imu"]
-    files = [source] if source.is_file() else sorted(file for file in source.rglob("*") if file.is_file())
-    mag = _mag(series["mag"], log) if "mag" in series else None
-    gps = _gps(series["gps"], log) if "gps" in series else None
-    truth = _truth(source, series["truth"], log) if "truth" in series else None
-    sha256 = digests(files, source.parent if source.is_file() else source)
-    info = own_info(f"ROS bag {source.name}", options, imu.t_ns, sha256, log)
-    stream = Imu(imu.t_ns, imu.values[:, :3], imu.values[:, 3:])
-    return Recording(source.stem, imu=stream, mag=mag, gps=gps, truth=truth, info=info)
+def _choose_imu_topics(bag: RosFiles, options: RosOptions) -> list[str]:
+    """Return the topic of the IMU, or one of the gyro and one of the accelerometer, or two that may be these."""
+    if options.gyro_topic is not None or options.accel_topic is not None:
+        if options.gyro_topic is None or options.accel_topic is None:
+            raise BadParameter("--gyro-topic, --accel-topic: belong together; give both")
+        for what, topic in (("gyro", options.gyro_topic), ("accel", options.accel_topic)):
+            _choose_topic(bag, what, (IMU,), topic)
+        return [options.gyro_topic, options.accel_topic]
+    found = _find_topics(bag, (IMU,))
+    if options.imu_topic is None and len(found) == 2:
+        return found  # united if one is a gyro and the other an accelerometer
+    if options.imu_topic is None and not found:
+        raise BadSource(f"{bag.source}: has no topic of sensor_msgs/Imu; it has {_list_topics(bag)}")
+    topic = _choose_topic(bag, "imu", (IMU,), options.imu_topic)
+    return [topic] if topic is not None else []
 
 
-def _mag(series: Series, log: Log) -> Mag:
-    log.converted("mag T -> uT")
-    return Mag(series.t_ns, FIELD["T"] * series.values)
+def _choose_truth_topic(bag: RosFiles, options: RosOptions, log: Log) -> str | None:
+    """Return the topic that was named, or the only pose topic; odometry and TF are the truth only when asked for."""
+    if options.truth_topic is not None:
+        topic = _choose_topic(bag, "truth", tuple(POSES), options.truth_topic)
+        if bag.types[options.truth_topic] == ODOMETRY:
+            log.noted(f"truth: {topic} is odometry, which drifts; its errors count as errors of what is scored")
+        return topic
+    poses = tuple(kind for kind in POSES if kind != ODOMETRY and kind not in TF)
+    topic = _choose_topic(bag, "truth", poses, None)
+    if topic is not None:
+        return topic
+    for name in _find_topics(bag, (ODOMETRY,)):
+        log.noted(f"{name} is odometry and is not taken for the truth; --truth-topic {name} takes it")
+    transforms = [topic for topic in _find_topics(bag, TF) if topic != "/tf_static"]
+    if transforms and (options.truth_child is not None or options.truth_parent is not None):
+        return _choose_topic(bag, "truth", TF, transforms[0] if len(transforms) == 1 else None)
+    for name in transforms:
+        log.noted(f"{name} is not taken for the truth; --truth-topic {name} --truth-child FRAME takes a frame of it")
+    return None
 
 
-def _gps(series: Series, log: Log) -> Gps:
-    """Fixes without course and speed, which NavSatFix does not have; a status below 0 is no fix."""
-    values = np.full((len(series.t_ns), 5), np.nan)
-    values[:, :3] = series.values[:, :3]
-    values[series.values[:, 3] < 0, :2] = np.nan
-    return fixes(Series(series.t_ns, values), log)
+def _read_imu(
+    source: Path, parts: list[Messages], options: RosOptions, mounting: StaticFrames, log: Log
+) -> tuple[Imu, Series | None]:
+    """Return gyro and accelerometer on one clock, and the device's own attitude (N, 4) wxyz where it gives one."""
+    given = [_find_given(part, zero_gyro_counts=len(parts) == 1) for part in parts]
+    gyro_at = [k for k, one in enumerate(given) if one["gyro"].any()]
+    accel_at = [k for k, one in enumerate(given) if one["accel"].any()]
+    if options.gyro_topic is not None:
+        gyro_at, accel_at = [0], [len(parts) - 1]
+    if len(parts) == 2 and options.gyro_topic is None and not (len(gyro_at) == len(accel_at) == 1):
+        names = ", ".join(part.topic for part in parts)
+        raise BadParameter(f"{source}: has {len(parts)} imu topics, {names}; name one: --imu-topic")
+    for what, at in (("angular velocity", gyro_at), ("linear acceleration", accel_at)):
+        if not at:
+            names = " and ".join(part.topic for part in parts)
+            raise BadSource(f"{source}: {names} gives no {what} (zeros, or covariance -1); name another --imu-topic")
+    k, j = gyro_at[0], accel_at[0]
+    if options.imu_topic is None and k != j:
+        log.noted(f"gyro of {parts[k].topic} and accelerometer of {parts[j].topic} united")
+    gyro = _read_vectors(parts[k], "gyro", given[k]["gyro"], options, mounting, log)
+    accel = _read_vectors(parts[j], "accel", given[j]["accel"], options, mounting, log)
+    device = None
+    if given[k]["q"].any():
+        messages = keep_frame(parts[k].where(given[k]["q"]), options.frame, "--frame")
+        series = sort_by_time(_settle_stamps(messages, messages.numbers["q"], Log()), "device", Log())
+        turn = mounting.rotation_to(options.body_frame, options.imu_frame or str(messages.frames[0]))
+        norm = np.linalg.norm(series.values, axis=1)
+        rotations = rotation(np.where(norm[:, None] > 0.5, series.values, [1.0, 0.0, 0.0, 0.0])) * turn.inv()
+        device = Series(series.t_ns, np.where(norm[:, None] > 0.5, quaternion(rotations), 0.0))
+    return merge_imu(gyro, accel, str(source), log), device
 
 
-def _truth(source: Path, series: Series, log: Log) -> Truth:
+def _find_given(messages: Messages, zero_gyro_counts: bool) -> dict[str, NDArray[np.bool_]]:
+    """Return which messages give gyro, accelerometer and attitude: no covariance of -1, and not zeros throughout.
+
+    A gyro of zeros is possible where it is the only one: a simulated rest.
+    """
+    covariances = messages.numbers["covariances"]
+    given = {}
+    for k, name in enumerate(("q", "gyro", "accel")):
+        mask = covariances[:, k] != -1
+        some = (name == "gyro" and zero_gyro_counts) or messages.numbers[name][mask].any()
+        given[name] = mask if some else np.zeros_like(mask)
+    return given
+
+
+def _read_vectors(
+    messages: Messages, what: str, given: NDArray[np.bool_], options: RosOptions, mounting: StaticFrames, log: Log
+) -> Series:
+    """Return the vectors (N, 3) of one sensor, in the body frame where one was asked for."""
+    absent = int((~given).sum())
+    if absent:
+        log.noted(f"{what}: {absent} of {len(given)} messages of {messages.topic} do not give it (covariance -1)")
+    messages = keep_frame(messages.where(given), options.frame, "--frame")
+    log.converted(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
+    series = _settle_stamps(messages, messages.numbers[what], log)
+    series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
+    if options.body_frame is None:
+        return series
+    frame = options.imu_frame if what != "mag" and options.imu_frame is not None else str(messages.frames[0])
+    turn = mounting.rotation_to(options.body_frame, frame)
+    log.converted(f"{what} turned from {frame} to {options.body_frame} by /tf_static; its lever arm is left out")
+    return Series(series.t_ns, turn.apply(series.values.copy()))
+
+
+def _settle_stamps(messages: Messages, values: Floats, log: Log) -> Series:
+    """Return samples on the stamps of their headers; what is unset or absurd among them is dropped and noted."""
+    stamps_ns, topic, n = messages.stamps_ns, messages.topic, len(messages.stamps_ns)
+    unset = stamps_ns == 0
+    if n > 1 and unset[0] and unset.sum() == 1 and stamps_ns[1] < 10**9:
+        unset[0] = False  # the true start of a simulated clock
+    if unset.sum() > n / 2:
+        log.noted(f"{topic}: {int(unset.sum())} of {n} headers without a stamp; the times of receipt are used for all")
+        return Series(messages.logged_ns, values)
+    late_ns = stamps_ns - messages.logged_ns
+    usual_ns = int(np.median(late_ns[~unset])) if n else 0
+    unsynced = ~unset & (np.abs(late_ns - usual_ns) > UNSYNCED_NS)
+    if unsynced.mean() > 0.1:  # then the times of receipt are what is wrong
+        unsynced[:] = False
+    wild = np.zeros(n, dtype=np.bool_)
+    wild[~unset] = find_wild_stamps(stamps_ns[~unset])
+    wild |= unsynced
+    if unset.any():
+        log.noted(f"{topic}: {int(unset.sum())} of {n} messages without a stamp dropped")
+    if wild.any():
+        log.noted(f"{topic}: {int(wild.sum())} of {n} messages with a stamp far from all others dropped")
+    keep = ~unset & ~wild
+    return Series(stamps_ns[keep], values[keep])
+
+
+def _read_fixes(messages: Messages, log: Log) -> Series:
+    """Return fixes without course and speed, which NavSatFix does not have; a status below 0 is no fix."""
+    values = np.full((len(messages.stamps_ns), 5), np.nan)
+    fix = messages.numbers["fix"]
+    values[:, :3] = fix[:, :3]
+    values[fix[:, 3] < 0, :2] = np.nan
+    log.converted(f"gps from {messages.topic} (sensor_msgs/NavSatFix), stamps of its headers")
+    return _settle_stamps(messages, values, log)
+
+
+def read_pose_topic(bag: RosFiles, topic: str, logs: list, parent: str | None, child: str | None, log: Log) -> Truth:
+    """Return the poses of a topic whose fixed frame is ``parent`` and, of a TF topic, whose moving frame is ``child``.
+
+    Raises :class:`BadParameter` where there are several frames and none is named.
+    """
+    kind = bag.types[topic]
+    messages = collect_messages(topic, kind, logs, POSES[kind], TF_LIST if kind in TF else "")
+    log.converted(f"truth from {topic} ({kind.replace('/msg/', '/')}), stamps of its headers")
+    if kind in TF:
+        messages = keep_frame(messages, child, "--truth-child", of="children")
+    messages = keep_frame(messages, parent, "--truth-parent")
+    numbers = messages.numbers
+    values = np.hstack([numbers["q"], numbers.get("position", np.empty((len(messages.stamps_ns), 0)))])
+    series = sort_by_time(_settle_stamps(messages, values, log), "truth", log)
     norm = np.linalg.norm(series.values[:, :4], axis=1)
-    known = norm > 0.5
+    known = find_finite_rows(series.values[:, :4]) & (norm > 0.5)
     if not known.all():
         log.noted(f"truth: {int((~known).sum())} samples without an attitude dropped")
-        series = series.where(known)
     if not known.any():
-        raise BadSource(f"{source}: the truth topic holds no attitude; name another by --truth-topic")
-    log.converted("truth x, y, z, w -> w, x, y, z; its local frame is taken as East-North-Up (REP 103)")
-    q_nb = series.values[:, :4] / norm[known, None]
-    position = series.values[:, 4:] if series.values.shape[1] == 7 else None
-    return Truth(series.t_ns, q_nb, np.ones(len(q_nb), dtype=np.bool_), position)
+        raise BadSource(f"{bag.source}: {topic} holds no attitude; name another by --truth-topic")
+    frames = list_names(messages.frames)
+    log.converted(f"truth x, y, z, w -> w, x, y, z; its local frame {frames} is taken as East-North-Up (REP 103)")
+    q_nb = series.values[known, :4] / norm[known, None]
+    position_n_m = series.values[known, 4:] if series.values.shape[1] == 7 else None
+    return Truth(series.t_ns[known], q_nb, np.ones(len(q_nb), dtype=np.bool_), position_n_m)

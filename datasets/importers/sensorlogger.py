@@ -11,16 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.bundle import Bundle, open_bundle
-from stillpoint.datasets.importers.clock import Log, Series, finite, merge, rising
+from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.delimited import parse
-from stillpoint.datasets.importers.gps import COLUMNS, fixes
-from stillpoint.datasets.importers.options import PhoneOptions
-from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.units import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.importers.files import Bundle, open_bundle
+from stillpoint.datasets.importers.imported import Imported, make_mag
+from stillpoint.datasets.importers.options import PhoneOptions, make_info
+from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, merge_imu, sort_by_time
 from stillpoint.datasets.recording import Gps, Mag, Recording
 
+GYRO_FILES = ("GyroscopeUncalibrated.csv", "Gyroscope.csv")
+ACCEL_FILES = ("AccelerometerUncalibrated.csv", "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv")
+GPS_COLUMNS = ("latitude", "longitude", "altitude", "bearing", "speed")
 MAG_FILES = {
     "raw": ("MagnetometerUncalibrated.csv", "Magnetometer.csv"),
     "calibrated": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
@@ -41,88 +43,110 @@ class Phone:
         return self.platform == "ios" and not self.standardised
 
 
-def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Recording]:
+def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Imported]:
     """The one recording of a zip or folder. Raises :class:`BadSource`."""
     bundle = open_bundle(source)
     log = Log()
-    gyro_file = bundle.find("GyroscopeUncalibrated.csv", "Gyroscope.csv")
+    empty = bundle.find_empty(*GYRO_FILES, *ACCEL_FILES, *MAG_FILES["raw"])
+    if empty:
+        log.noted(f"{', '.join(empty)}: empty in the export; the next file of the same sensor is taken")
+    gyro_file = bundle.find(*GYRO_FILES)
     if gyro_file is None:
         raise BadSource(
             f"{source}: has no Gyroscope.csv; log the gyroscope, or name the zip or folder of one recording"
         )
-    phone = _phone(bundle, options, log)
-    gyro = _series(bundle, gyro_file, log)
+    phone = _read_phone(bundle, options, log)
+    gyro = _read_series(bundle, gyro_file, log)
     log.converted(f"gyro from {gyro_file}, rad/s")
-    imu = merge(gyro, _force(bundle, phone, log), str(source), log)
-    mag, raw = _mag(bundle, options, log)
-    gps = _gps(bundle, log)
-    info = own_info(
+    imu = merge_imu(gyro, _read_force(bundle, phone, log), str(source), log)
+    mag, uncalibrated = _read_mag(bundle, options, log)
+    gps = _read_gps(bundle, log)
+    info = make_info(
         "Sensor Logger",
         options,
         imu.t_ns,
         bundle.sha256,
         log,
         sensor=options.sensor or phone.model,
-        mag_uncalibrated=raw or options.mag_uncalibrated,
+        mag_uncalibrated=uncalibrated,
         extra={"platform": phone.platform, "standardised": str(phone.standardised).lower()},
     )
-    yield Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info)
+    yield Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info))
 
 
-def _phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
+def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
     name = bundle.find("Metadata.csv")
-    said: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     if name is not None:
         table = parse(bundle.texts[name], bundle.where(name), ",")
-        said = {column.strip().lower(): cell for column, cell in zip(table.columns, table.rows[0], strict=False)}
-    platform = (options.platform or said.get("platform", "")).strip().lower()
+        metadata = {column.strip().lower(): cell for column, cell in zip(table.columns, table.rows[0], strict=False)}
+    logged = metadata.get("platform", "").strip().lower()
+    platform = options.platform or logged
+    if options.platform is not None and logged in ("ios", "android") and logged != options.platform:
+        raise BadParameter(
+            f"--platform {options.platform}: Metadata.csv of {bundle.source} says {logged}; leave it out"
+        )
     if platform not in ("ios", "android"):
         raise BadSource(
             f"{bundle.source}: no Metadata.csv says whether this is iOS or Android, whose signs differ; "
             "give --platform ios or --platform android"
         )
-    if "standardisation" not in said and platform == "ios":
+    if "standardisation" not in metadata and platform == "ios":
         log.noted("whether units and frames were standardised is not said; taken as off, the app's default")
-    standardised = said.get("standardisation", "").strip().lower() == "true"
-    return Phone(platform, standardised, said.get("device name", ""))
+    standardised = metadata.get("standardisation", "").strip().lower() == "true"
+    return Phone(platform, standardised, metadata.get("device name", ""))
 
 
-def _series(bundle: Bundle, name: str, log: Log) -> Series:
-    """The x, y, z of a file on its own stamps."""
+def _read_series(bundle: Bundle, name: str, log: Log) -> Series:
+    """Return x, y, z of a file on its own stamps."""
     table = parse(bundle.texts[name], bundle.where(name), ",")
     series = Series(table.times("time", -9), table.floats(("x", "y", "z")))
-    return rising(finite(series, name, log), name, log)
+    return sort_by_time(drop_incomplete_rows(series, name, log), name, log)
 
 
-def _force(bundle: Bundle, phone: Phone, log: Log) -> Series:
-    """Specific force: the raw one where it was logged, else the total, else motion plus gravity."""
+def _read_force(bundle: Bundle, phone: Phone, log: Log) -> Series:
+    """Return the specific force: the raw one where it was logged, else the total, else motion plus gravity."""
     raw, total = bundle.find("AccelerometerUncalibrated.csv"), bundle.find("TotalAcceleration.csv")
     sign = -1.0 if phone.inverted else 1.0
     if raw is not None:
-        series = _series(bundle, raw, log)
+        series = _read_series(bundle, raw, log)
         unit = STANDARD_GRAVITY_MPS2 if phone.inverted else 1.0
         log.converted(f"accelerometer from {raw}, " + ("g -> m/s^2 (x 9.80665)" if phone.inverted else "m/s^2"))
         force = Series(series.t_ns, sign * unit * series.values)
     elif total is not None:
         log.converted(f"accelerometer from {total}, m/s^2")
-        series = _series(bundle, total, log)
+        series = _read_series(bundle, total, log)
         force = Series(series.t_ns, sign * series.values)
     else:
-        force = _motion_and_gravity(bundle, log)
+        force = _add_gravity(bundle, log)
         force = Series(force.t_ns, sign * force.values)
+    _check_platform(force, raw is not None, phone, str(bundle.source))
     if phone.inverted:
         log.converted("accelerometer: all signs flipped (iOS reads -1 g on the axis that points up)")
     return force
 
 
-def _motion_and_gravity(bundle: Bundle, log: Log) -> Series:
+def _check_platform(force: Series, raw: bool, phone: Phone, where: str) -> None:
+    """Raise :class:`BadSource` where the size of the raw specific force fits the units of the other platform."""
+    usual_mps2 = float(np.median(np.linalg.norm(force.values, axis=1))) if len(force.values) else np.nan
+    factor = STANDARD_GRAVITY_MPS2 if phone.inverted else 1.0 / STANDARD_GRAVITY_MPS2
+    if raw and abs(usual_mps2 / factor - STANDARD_GRAVITY_MPS2) < 1.5 and abs(usual_mps2 - STANDARD_GRAVITY_MPS2) > 1.5:
+        other = "android, or an iOS log with standardised units" if phone.inverted else "ios"
+        raise BadSource(
+            f"{where}: the accelerometer has a median of {usual_mps2:.4g} m/s^2 when read as {phone.platform}; "
+            f"this looks like {other}: check --platform"
+        )
+
+
+def _add_gravity(bundle: Bundle, log: Log) -> Series:
+    """Return the sum of acceleration without gravity and gravity, where their stamps agree."""
     motion_file, gravity_file = bundle.find("Accelerometer.csv"), bundle.find("Gravity.csv")
     if motion_file is None or gravity_file is None:
         raise BadSource(
             f"{bundle.source}: has neither AccelerometerUncalibrated.csv nor TotalAcceleration.csv, nor both of "
             "Accelerometer.csv (which is without gravity) and Gravity.csv; log one of these"
         )
-    motion, gravity = _series(bundle, motion_file, log), _series(bundle, gravity_file, log)
+    motion, gravity = _read_series(bundle, motion_file, log), _read_series(bundle, gravity_file, log)
     common, at_motion, at_gravity = np.intersect1d(motion.t_ns, gravity.t_ns, return_indices=True)
     lost = len(motion.t_ns) - len(common)
     if len(common) < 2 or lost > 0.5 * len(motion.t_ns):
@@ -136,21 +160,25 @@ def _motion_and_gravity(bundle: Bundle, log: Log) -> Series:
     return Series(common, motion.values[at_motion] + gravity.values[at_gravity])
 
 
-def _mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | None, bool]:
-    """The field, and whether it is the raw one with its hard iron."""
+def _read_mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | None, bool]:
+    """Return the field, and whether its size says nothing, as that of the raw one with its hard iron."""
     name = bundle.find(*MAG_FILES[options.mag])
     if name is None:
         log.noted("no magnetometer was logged")
-        return None, False
-    series = _series(bundle, name, log)
+        return None, options.mag_uncalibrated
+    try:
+        series = _read_series(bundle, name, log)
+    except BadSource as error:
+        log.noted(f"mag left out: {error}")
+        return None, options.mag_uncalibrated
     raw = "uncalibrated" in name.lower()
     log.converted(f"mag from {name}, uT ({'raw, with its hard iron' if raw else 'calibrated by the phone'})")
-    return Mag(series.t_ns, series.values), raw
+    return make_mag(series, raw or options.mag_uncalibrated, log)
 
 
-def _gps(bundle: Bundle, log: Log) -> Gps | None:
+def _read_gps(bundle: Bundle, log: Log) -> Gps | None:
     name = bundle.find("Location.csv")
     if name is None:
         return None
     table = parse(bundle.texts[name], bundle.where(name), ",")
-    return fixes(Series(table.times("time", -9), table.floats(COLUMNS)), log)
+    return make_gps(Series(table.times("time", -9), table.floats(GPS_COLUMNS)), log)

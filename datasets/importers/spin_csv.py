@@ -1,4 +1,4 @@
-"""A log of single-axis accelerometers on a spinning body, with or without a shaft encoder: paper 000's bench.
+"""A log of single-axis accelerometers on a spinning body, with or without a shaft encoder (Asghari et al. 2018).
 
 Without flags the columns are ``t_s``, ``F4_mps2``, ``F5_mps2`` (or ``F1_mps2`` to ``F5_mps2`` and ``g1_degps``,
 ``g2_degps``), ``angle_deg`` and ``rate_degps``. Where the accelerometers sit is a preset with its two lever arms, or a
@@ -6,29 +6,33 @@ TOML file.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
-from stillpoint.datasets.importers.bundle import digests
-from stillpoint.datasets.importers.clock import Log, Series, finite, rising
-from stillpoint.datasets.importers.columns import vector
+from stillpoint.datasets.importers.clock import Clock
+from stillpoint.datasets.importers.columns import ANGLE, FORCE, RATE, Columns, parse_columns
 from stillpoint.datasets.importers.delimited import Table
-from stillpoint.datasets.importers.log_options import (
+from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.log import (
     LogOptions,
-    clock_of,
-    log_files,
+    apply_config,
+    list_logs,
+    order_series,
+    read_clock,
+    read_sensor,
+    read_table,
     read_toml,
-    table_of,
-    with_config,
+    shift_to_zero,
 )
-from stillpoint.datasets.importers.provenance import own_info
-from stillpoint.datasets.importers.units import ANGLE, FORCE, RATE
+from stillpoint.datasets.importers.options import make_info
+from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.nearest import nearest
-from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry, Times
+from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import G_MPS2, bench, five_accelerometers
 
 PRESETS = {"bench": bench, "five": five_accelerometers}
@@ -54,20 +58,20 @@ class SpinOptions(LogOptions):
     encoder_rate: str | None = None  # "COLUMN:UNIT"
 
 
-def read_spin(source: Path, options: SpinOptions) -> Iterator[Recording]:
+def read_spin(source: Path, options: SpinOptions) -> Iterator[Imported]:
     """The recording of one file, or of each .csv, .tsv and .txt file of a folder.
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """
-    files = log_files(source)
-    options = with_config(options)
-    geometry = geometry_of(options)
+    files = list_logs(source)
+    options = apply_config(options)
+    geometry = find_geometry(options)
     for file in files:
-        yield _recording(file, options, geometry)
+        yield Imported(_read_log(file, options, geometry))
 
 
-def geometry_of(options: SpinOptions) -> SpinGeometry:
-    """The geometry that the options name; raises :class:`BadParameter`."""
+def find_geometry(options: SpinOptions) -> SpinGeometry:
+    """Return the geometry that the options name; raises :class:`BadParameter`."""
     if options.range_g is not None and not options.range_g > 0:
         raise BadParameter(f"--range-g {options.range_g:g}: give a positive number of g")
     if options.geometry in PRESETS:
@@ -83,86 +87,98 @@ def geometry_of(options: SpinOptions) -> SpinGeometry:
         raise BadParameter("--d1-m, --d2-m: belong to the geometries bench and five; a file states its own arms")
     if not options.geometry.endswith(".toml"):
         raise BadParameter(f"--geometry: no preset {options.geometry!r}; give bench, five or a .toml file")
-    return _geometry_file(Path(options.geometry), options.range_g)
+    return _read_geometry(Path(options.geometry), options.range_g)
 
 
-def _geometry_file(file: Path, range_g: float | None) -> SpinGeometry:
-    said = read_toml(file)
-    for key in said:
+def _read_geometry(file: Path, range_g: float | None) -> SpinGeometry:
+    given = read_toml(file)
+    for key in given:
         if key not in GEOMETRY_KEYS:
             raise BadParameter(f"{file}: no setting {key!r}; {nearest(key, GEOMETRY_KEYS)}")
-    range_g = said.get("range_g") if range_g is None else range_g
+    range_g = given.get("range_g") if range_g is None else range_g
     try:
         arms, axes, gyros = (
-            np.array(said.get(key, []), dtype=np.float64).reshape(-1, 3)
+            np.array(given.get(key, []), dtype=np.float64).reshape(-1, 3)
             for key in ("accel_r_m", "accel_axis", "gyro_axis")
         )
         limits = None if range_g is None else np.full(len(arms), float(range_g) * G_MPS2)
-        return SpinGeometry(arms, _unit(axes), _unit(gyros), limits, bool(said.get("fixed_axis", False)))
+        return SpinGeometry(arms, _normalise(axes), _normalise(gyros), limits, bool(given.get("fixed_axis", False)))
     except (ValueError, TypeError, BadRecording) as error:
         raise BadParameter(f"{file}: {error}; give accel_r_m and accel_axis as rows of three numbers") from None
 
 
-def _unit(axes: Floats) -> Floats:
+def _normalise(axes: Floats) -> Floats:
     size = np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(axes / np.where(size > 0, size, 1.0))
 
 
-def _recording(file: Path, options: SpinOptions, geometry: SpinGeometry) -> Recording:
-    table, log = table_of(file, options), Log()
+def _read_log(file: Path, options: SpinOptions, geometry: SpinGeometry) -> Recording:
+    log = Log()
+    table = read_table(file, options.delimiter, log)
     if options.time is None and options.rate is None and "t_s" in table.columns:
-        options = _with(options, time=CLOCK)
-    t_ns = clock_of(table, options, log)
+        options = replace(options, time=CLOCK)
+    clock = read_clock(table, options, log)
     accels, gyros = COLUMNS.get(options.geometry, (None, None))
-    accel = _columns(table, options.accels or accels, "--accels", FORCE, len(geometry.accel_r_b_m), log, "m/s^2")
-    gyro = _columns(table, options.gyros or gyros, "--gyros", RATE, len(geometry.gyro_axis_b), log, "rad/s")
-    spin = _spin(Series(t_ns, np.column_stack([accel, gyro])), geometry, options, log, table.where)
-    encoder = _encoder(table, t_ns, options, log)
-    info = own_info(f"delimited log {file.name}", options, t_ns, digests([file], file.parent), log)
+    accel = _read_columns(table, options.accels or accels, "--accels", FORCE, len(geometry.accel_r_b_m), log, "m/s^2")
+    gyro = _read_columns(table, options.gyros or gyros, "--gyros", RATE, len(geometry.gyro_axis_b), log, "rad/s")
+    streams = {"spin": _keep_samples(table, clock, np.column_stack([accel, gyro]), options, log)}
+    angle = _read_encoder_column(table, clock, options, "encoder_angle", ANGLES, ANGLE, log)
+    rate = _read_encoder_column(table, clock, options, "encoder_rate", RATES, RATE, log)
+    streams |= {"angle": angle} if angle is not None else {}
+    streams |= {"rate": rate} if rate is not None else {}
+    streams = shift_to_zero(streams, log)
+    both, k = streams["spin"], len(geometry.accel_r_b_m)
+    spin = Spin(both.t_ns, both.values[:, :k], both.values[:, k:], geometry)
+    encoder = _make_encoder(streams.get("angle"), streams.get("rate"), log, table.where)
+    info = make_info(f"delimited log {file.name}", options, spin.t_ns, digests([file], file.parent), log)
     return Recording(file.stem, spin=spin, encoder=encoder, info=info)
 
 
-def _with(options: SpinOptions, **changes: Any) -> SpinOptions:
-    return SpinOptions(**{**vars(options), **changes})
-
-
-def _columns(
+def _read_columns(
     table: Table, text: str | None, flag: str, units: dict[str, float], count: int, log: Log, target: str
 ) -> Floats:
-    """Columns in SI (N, count); NaN where a cell is empty."""
+    """Return columns in SI (N, count); NaN where a cell is empty."""
     if count == 0 and text is None:
         return np.empty((len(table.rows), 0))
     if text is None:
         raise BadParameter(f"{table.where}: name the {count} columns: {flag} A,B:UNIT; the file has {table.listed}")
-    columns = vector(text, flag, units, count)
-    values = columns.values(table)
+    columns = parse_columns(text, flag, units, count)
     log.converted(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
-    return values
+    return columns.values(table)
 
 
-def _spin(both: Series, geometry: SpinGeometry, options: SpinOptions, log: Log, where: str) -> Spin:
-    """The rows in which any sensor gave a number."""
-    k = len(geometry.accel_r_b_m)
-    some = np.asarray(np.isfinite(both.values).any(axis=1))
+def _keep_samples(table: Table, clock: Clock, values: Floats, options: SpinOptions, log: Log) -> Series:
+    """Return the rows with a time in which any sensor gave a number; the others are counted."""
+    some = np.asarray(np.isfinite(values).any(axis=1))
     if not some.any():
-        raise BadSource(f"{where}: no row has a number of any accelerometer; check the columns of --accels")
+        raise BadSource(f"{table.where}: no row has a number of any accelerometer; check the columns of --accels")
     if not some.all():
         log.noted(f"spin: {int((~some).sum())} of {len(some)} rows without a number dropped")
-    both = both.where(some)
-    lost = int((~np.isfinite(both.values)).any(axis=1).sum())
+    keep = some & clock.known
+    series = Series(clock.t_ns[keep], values[keep])
+    lost = int((~np.isfinite(series.values)).any(axis=1).sum())
     if lost:
         log.noted(f"spin: {lost} rows lack some sensors; kept as NaN")
-    if options.drop_disordered:
-        both = rising(both, "spin", log)
-    return Spin(both.t_ns, both.values[:, :k], both.values[:, k:], geometry)
+    lines = [table.lines[k] for k in np.flatnonzero(keep).tolist()]
+    return order_series(series, lines, clock, table.where, "spin", options, log)
 
 
-def _encoder(table: Table, t_ns: Times, options: SpinOptions, log: Log) -> Encoder | None:
-    """Angle and rate of the shaft; what the log lacks of the two is made from the other, and said."""
-    angle = _one(table, t_ns, options, "encoder_angle", ANGLES, ANGLE, log)
-    rate = _one(table, t_ns, options, "encoder_rate", RATES, RATE, log)
-    if angle is None and rate is None:
+def _read_encoder_column(
+    table: Table, clock: Clock, options: SpinOptions, what: str, usual: str, units: dict[str, float], log: Log
+) -> Series | None:
+    """Return one column of the encoder in SI, or None where the log has none."""
+    text = getattr(options, what)
+    if text is None and usual.partition(":")[0] not in table.columns:
         return None
+    flag, target = f"--{what.replace('_', '-')}", "rad" if units is ANGLE else "rad/s"
+    columns: Columns = parse_columns(text or usual, flag, units, 1)
+    series = read_sensor(table, clock, columns, what, flag, options, log)
+    log.converted(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
+    return series
+
+
+def _make_encoder(angle: Series | None, rate: Series | None, log: Log, where: str) -> Encoder | None:
+    """Return angle and rate of the shaft; what the log lacks of the two is made from the other, and noted."""
     if angle is not None:
         turned = np.unwrap(angle.values[:, 0])
         if not np.array_equal(turned, angle.values[:, 0]):
@@ -173,25 +189,13 @@ def _encoder(table: Table, t_ns: Times, options: SpinOptions, log: Log) -> Encod
         return Encoder(t_ns, angle.values[at, 0], rate.values[by, 0])
     if angle is not None:
         if len(angle.t_ns) < 2:
-            raise BadSource(f"{table.where}: one angle of the encoder gives no rate; check its column")
+            raise BadSource(f"{where}: one angle of the encoder gives no rate; check its column")
         log.converted("encoder rate: difference of the angle over the step that ends at the stamp")
         steps = np.diff(angle.values[:, 0]) / (np.diff(angle.t_ns) / 1e9)
         return Encoder(angle.t_ns, angle.values[:, 0], np.concatenate([steps[:1], steps]))
-    assert rate is not None
+    if rate is None:
+        return None
     log.converted("encoder angle: integral of the rate from 0 (trapezoidal rule)")
     speed = rate.values[:, 0]
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(rate.t_ns) / 1e9)])
     return Encoder(rate.t_ns, turned, speed)
-
-
-def _one(
-    table: Table, t_ns: Times, options: SpinOptions, what: str, usual: str, units: dict[str, float], log: Log
-) -> Series | None:
-    text = getattr(options, what)
-    if text is None and usual.partition(":")[0] not in table.columns:
-        return None
-    flag, target = f"--{what.replace('_', '-')}", "rad" if units is ANGLE else "rad/s"
-    series = finite(Series(t_ns, _columns(table, text or usual, flag, units, 1, log, target)), what, log)
-    if len(series.t_ns) == 0:
-        raise BadSource(f"{table.where}: no row has a number for {flag}; check the column")
-    return rising(series, what, log) if options.drop_disordered else series

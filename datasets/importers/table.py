@@ -1,7 +1,7 @@
 """The one table of importers: the command line, the documents and the tests loop over it."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,10 @@ from stillpoint.datasets.errors import BadRecording, BadSource
 from stillpoint.datasets.importers.bench import read_bench
 from stillpoint.datasets.importers.broad import read_broad
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv
+from stillpoint.datasets.importers.files import reading
 from stillpoint.datasets.importers.flatball import read_flatball
-from stillpoint.datasets.importers.options import Options, OwnOptions, PhoneOptions, TyrexOptions
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.options import Options, OwnOptions, PhoneOptions, TyrexOptions, apply_place_and_date
 from stillpoint.datasets.importers.phyphox import read_phyphox
 from stillpoint.datasets.importers.ros import RosOptions, read_ros
 from stillpoint.datasets.importers.sensorlogger import read_sensorlogger
@@ -23,19 +25,33 @@ from stillpoint.datasets.recording import Recording
 class Importer:
     """A kind of source: how to read it, what the user may set, and what it is."""
 
-    read: Callable[[Path, Any], Iterator[Recording]]
+    read: Callable[[Path, Any], Iterator[Imported]]
     options: type[Options]
     summary: str
 
     def __call__(self, source: Path | str, options: Options | None = None) -> Iterator[Recording]:
-        """The recordings of a source, one by one; ``options`` is an instance of ``self.options``, None its defaults.
+        """Yield the recordings of a source; ``options`` is an instance of ``self.options``, None its defaults.
 
-        Raises :class:`BadSource` with the source's name, also for arrays that break a rule of the vocabulary.
+        Raises as :meth:`read_all`.
         """
-        try:
-            yield from self.read(Path(source), options or self.options())
-        except BadRecording as error:
-            raise BadSource(f"{source}: {error}") from None
+        yield from (imported.recording for imported in self.read_all(source, options))
+
+    def read_all(self, source: Path | str, options: Options | None = None) -> Iterator[Imported]:
+        """Yield the recordings of a source with the estimates that the device itself made.
+
+        This is the one boundary of the importers: whatever fails while a source is read, in a library or for arrays
+        that break a rule of the vocabulary, becomes a :class:`BadSource` with the name of the source.
+        """
+        options = options or self.options()
+        with reading(source, "a source of this kind"):
+            try:
+                for imported in self.read(Path(source), options):
+                    recording = imported.recording
+                    info = apply_place_and_date(recording.info, options)
+                    known = recording if info is recording.info else replace(recording, info=info)
+                    yield replace(imported, recording=known)
+            except BadRecording as error:
+                raise BadSource(f"{source}: {error}") from None
 
 
 IMPORTERS: dict[str, Importer] = {
@@ -44,7 +60,7 @@ IMPORTERS: dict[str, Importer] = {
         read_tyrex, TyrexOptions, "Tyrex: Android and iOS phones with optical truth (a trial or a folder)"
     ),
     "bench": Importer(read_bench, Options, "bench logs of an MPU6050 and an HMC5883L (folders of MATLAB 7.3 files)"),
-    "csv": Importer(read_csv, CsvOptions, "any delimited log: columns, units, signs and clock by flags or a TOML file"),
+    "csv": Importer(read_csv, CsvOptions, "any delimited log: columns, units and clocks by flags or a TOML file"),
     "sensorlogger": Importer(read_sensorlogger, PhoneOptions, "the phone app Sensor Logger: its zip or its folder"),
     "phyphox": Importer(read_phyphox, OwnOptions, "the phone app phyphox: its zip, its folder or one CSV file"),
     "spin": Importer(read_spin, SpinOptions, "delimited logs of accelerometers on a spinning body, with its encoder"),

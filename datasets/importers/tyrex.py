@@ -11,16 +11,25 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-import scipy.io
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import quaternion
-from stillpoint.datasets.importers.bundle import digests, folders_with
-from stillpoint.datasets.importers.clock import Log, Series, finite, from_zero, merge, rising, seconds_to_ns
+from stillpoint.datasets.importers.arrays import load_mat, to_floats
+from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.importers.files import digests, find_folders, read_text, reading
+from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import TyrexOptions
+from stillpoint.datasets.importers.series import (
+    Log,
+    Series,
+    drop_before_zero,
+    drop_incomplete_rows,
+    merge_imu,
+    seconds_to_ns,
+    sort_by_time,
+)
 from stillpoint.datasets.importers.tyrex_excluded import EXCLUDED_S
-from stillpoint.datasets.importers.units import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Info, Mag, Recording, Truth
 
 CITATION = (
@@ -32,32 +41,32 @@ NEEDED = ("gyroscope.txt", "accelerometer.txt")
 MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.txt"}
 
 
-def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Recording]:
+def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Imported]:
     """The trial of a folder (``android/NAME`` or ``ios/NAME``), or all trials below. Raises :class:`BadSource`."""
-    for folder in folders_with(source, NEEDED[0], "name android/, ios/ or a trial in them"):
-        yield _trial(folder, options)
+    for folder in find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them"):
+        yield Imported(_read_trial(folder, options))
 
 
-def _trial(folder: Path, options: TyrexOptions) -> Recording:
+def _read_trial(folder: Path, options: TyrexOptions) -> Recording:
     log = Log()
     ios = (folder / "description.txt").is_file()
-    boot_s = _boot(folder / "description.txt") if ios else 0.0
+    boot_s = _read_boot_time(folder / "description.txt") if ios else 0.0
     if boot_s:
         log.converted(f"all phone times minus BootTime {boot_s:.4f} s")
-    gyro = _series(folder, "gyroscope.txt", boot_s, "gyro", log)
-    accel = _series(folder, "accelerometer.txt", boot_s, "accelerometer", log)
+    gyro = _read_series(folder, "gyroscope.txt", boot_s, "gyro", log)
+    accel = _read_series(folder, "accelerometer.txt", boot_s, "accelerometer", log)
     if ios:
         accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
         log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS: -1 g on the axis that points up)")
-    imu = merge(gyro, accel, str(folder), log)
+    imu = merge_imu(gyro, accel, str(folder), log)
     mag_file = MAG_FILES[options.mag]
-    mag = _series(folder, mag_file, boot_s, "mag", log)
+    mag = _read_series(folder, mag_file, boot_s, "mag", log)
     raw = options.mag == "raw"
     log.converted(
         f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})"
     )
     log.noted("the attitude of the phone's own filter is not imported")
-    truth, truth_file, recorded = _truth(folder, log)
+    truth, truth_file, recorded = _read_truth(folder, log)
     used = [folder / name for name in (*NEEDED, mag_file)] + ([truth_file] if truth_file else [])
     used += [path for path in (folder / "timeAlignment.txt", folder / "description.txt") if path.is_file()]
     info = Info(
@@ -65,7 +74,7 @@ def _trial(folder: Path, options: TyrexOptions) -> Recording:
         licence="CeCILL 2.1",
         citation=CITATION,
         sensor=folder.name.split("_")[1] if folder.name.count("_") else "",
-        date=_date(folder) or recorded,
+        date=_read_date(folder) or recorded,
         place_lat_lon_alt=GRENOBLE,
         mag_uncalibrated=raw,
         units_unchecked=options.units_unchecked,
@@ -77,22 +86,20 @@ def _trial(folder: Path, options: TyrexOptions) -> Recording:
     return Recording(folder.name, imu=imu, mag=Mag(mag.t_ns, mag.values), truth=truth, info=info)
 
 
-def _series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:
+def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:
     """The first four columns, ``t x y z``, of a text file."""
     path = folder / name
     if not path.is_file():
         raise BadSource(f"{folder}: has no {name}; the trial is not whole: download it again")
-    try:
+    with reading(path, "a text of lines 't x y z'", "download it again"):
         table = np.loadtxt(path, usecols=(0, 1, 2, 3), ndmin=2)
-    except ValueError as error:
-        raise BadSource(f"{path}: {str(error).splitlines()[0]}; each line is 't x y z'") from None
     if len(table) == 0:
         raise BadSource(f"{path}: is empty; download it again")
-    series = finite(Series(seconds_to_ns(table[:, 0] - boot_s), table[:, 1:]), what, log)
-    return from_zero(rising(series, what, log), what, log)
+    series = drop_incomplete_rows(Series(seconds_to_ns(table[:, 0] - boot_s), table[:, 1:]), what, log)
+    return drop_before_zero(sort_by_time(series, what, log), what, log)
 
 
-def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
+def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
     """The Qualisys attitude on the phone's clock, its file, and its date.
 
     The phones hardly rest, so every frame with a body counts as moving, but those that the authors leave out.
@@ -101,23 +108,24 @@ def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
     if not path.is_file():
         log.noted(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
         return None, None, ""
-    try:
-        structs = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
-        motion = next(value for key, value in structs.items() if not key.startswith("__"))
+    with reading(path, "a Qualisys export"):
+        motion = next(iter(load_mat(path, squeeze_me=True, struct_as_record=False).values()))
         body = motion.RigidBodies
-        columns = np.asarray(body.Rotations, dtype=np.float64)
-        position_n_m = np.asarray(body.Positions, dtype=np.float64).T / 1e3
-        residual = np.atleast_1d(np.asarray(body.Residual, dtype=np.float64))
+        columns = to_floats(body.Rotations, f"{path}: Rotations")
+        position_n_m = to_floats(body.Positions, f"{path}: Positions").T / 1e3
+        residual = np.atleast_1d(to_floats(body.Residual, f"{path}: Residual"))
         rate_hz = float(motion.FrameRate)
         recorded = str(motion.Timestamp)[:10]
-    except (OSError, ValueError, TypeError, AttributeError, StopIteration, NotImplementedError) as error:
-        raise BadSource(f"{path}: cannot be read as a Qualisys export ({error}); download it again") from None
-    late_s = _alignment(folder / "timeAlignment.txt")
-    frame_s = np.arange(columns.shape[1]) / rate_hz
+    if not 1.0 <= rate_hz <= 1e4:
+        raise BadSource(f"{path}: its FrameRate is {rate_hz:g} Hz; download it again")
+    late_s = _read_alignment(folder / "timeAlignment.txt")
     if columns.ndim != 2 or len(columns) != 9:
         raise BadSource(
             f"{path}: holds rotations of shape {columns.shape}, not 9 x frames of one body; export one body"
         )
+    frame_s = np.arange(columns.shape[1]) / rate_hz
+    if len(residual) != len(frame_s) or position_n_m.shape != (len(frame_s), 3):
+        raise BadSource(f"{path}: positions or residuals are not one per frame; download it again")
     seen = np.isfinite(columns).all(axis=0) & np.isfinite(residual)
     seen[seen] = np.linalg.det(columns.T[seen].reshape(-1, 3, 3)) > 0.5  # a frame without body may hold zeros
     log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
@@ -139,33 +147,33 @@ def _truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
     return truth, path, recorded
 
 
-def _boot(path: Path) -> float:
+def _read_boot_time(path: Path) -> float:
     try:
-        return float(_properties(path)["Time"]["BootTime"])
+        return float(_read_properties(path)["Time"]["BootTime"])
     except (KeyError, ValueError):
         raise BadSource(f"{path}: has no number BootTime in [Time]; download it again") from None
 
 
-def _alignment(path: Path) -> float:
+def _read_alignment(path: Path) -> float:
+    if not path.is_file():
+        raise BadSource(f"{path}: is not there; without it the truth has no place on the phone's clock")
     try:
-        return float(path.read_text())
-    except OSError:
-        raise BadSource(f"{path}: is not there; without it the truth has no place on the phone's clock") from None
+        return float(read_text(path))
     except ValueError:
         raise BadSource(f"{path}: holds no number of seconds; download it again") from None
 
 
-def _properties(path: Path) -> configparser.ConfigParser:
+def _read_properties(path: Path) -> configparser.ConfigParser:
     parser = configparser.ConfigParser()
     try:
-        parser.read_string(path.read_text())
+        parser.read_string(read_text(path))
     except (configparser.Error, UnicodeDecodeError):
         raise BadSource(f"{path}: is not a file of [Section] and Key = Value; download it again") from None
     return parser
 
 
-def _date(folder: Path) -> str:
+def _read_date(folder: Path) -> str:
     """The UTC day of an Android record, "" where none is written."""
     path = folder / "record.properties"
-    start = _properties(path).get("Time", "StartTime", fallback="") if path.is_file() else ""
+    start = _read_properties(path).get("Time", "StartTime", fallback="") if path.is_file() else ""
     return datetime.fromtimestamp(int(start), UTC).date().isoformat() if start.isdigit() else ""

@@ -1,9 +1,10 @@
-"""Where each number of a ROS 2 message lies in its CDR bytes, so that whole columns are read and written at once.
+"""Where each number of a ROS message lies in its bytes, so that whole columns are read and written at once.
 
-CDR (XCDR1, OMG DDSI-RTPS) aligns each primitive to its own size, counted from the byte after the 4-byte encapsulation;
-strings and sequences carry a length word. Messages of one topic nearly always agree in these lengths: then every leaf
-has one offset, and a numpy structured dtype views all messages. :class:`Layout` holds that dtype and the length words
-that a message must have for the dtype to fit it. Leaves are named by their path: ``orientation.x``, ``name[0]``.
+CDR (XCDR1, OMG DDSI-RTPS), the encoding of ROS 2, aligns each primitive to its own size, counted from the byte after
+the 4-byte encapsulation; the encoding of ROS 1 has neither encapsulation nor alignment. In both, strings and sequences
+carry a length word. Messages of one topic nearly always agree in these lengths: then every leaf has one offset, and a
+numpy structured dtype views all messages. :class:`Layout` holds that dtype and the length words that a message must
+have for the dtype to fit it. Leaves are named by their path: ``orientation.x``, ``name[0]``.
 """
 
 import struct
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 PRIMITIVES = {
     "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
@@ -46,6 +47,7 @@ class MessageType:
 
     name: str
     definitions: Mapping[str, Sequence[tuple[str, Any]]]
+    encoding: str = "cdr"  # of its messages: cdr or ros1
 
 
 @lru_cache(maxsize=1)
@@ -61,25 +63,41 @@ def definition(type_name: str) -> str:
 
 @lru_cache(maxsize=256)
 def parse(type_name: str, encoding: str, text: str) -> MessageType:
-    """The type that a schema's text describes (``ros2msg`` or ``ros2idl``); raises :class:`Undecodable`."""
+    """Return the type that a schema's text describes (``ros2msg``, ``ros2idl`` or ``ros1msg``).
+
+    Recorders write an empty text where they do not find the definition: a common type is then known by its name.
+    Raises :class:`Undecodable`.
+    """
     parts = type_name.split("/")
     name = "/".join((parts[0], "msg", parts[-1]))
-    if encoding not in ("ros2msg", "ros2idl"):
-        raise Undecodable(f"its schema is {encoding or 'none'}, not ros2msg")
+    if encoding not in ("ros2msg", "ros2idl", "ros1msg"):
+        raise Undecodable(f"its schema is {encoding or 'none'}, not ros2msg, ros2idl or ros1msg")
+    wire = "ros1" if encoding == "ros1msg" else "cdr"
+    if not text.strip():
+        encoding, text = "ros2msg", _common_definition(name, wire)
     try:
-        types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
-    except (TypesysError, ValueError, KeyError, IndexError, RecursionError) as error:
+        types = get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
+    except Exception as error:  # the parser raises whatever a damaged text makes it stumble over
         raise Undecodable(f"its definition cannot be parsed ({' '.join(str(error).split())[:80]})") from error
     if name not in types:
         raise Undecodable(f"its schema does not define {name}")
-    return MessageType(name, {key: tuple(fields) for key, (_, fields) in types.items()})
+    return MessageType(name, {key: tuple(fields) for key, (_, fields) in types.items()}, wire)
+
+
+def _common_definition(name: str, wire: str) -> str:
+    """Return the text of a common type; raises :class:`Undecodable` for any other."""
+    store = get_typestore(Stores.ROS1_NOETIC) if wire == "ros1" else _typestore()
+    if name not in store.fielddefs:
+        raise Undecodable("its definition is empty, and it is no common type")
+    return str(store.generate_msgdef(name, ros_version=1 if wire == "ros1" else 2)[0])
 
 
 def layout_of(message_type: MessageType, body: bytes) -> Layout:
-    """The layout that fits this message; raises :class:`Undecodable` for cut bytes and for other encodings."""
-    if len(body) < ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1):
+    """Return the layout that fits this message; raises :class:`Undecodable` for cut bytes and for other encodings."""
+    ros1 = message_type.encoding == "ros1"
+    if not ros1 and (len(body) < ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1)):
         raise Undecodable(f"its messages are not plain CDR (they start with {body[:2].hex() or 'nothing'})")
-    order = "<" if body[1] else ">"
+    order = "<" if ros1 or body[1] else ">"
 
     def length_at(leaf: str, offset: int, _: int) -> int:
         try:
@@ -87,8 +105,8 @@ def layout_of(message_type: MessageType, body: bytes) -> Layout:
         except struct.error:
             raise Undecodable(f"a message ends within {leaf}") from None
 
-    layout = _Walk(order, length_at, size=len(body)).layout(message_type)
-    return Layout(layout.dtype, ((0, body[:2]), *layout.words))
+    layout = _Walk(order, length_at, size=len(body), ros1=ros1).layout(message_type)
+    return layout if ros1 else Layout(layout.dtype, ((0, body[:2]), *layout.words))
 
 
 def layout_for(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
@@ -100,9 +118,13 @@ def layout_for(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
 class _Walk:
     """Steps through a type, leaf by leaf, and notes where each lies."""
 
-    def __init__(self, order: str, length_at: Callable[[str, int, int], int], size: int | None = None) -> None:
+    def __init__(
+        self, order: str, length_at: Callable[[str, int, int], int], size: int | None = None, ros1: bool = False
+    ) -> None:
         self.order, self.length_at, self.size = order, length_at, size  # size: of a message that is there to be read
-        self.end = ENCAPSULATION
+        self.aligned = not ros1
+        self.terminated = int(not ros1)  # bytes after a string, which its length counts
+        self.end = 0 if ros1 else ENCAPSULATION
         self.offsets: dict[str, int] = {}  # of each leaf
         self.formats: list[Any] = []
         self.words: list[tuple[int, bytes]] = []
@@ -123,7 +145,7 @@ class _Walk:
             return
         if name not in definitions:
             raise Undecodable(f"its schema does not define {name}")
-        if not definitions[name]:  # a type without fields is sent as one byte
+        if not definitions[name] and self.aligned:  # CDR sends a type without fields as one byte
             self._leaf(f"{path}.structure_needs_at_least_one_member", "uint8", None)
         for field, node in definitions[name]:
             self._node(definitions, node, f"{path}.{field}" if path else field, depth)
@@ -147,8 +169,8 @@ class _Walk:
                 self._node(definitions, inner, f"{path}[{k}]", depth)
 
     def _length(self, path: str, empty: int) -> int:
-        """The length word of a string or sequence; an empty string has 1 for its NUL."""
-        self.end += -(self.end - ENCAPSULATION) % 4
+        """Return the length word of a string or sequence; an empty string in CDR has 1 for its NUL."""
+        self._align(4)
         length = self.length_at(path, self.end, empty)
         self.words.append((self.end, struct.pack(self.order + "I", length)))
         self.end += 4
@@ -158,15 +180,19 @@ class _Walk:
         """One primitive, ``count`` of them in a row, or a string."""
         if primitive == "string":
             length = self._length(path, empty=1)
-            self._place(path, f"S{max(length - 1, 0)}", length)
+            self._place(path, f"S{max(length - self.terminated, 0)}", length)
             return
         if primitive not in PRIMITIVES:
             raise Undecodable(f"its field {path} is of type {primitive}")
         dtype = np.dtype(self.order + PRIMITIVES[primitive])
         if count != 0:  # an empty sequence is not followed by padding
-            self.end += -(self.end - ENCAPSULATION) % dtype.itemsize
+            self._align(dtype.itemsize)
         size = dtype.itemsize * (1 if count is None else count)
         self._place(path, dtype if count is None else (dtype, (count,)), size)
+
+    def _align(self, size: int) -> None:
+        if self.aligned:
+            self.end += -(self.end - ENCAPSULATION) % size
 
     def _place(self, path: str, form: Any, size: int) -> None:
         if self.size is not None and self.end + size > self.size:

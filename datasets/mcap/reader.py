@@ -19,10 +19,10 @@ joins those that all parts have with one shape. ``survey(path)`` lists topics, t
 Raises :class:`~stillpoint.datasets.errors.BadFile` for files that are damaged or are not MCAP.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -115,7 +115,31 @@ def read_log(
     ``columns`` says per topic which leaves to take, and which to put side by side in one column; a topic that it does
     not name gives each of its leaves as a column. Several channels of one topic and type are joined.
     """
-    scan = Scan(Path(path))
+    return read_columns(Scan(Path(path)), topics, columns)
+
+
+class Container(Protocol):
+    """A file of messages: an MCAP file, or a bag that gives its messages as records of MCAP.
+
+    After the last of its blocks the other attributes are complete.
+    """
+
+    path: Path
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    counts: dict[int, int]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    lost: str
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the messages."""
+
+
+def read_columns(
+    scan: Container, topics: Collection[str] | None = None, columns: Mapping[str, Columns] | None = None
+) -> Log:
+    """Return the topics (all, or those named) of a container; see :func:`read_log`."""
     gathers: dict[tuple[str, str], _Gather] = {}
     for block in scan.blocks():
         for channel_id in block.offsets:
@@ -155,13 +179,17 @@ class _Gather:
         self.rows: dict[Any, _Growing] = {}  # by the leaves and shapes that the messages agree in
         self.found: dict[Any, dict[str, _Growing]] = {}
         self.views: dict[int, _View] = {}  # by length of the record: the one that fitted last
-        if channel.message_encoding != "cdr":
-            self.refusal = f"its messages are {channel.message_encoding or 'of unnamed encoding'}, not cdr"
+        if channel.message_encoding not in ("cdr", "ros1"):
+            self.refusal = f"its messages are {channel.message_encoding or 'of unnamed encoding'}, not cdr or ros1"
             return
         try:
             if schema is None:
                 raise cdr.Undecodable("it has no schema")
             self.type = cdr.parse(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+            if self.type.encoding != channel.message_encoding:
+                raise cdr.Undecodable(
+                    f"its messages are {channel.message_encoding} and its schema is {schema.encoding}"
+                )
         except cdr.Undecodable as error:
             self.refusal = str(error)
 

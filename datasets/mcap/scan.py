@@ -5,6 +5,7 @@ Works for any writer: with or without chunks, message indexes, summary; zstd, lz
 raises :class:`~stillpoint.datasets.errors.BadFile`.
 """
 
+import bz2
 import io
 import struct
 import zlib
@@ -23,9 +24,9 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, 
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.limits import largest_chunk
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
 
-LARGEST_CHUNK = 1 << 30  # bytes, unpacked: writers make 1-4 MiB; a larger claim is damage or malice
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
 _HEAD = struct.Struct("<BQ")
 Record = TypeVar("Record", Schema, Channel, Chunk, Metadata, Attachment, DataEnd, Footer, Statistics)
@@ -230,32 +231,43 @@ def _parse(kind: type[Record], body: bytes) -> Record:
 
 
 def _unpack(chunk: Chunk) -> bytes:
-    """The bytes of a chunk, tested against its length and its checksum."""
-    size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
-        raise _Damaged(f"a chunk claims {size} bytes")
+    """Return the bytes of a chunk, tested against its length and its checksum."""
     try:
-        if chunk.compression == "zstd":
-            claimed = zstandard.frame_content_size(chunk.data) if chunk.data else 0
-            if claimed not in (-1, size):
-                raise _Damaged(f"a chunk claims {size} and {claimed} bytes")
-            reader = zstandard.ZstdDecompressor()
-            data = reader.decompress(chunk.data, max_output_size=size) if chunk.data else b""
-        elif chunk.compression == "lz4":
-            claimed = lz4.frame.get_frame_info(chunk.data)["content_size"]
-            if claimed not in (0, size):
-                raise _Damaged(f"a chunk claims {size} and {claimed} bytes")
-            data = lz4.frame.decompress(chunk.data)
-        elif chunk.compression == "":
-            data = chunk.data
-        else:
-            raise _Damaged(f"a chunk is compressed by {chunk.compression!r}, which is not known here")
-    except (zstandard.ZstdError, RuntimeError, ValueError, EOFError) as error:
-        raise _Damaged(f"a chunk cannot be unpacked ({error})") from error
-    if len(data) != size:
-        raise _Damaged(f"a chunk has {len(data)} bytes where it claims {size}")
+        data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
+    except ValueError as error:
+        raise _Damaged(str(error)) from error
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise _Damaged("the checksum of a chunk differs")
+    return data
+
+
+def unpack(packed: bytes, compression: str, size: int) -> bytes:
+    """Return ``size`` bytes from their packed form; no more memory is taken than that.
+
+    ``compression`` is zstd, lz4, bz2 or none (also ""). Raises ``ValueError`` for any other size, for one above the
+    limit, and for damaged bytes.
+    """
+    if size > largest_chunk(len(packed)):
+        raise ValueError(f"a chunk of {len(packed)} bytes claims {size} bytes, unpacked; give --large if this is right")
+    try:
+        if compression == "zstd":
+            if packed and zstandard.frame_content_size(packed) not in (-1, size):
+                raise ValueError(f"a chunk claims {size} and {zstandard.frame_content_size(packed)} bytes")
+            data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size) if packed else b""
+        elif compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+        elif compression == "bz2":
+            data = bz2.BZ2Decompressor().decompress(packed, max_length=size + 1)
+        elif compression in ("", "none"):
+            data = packed
+        else:
+            raise ValueError(f"a chunk is compressed by {compression!r}, which is not known here")
+    except (zstandard.ZstdError, RuntimeError, EOFError, OSError, MemoryError) as error:
+        raise ValueError(f"a chunk cannot be unpacked ({error})") from error
+    if len(data) > size:
+        raise ValueError(f"a chunk has more than the {size} bytes that it claims")
+    if len(data) < size:
+        raise ValueError(f"a chunk has {len(data)} bytes where it claims {size}")
     return data
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording
-from stillpoint.datasets.importers.flatball import read_flatball
 from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.spin.graph import roll_graph
@@ -60,7 +60,7 @@ class DiscFlight:
 
 def disc_flight(file: Path) -> DiscFlight:
     """The flight in a log of the flatball firmware; raises :class:`BadRecording` when there is none."""
-    recording = next(read_flatball(file, Options(units_unchecked=True)))
+    recording = next(IMPORTERS["flatball"](file, Options(units_unchecked=True)))
     spin = recording.spin
     assert spin is not None
     flying = np.flatnonzero(spin.gyro_radps[:, 0] > FLYING_RADPS)

@@ -13,8 +13,8 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import Kept, read
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.tables import csv_text, tables_of
+from stillpoint.datasets.trajectories import format_tum
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.datasets.tum import tum_text
 from stillpoint.filters.front.sources import magnetometer, newest
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
@@ -90,10 +90,10 @@ def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]
     if isinstance(thing, Recording):
         if thing.truth is None:
             raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
-        return [("truth", tum_text(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
+        return [("truth", format_tum(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
     if isinstance(thing, RollReference) or thing.q_nb is None:
         raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
-    return [("", tum_text(thing.t_ns, thing.q_nb))]
+    return [("", format_tum(thing.t_ns, thing.q_nb))]
 
 
 def _samples(file: Path, thing: Kept) -> str:

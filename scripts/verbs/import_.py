@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
+from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.store import write
@@ -32,6 +33,7 @@ class Kept:
     source: Path
     file: Path
     recording: Recording
+    estimates: tuple[Path, ...]  # of the device, beside the recording
 
 
 def import_(
@@ -73,7 +75,8 @@ def import_(
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     kept: dict[Path, Kept] = {}
     with Console(stderr=True).status("import") as status:
-        for source, recording in _recordings(importer, options, sources, repair, skip):
+        for source, imported in _read_sources(importer, options, sources, repair, skip):
+            recording = imported.recording
             status.update(f"import {recording.name}")
             file = output_dir(out) / f"{recording.name}.mcap"
             if file in kept:
@@ -82,7 +85,10 @@ def import_(
                     "import them into different folders"
                 )
             write(file, recording)
-            kept[file] = Kept(source, file, recording)
+            beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
+            for estimate_file, estimate in beside.items():
+                write(estimate_file, estimate)
+            kept[file] = Kept(source, file, recording, tuple(beside))
     if json != STDOUT:
         _show(list(kept.values()))
     write_json(json, [_facts(one) for one in kept.values()])
@@ -112,19 +118,20 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return ()
 
 
-def _recordings(
+def _read_sources(
     importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool, skip: tuple[str, ...]
-) -> Iterator[tuple[Path, Recording]]:
+) -> Iterator[tuple[Path, Imported]]:
     for source in dict.fromkeys(sources):
         if not repair:
-            yield from ((source, recording) for recording in importer(source, options))
+            yield from ((source, imported) for imported in importer.read_all(source, options))
             continue
         # Sizes are tested after the repair: what the doctor mends need not be refused before.
-        for recording in importer(source, replace(options, units_unchecked=True)):
-            yield source, _repaired(recording, source, skip, options.units_unchecked)
+        for imported in importer.read_all(source, replace(options, units_unchecked=True)):
+            recording = _repair(imported.recording, source, skip, options.units_unchecked)
+            yield source, replace(imported, recording=recording)
 
 
-def _repaired(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
+def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
     from stillpoint.datasets.doctor import apply
     from stillpoint.scripts.verbs.doctor import chosen, examine
 
@@ -145,21 +152,23 @@ def _show(kept: list[Kept]) -> None:
             [one.recording.name, f"{one.recording.duration_s:.1f}", *(rates.get(name, "-") for name in present)]
         )
     print_table("imported", ["recording", "s", *(f"{name}, Hz" for name in present)], [rows], texts=1)
-    lines = Counter(line for one in kept for line in _said(one.recording))
+    lines = Counter(line for one in kept for line in _list_lines(one.recording))
     print(f"\n{'all' if len(kept) > 1 else kept[0].recording.name}:")
     for line in (line for line, count in lines.items() if count == len(kept)):
         print(f"  {line}")
     for one in kept:
-        own = [line for line in _said(one.recording) if lines[line] < len(kept)]
+        own = [line for line in _list_lines(one.recording) if lines[line] < len(kept)]
         if own:
             print(f"{one.recording.name}:")
         for line in own:
             print(f"  {line}")
+    for file in (file for one in kept for file in one.estimates):
+        print(f"  {file.name}: the device's own attitude, to be scored")
     print(f"\n{len(kept)} written to {kept[0].file.parent}")
 
 
-def _said(recording: Recording) -> list[str]:
-    """Conversions and notes, each once."""
+def _list_lines(recording: Recording) -> list[str]:
+    """Return conversions and notes, each once."""
     notes = (f"note: {note}" for note in recording.info.notes)
     return list(dict.fromkeys((*recording.info.conversions, *notes)))
 
@@ -170,6 +179,7 @@ def _facts(one: Kept) -> dict[str, Any]:
         "recording": recording.name,
         "file": str(one.file),
         "source": str(one.source),
+        "estimates": [str(file) for file in one.estimates],
         "duration_s": recording.duration_s,
         "streams": {name: {"samples": len(t_ns), "rate_hz": rate_hz(t_ns)} for name, t_ns in recording.streams()},
         "conversions": list(recording.info.conversions),

@@ -14,8 +14,8 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.trajectories import read_poses
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.datasets.tum import read_tum
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
 from stillpoint.scoring.spin import RollScore, roll_score_row
@@ -150,7 +150,7 @@ def _turn_cells(s: Score) -> list[str]:
 def judge_of(path: Path) -> Judge:
     """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
     if is_tum(path):
-        return Judge(path, read_tum(path), {})
+        return Judge(path, read_poses(path), {})
     thing = read(path)
     if isinstance(thing, Reference):
         return Judge(path, thing, thing.made_from)
@@ -201,7 +201,7 @@ def _score_tum(file: Path, against: Path | None, asked: _Asked) -> Score:
     """A trajectory of another program; it cannot say which recording it was made from."""
     if against is None:
         raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")
-    poses, judge = read_tum(file), judge_of(against)
+    poses, judge = read_poses(file), judge_of(against)
     name = judge.truth.name if isinstance(judge.truth, Reference) else against.name.removesuffix(against.suffix)
     made = Estimate(poses.t_ns, file.name.removesuffix(file.suffix), q_nb=poses.q_nb, recording=name)
     return score_against(made, judge.truth, asked.align, asked.frame, over_s=asked.over_s)

@@ -11,8 +11,8 @@ from pathlib import Path
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.mcap.store import read_estimate
 from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.trajectories import read_poses
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.datasets.tum import read_tum
 from stillpoint.filters.table import ESTIMATORS
 
 ESTIMATE, REFERENCE = ".estimate.mcap", ".reference.mcap"
@@ -47,6 +47,6 @@ def read_estimate_of(source: Path, label: str, recording: Recording) -> Estimate
     if file.name.endswith(ESTIMATE):
         made = read_estimate(file)
     else:
-        poses = read_tum(file)
+        poses = read_poses(file)
         made = Estimate(poses.t_ns, label, q_nb=poses.q_nb)
     return replace(made, name=label, recording=recording.name)

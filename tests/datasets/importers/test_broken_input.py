@@ -236,7 +236,7 @@ def test_ros_refuses_what_is_no_bag_and_lists_topics(tmp_path):
     (tmp_path / "x.txt").write_text("hello")
     refused("ros", tmp_path / "x.txt", None, "x.txt", "is no bag")
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0\nbut cut off")
-    refused("ros", tmp_path / "x.bag", None, "x.bag", "cannot be read as a bag")
+    refused("ros", tmp_path / "x.bag", None, "x.bag", "cut short")
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP?")
     refused("ros", tmp_path / "x.mcap", None, "x.mcap")
 

@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillpoint.datasets import BadParameter, BadSource
-from stillpoint.datasets.importers.clock import Log, Series, cells_to_ns, merge, rising, straight
+from stillpoint.datasets.importers.clock import cells_to_ns
+from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, parse_unit
 from stillpoint.datasets.importers.delimited import parse
-from stillpoint.datasets.importers.units import FIELD, FORCE, RATE, scale
+from stillpoint.datasets.importers.series import Log, Series, fit_even_times, merge_imu, sort_by_time
 
 GRAVITY = np.array([0, 0, 9.8])
 
@@ -20,7 +21,7 @@ def series(t_ns, values) -> Series:
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=40))
 def test_rising_keeps_the_first_of_each_stamp_and_counts_the_rest(stamps):
     log = Log()
-    out = rising(series(stamps, range(len(stamps))), "x", log)
+    out = sort_by_time(series(stamps, range(len(stamps))), "x", log)
     assert out.t_ns.tolist() == sorted(set(stamps))
     assert out.values[:, 0].tolist() == [stamps.index(t) for t in out.t_ns.tolist()]
     dropped = sum(int(note.split()[1]) for note in log.notes if "dropped" in note)
@@ -56,9 +57,9 @@ def test_merging_is_exact_for_what_changes_evenly_and_drops_only_outside(gyro_st
     log = Log()
     if not inside.any():
         with pytest.raises(BadSource, match="do not overlap"):
-            merge(gyro, accel, "f", log)
+            merge_imu(gyro, accel, "f", log)
         return
-    imu = merge(gyro, accel, "f", log)
+    imu = merge_imu(gyro, accel, "f", log)
     assert (imu.t_ns == gyro_t[inside]).all()
     expected = np.outer(imu.t_ns * 1e-9, [slope, 1.0, 0.0]) + GRAVITY
     np.testing.assert_allclose(imu.accel_b_mps2, expected, atol=1e-12)
@@ -71,7 +72,7 @@ def test_a_long_gap_of_the_accelerometer_is_not_bridged():
     gyro_t = [5, 25, 30, 500, 1030, 1045]
     accel = series(np.array(accel_t) * 1_000_000, np.ones((7, 3)))
     log = Log()
-    imu = merge(series(np.array(gyro_t) * 1_000_000, np.zeros((6, 3))), accel, "f", log)
+    imu = merge_imu(series(np.array(gyro_t) * 1_000_000, np.zeros((6, 3))), accel, "f", log)
     assert (imu.t_ns // 1_000_000).tolist() == [5, 25, 30, 1030, 1045]
     assert log.notes == ["gyro: 1 samples without accelerometer samples around them dropped"]
 
@@ -79,7 +80,7 @@ def test_a_long_gap_of_the_accelerometer_is_not_bridged():
 def test_equal_stamps_are_taken_as_they_are():
     t_ns = np.arange(5) * 1_000_000
     log = Log()
-    imu = merge(series(t_ns, np.zeros((5, 3))), series(t_ns, np.arange(15).reshape(5, 3)), "f", log)
+    imu = merge_imu(series(t_ns, np.zeros((5, 3))), series(t_ns, np.arange(15).reshape(5, 3)), "f", log)
     assert (imu.accel_b_mps2 == np.arange(15).reshape(5, 3)).all()
     assert log.conversions == []
 
@@ -91,7 +92,7 @@ def test_the_line_through_bursts_of_receipt_has_the_true_rate(seed, rate_hz):
     rng = np.random.default_rng(seed)
     received_s = np.ceil(taken_s * 30) / 30 + rng.uniform(0, 1e-3, len(taken_s))
     received_s[:100] += 0.3
-    line = straight(received_s, "x", Log())
+    line = fit_even_times(received_s, "x", Log())
     assert abs((line[-1] - line[0]) / (taken_s[-1] - taken_s[0]) - 1) < 1e-3
     assert np.ptp(np.diff(line)) < 1e-9
     assert abs(np.median(line - taken_s) - 1 / 60) < 0.02
@@ -133,10 +134,10 @@ def test_empty_cells_are_nan_and_a_headerless_table_counts_its_columns():
     ],
 )
 def test_units_and_raw_counts(text, table, factor):
-    assert scale(text, table, "--x").factor == pytest.approx(factor, rel=1e-15)
+    assert parse_unit(text, table, "--x").factor == pytest.approx(factor, rel=1e-15)
 
 
 @pytest.mark.parametrize("text", ["degs", "G/s", "*deg/s", "1..2*deg/s", ""])
 def test_an_unknown_unit_is_refused_with_those_there_are(text):
     with pytest.raises(BadParameter, match="--x"):
-        scale(text, RATE, "--x")
+        parse_unit(text, RATE, "--x")

@@ -11,8 +11,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from stillpoint.datasets.frames import to_xyzw
-from stillpoint.datasets.importers.ros import RosOptions
-from stillpoint.datasets.importers.ros_messages import LEAVES, TF
+from stillpoint.datasets.importers.ros import GPS, GPS_LEAVES, IMU, IMU_LEAVES, MAG, MAG_LEAVES, POSES, TF, RosOptions
 
 
 def write_bag(store, writer, known: Known, ros1: bool, truth: str = "geometry_msgs/msg/PoseStamped") -> None:
@@ -97,10 +96,11 @@ def test_ros_truth_from_one_child_of_tf(known, tmp_path, variant):
 
 def test_the_leaves_of_the_ros_table_are_numbers_of_the_messages_they_stand_for():
     fields = get_typestore(Stores.ROS2_HUMBLE).fielddefs
-    for kinds in LEAVES.values():
-        for kind, leaves in kinds.items():
-            for leaf in leaves:
-                at = "geometry_msgs/msg/TransformStamped" if kind in TF else kind
-                for part in leaf.split("."):
-                    _, at = dict(fields[at][1])[part]
-                assert at[0] in ("float64", "int8"), f"{kind}: {leaf}"
+    tables = {IMU: IMU_LEAVES, MAG: MAG_LEAVES, GPS: GPS_LEAVES, **POSES}
+    for kind, leaves in tables.items():
+        for leaf in (leaf for parts in leaves.values() for leaf in parts):
+            at = "geometry_msgs/msg/TransformStamped" if kind in TF else kind
+            for part in leaf.partition("[")[0].split("."):
+                _, at = dict(fields[at][1])[part]
+            base = at[0][1][0] if "[" in leaf else at[0]
+            assert base in ("float64", "int8"), f"{kind}: {leaf}"

@@ -133,7 +133,7 @@ def test_a_geometry_of_ones_own_and_a_settings_file(made, tmp_path):
         ("t_s,F4_mps2,F5_mps2\n0,,\n", {}, "no row has a number of any accelerometer"),
         ("t_s,F4_mps2,F5_mps2\n0,1,x\n", {}, "line 2, column 'F5_mps2': 'x' is not a number"),
         ("t_s,F4_mps2,F5_mps2\n1,1,1\n0,1,1\n", {}, "time does not rise"),
-        ("t_s,F4_mps2,F5_mps2,angle_deg\n0,1,1,\n", {}, "no row has a number for --encoder-angle"),
+        ("t_s,F4_mps2,F5_mps2,angle_deg\n0,1,1,\n", {}, "no row has numbers in all columns of --encoder-angle"),
         ("t_s,F4_mps2,F5_mps2,angle_deg\n0,1,1,5\n", {}, "one angle of the encoder gives no rate"),
         ("t_s,F4_mps2,F5_mps2\n0,1,1\n", {"accels": "F4_mps2:g"}, "names 1 columns, not 2"),
         ("t_s,F4_mps2,F5_mps2\n0,1,1\n", {"accels": "F4_mps2,F5_mps2"}, "has no unit; write X,Y:UNIT"),

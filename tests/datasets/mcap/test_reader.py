@@ -109,7 +109,7 @@ def test_files_of_foxglove_sdk(tmp_path):
         foxglove.Channel("/words", message_encoding="json").log({"a": 1}, log_time=int(T_NS[0]))
     log = check_imu_and_field(path, 300)
     assert log.counts["/words"] == 1
-    assert log.unread == {"/words": "its messages are json, not cdr"}
+    assert log.unread == {"/words": "its messages are json, not cdr or ros1"}
 
 
 def test_frame_ids_may_change_from_message_to_message(tmp_path):

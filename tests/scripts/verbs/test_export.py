@@ -17,7 +17,7 @@ from stillpoint.datasets import BadSource, Truth, read, write
 from stillpoint.datasets.frames import rotation, to_xyzw
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.tables import csv_text, tables_of
-from stillpoint.datasets.tum import read_tum, tum_text
+from stillpoint.datasets.trajectories import format_tum, read_poses
 from stillpoint.filters import Stream, estimate
 from stillpoint.scripts.streaming.lines import Lines
 
@@ -34,8 +34,8 @@ def trajectories(draw):
 def test_a_tum_trajectory_is_read_back_with_its_stamps_and_attitudes(tmp_path_factory, poses):
     t_ns, q_nb = poses
     path = tmp_path_factory.mktemp("tum") / "a.tum"
-    path.write_text(tum_text(t_ns, q_nb))
-    found = read_tum(path)
+    path.write_text(format_tum(t_ns, q_nb))
+    found = read_poses(path)
     np.testing.assert_array_equal(found.t_ns, t_ns)
     np.testing.assert_allclose(found.q_nb, q_nb, atol=1e-15)
     assert found.moving.all()
@@ -45,7 +45,7 @@ def test_a_pose_is_the_body_in_the_world_with_w_last(tmp_path):
     """z, w = 0.6, 0.8 is a turn about up by 2 atan2(0.6, 0.8) = 73.7 deg; with w first it would be 106.3 deg."""
     path = tmp_path / "a.tum"
     path.write_text("# comment\n\n" + POSE)
-    found = read_tum(path)
+    found = read_poses(path)
     turned = Rotation.from_euler("z", 2 * np.arctan2(0.6, 0.8)).apply([1.0, 0.0, 0.0])
     np.testing.assert_allclose(rotation(found.q_nb[0]).apply([1.0, 0.0, 0.0]), turned, atol=1e-12)
     assert found.t_ns.tolist() == [500_000_000]
@@ -55,12 +55,12 @@ def test_a_pose_is_the_body_in_the_world_with_w_last(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "holds no pose"),
+        ("", "is empty"),
         ("1 2 3\n", "line 1: has 3 words; a TUM pose is eight"),
-        (POSE + "1.0 1 2 3 0 0 x 1\n", "line 2: '1 2 3 0 0 x 1' are not seven numbers"),
+        (POSE + "1.0 1 2 3 0 0 x 1\n", "line 2, column '7': 'x' is not a number"),
         (POSE + "soon 1 2 3 0 0 0 1\n", "line 2: 'soon' is not a time"),
-        (POSE + "1.0 1 2 3 0 0 0 0.5\n", "line 2: qx qy qz qw has the length 0.5"),
-        (POSE + "1.0 1 2 3 nan 0 0 1\n", "line 2: qx qy qz qw has the length nan"),
+        (POSE + "1.0 1 2 3 0 0 0 0.5\n", "line 2: the quaternion has the length 0.5"),
+        (POSE + "1.0 1 2 3 nan 0 0 1\n", "line 2: the quaternion has the length nan"),
         (POSE + POSE, "does not rise"),
     ],
 )
@@ -68,7 +68,7 @@ def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, text, says):
     path = tmp_path / "a.tum"
     path.write_text(text)
     with pytest.raises(BadSource, match=says):
-        read_tum(path)
+        read_poses(path)
 
 
 @settings(max_examples=20)
@@ -187,5 +187,5 @@ def test_a_spin_is_exported_for_stream_and_an_estimate_is_not(call, folder, tmp_
 def test_an_unknown_position_is_written_as_the_origin():
     """The format has no word for it."""
     truth = Truth(np.array([0]), np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([True]), np.full((1, 3), np.nan))
-    line = tum_text(truth.t_ns, truth.q_nb, truth.position_n_m).splitlines()[1]
+    line = format_tum(truth.t_ns, truth.q_nb, truth.position_n_m).splitlines()[1]
     assert line == "0.000000000 0.0 0.0 0.0 0.0 0.0 0.0 1.0"

@@ -1,0 +1,38 @@
+"""Arrays of MATLAB and HDF5 files: real numbers only, and no more memory than the file justifies."""
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.io
+
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.recording import Floats
+
+
+def read_array(dataset: Any, path: Path) -> Floats:
+    """Return an HDF5 data set as float64; raises :class:`BadSource` for one that claims too much or is not real."""
+    if not isinstance(dataset, h5py.Dataset):
+        raise BadSource(f"{path}: {dataset.name} is no array; download the file again")
+    claimed = int(np.prod([float(n) for n in dataset.shape])) * 8
+    if claimed > limited(LARGEST_MEMBER):
+        raise BadSource(f"{path}: {dataset.name} claims {claimed} bytes; give --large if this is right")
+    return to_floats(dataset[()], f"{path}: {dataset.name}")
+
+
+def load_mat(path: Path, names: Collection[str] | None = None, **options: Any) -> dict[str, Any]:
+    """Return the variables of a MATLAB file of version 4 to 7; None of ``names`` gives all."""
+    found: dict[str, Any] = scipy.io.loadmat(path, variable_names=None if names is None else list(names), **options)
+    return {key: value for key, value in found.items() if not key.startswith("__")}
+
+
+def to_floats(values: Any, where: str) -> Floats:
+    """Return real numbers as float64; raises :class:`BadSource` for complex numbers, text and objects."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf":
+        kind = "complex numbers" if array.dtype.kind == "c" else "no numbers"
+        raise BadSource(f"{where}: holds {kind}; export real numbers")
+    return np.ascontiguousarray(array, dtype=np.float64)

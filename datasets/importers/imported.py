@@ -1,0 +1,59 @@
+"""What an import gives: a recording, and what the device itself made of its samples."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillpoint.datasets.importers.series import Log, Series
+from stillpoint.datasets.plausible import describe_field_size
+from stillpoint.datasets.recording import Floats, Mag, Recording, Times
+from stillpoint.datasets.trajectory import Estimate
+
+DEVICE = "device"  # the name of the estimate that the device made
+LEAST_NORM = 0.5  # of a quaternion; drivers write zeros where they know no attitude
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A recording and the estimates beside it, which become ``NAME.device.estimate.mcap``."""
+
+    recording: Recording
+    estimates: tuple[Estimate, ...] = ()
+
+
+def make_mag(series: Series, uncalibrated: bool, log: Log) -> tuple[Mag | None, bool]:
+    """Return the magnetometer, or None, and whether its size says nothing.
+
+    A bad magnetometer does not stop the import of the rest: without a single value it is left out, and with a size
+    that is not the Earth's it is marked as uncalibrated; both are noted.
+    """
+    keep = np.isfinite(series.values).all(axis=1)
+    series = series.where(keep)
+    if len(series.t_ns) == 0 or not series.values.any():
+        log.noted("mag: no value other than 0 or NaN; left out")
+        return None, uncalibrated
+    doubt = describe_field_size(float(np.median(np.linalg.norm(series.values, axis=1))))
+    if doubt and not uncalibrated:
+        log.noted(f"mag: {doubt}; marked as uncalibrated")
+    return Mag(series.t_ns, series.values), uncalibrated or bool(doubt)
+
+
+def make_device_estimate(
+    t_ns: Times, q_nb: Floats, recording: str, source: str, sha256: dict[str, str], log: Log
+) -> tuple[Estimate, ...]:
+    """Return the attitude (N, 4) wxyz that the device itself gave as an estimate, or nothing where it gave none.
+
+    Rows that are no quaternion are dropped and counted. A quaternion that never changes is what drivers without an
+    attitude write; it is left out.
+    """
+    norm = np.linalg.norm(q_nb, axis=1)
+    known = np.isfinite(norm) & (norm > LEAST_NORM)
+    known &= np.diff(t_ns, prepend=t_ns[:1] - 1) > 0
+    if known.sum() < 2 or np.ptp(q_nb[known], axis=0).max() == 0:
+        log.noted(f"{source} never changes, or holds no attitude; not imported")
+        return ()
+    if not known.all():
+        log.noted(f"{source}: {int((~known).sum())} of {len(known)} samples without an attitude dropped")
+    log.converted(f"{source} -> estimate {DEVICE!r}, the attitude as the device computed it")
+    q_nb = q_nb[known] / norm[known, None]
+    return (Estimate(t_ns[known], DEVICE, q_nb=q_nb, recording=recording, params={"source": source}, made_from=sha256),)

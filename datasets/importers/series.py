@@ -1,0 +1,150 @@
+"""Samples of one sensor with their stamps, and what an importer does to them. Every change is counted in the log."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.recording import Floats, Gps, Imu, Times
+
+BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its steps, are bridged by interpolation
+
+
+@dataclass
+class Log:
+    """What an importer did, in the words of ``Info.conversions`` and ``Info.notes``."""
+
+    conversions: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def converted(self, line: str) -> None:
+        """Add a change of unit, sign, frame or clock."""
+        self.conversions.append(line)
+
+    def noted(self, line: str) -> None:
+        """Add something that was dropped, merged, missing or doubtful."""
+        self.notes.append(line)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Samples of one sensor with its own stamps."""
+
+    t_ns: Times  # (N,)
+    values: Floats  # (N, k)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Series":
+        """Return the samples that the mask keeps."""
+        return Series(self.t_ns[keep], self.values[keep])
+
+
+def find_finite_rows(values: Floats) -> NDArray[np.bool_]:
+    """Return a mask (N,) of the rows of (N, k) that hold only finite numbers."""
+    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+
+
+def seconds_to_ns(t_s: Floats) -> Times:
+    """Round seconds to whole nanoseconds."""
+    return np.asarray(np.round(np.asarray(t_s, dtype=np.float64) * 1e9), dtype=np.int64)
+
+
+def sort_by_time(series: Series, what: str, log: Log) -> Series:
+    """Sort by stamp and keep the first of equal stamps; both are counted in the notes."""
+    moved = int((np.diff(series.t_ns) < 0).sum())
+    if moved:
+        order = np.argsort(series.t_ns, kind="stable")
+        series = Series(series.t_ns[order], series.values[order])
+        log.noted(f"{what}: {moved} steps back in time; sorted by stamp")
+    first = np.diff(series.t_ns, prepend=series.t_ns[:1] - 1) > 0
+    if not first.all():
+        log.noted(f"{what}: {int((~first).sum())} samples with the stamp of the one before dropped")
+        series = series.where(first)
+    return series
+
+
+def drop_before_zero(series: Series, what: str, log: Log) -> Series:
+    """Drop the samples before the zero of the clock and count them."""
+    keep = series.t_ns >= 0
+    if not keep.all():
+        log.noted(f"{what}: {int((~keep).sum())} samples before the zero of the clock dropped")
+        series = series.where(keep)
+    return series
+
+
+def drop_incomplete_rows(series: Series, what: str, log: Log) -> Series:
+    """Drop the rows that hold NaN or infinity and count them."""
+    keep = find_finite_rows(series.values)
+    if not keep.all():
+        log.noted(f"{what}: {int((~keep).sum())} of {len(keep)} rows without a number dropped")
+        series = series.where(keep)
+    return series
+
+
+def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
+    """Interpolate the accelerometer linearly onto the stamps of the gyro.
+
+    The gyro keeps its samples because it is integrated, whereas the accelerometer is averaged. Gyro samples without
+    an accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. Raises :class:`BadSource` when
+    no sample is left.
+    """
+    if len(gyro.t_ns) == len(accel.t_ns) and (gyro.t_ns == accel.t_ns).all():
+        return Imu(gyro.t_ns, gyro.values, accel.values)
+    if len(accel.t_ns) < 2 or len(gyro.t_ns) == 0:
+        raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
+    right = np.clip(np.searchsorted(accel.t_ns, gyro.t_ns, side="left"), 1, len(accel.t_ns) - 1)
+    span_ns = accel.t_ns[right] - accel.t_ns[right - 1]
+    inside = (gyro.t_ns >= accel.t_ns[0]) & (gyro.t_ns <= accel.t_ns[-1])
+    exact = np.isin(gyro.t_ns, accel.t_ns)
+    bridge_ns = max(BRIDGED_S * 1e9, 3 * float(np.median(np.diff(accel.t_ns))))
+    keep = inside & ((span_ns <= bridge_ns) | exact)
+    if not keep.any():
+        raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
+    t_ns, right = gyro.t_ns[keep], right[keep]
+    left = right - 1
+    share = ((t_ns - accel.t_ns[left]) / (accel.t_ns[right] - accel.t_ns[left]))[:, None]
+    force = accel.values[left] * (1 - share) + accel.values[right] * share
+    log.converted(
+        f"accelerometer ({len(accel.t_ns)} samples on its own stamps) interpolated linearly onto the gyro's stamps"
+    )
+    lost = int((~keep).sum())
+    if lost:
+        log.noted(f"gyro: {lost} samples without accelerometer samples around them dropped")
+    return Imu(t_ns, gyro.values[keep], force)
+
+
+def fit_even_times(t_s: Floats, what: str, log: Log) -> Floats:
+    """Replace stamps of receipt, which come in bursts, by the straight line through them; (N,) seconds.
+
+    The line is fitted to time against sample number by least squares with Huber weights, so that a late burst
+    pulls little. The log states the rate and how far the stamps lie from the line.
+    """
+    number = np.arange(len(t_s), dtype=np.float64)
+    weight = np.ones(len(t_s))
+    for _ in range(20):
+        slope, start = np.polyfit(number, t_s, 1, w=np.sqrt(weight))
+        residual = t_s - (start + slope * number)
+        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+        weight = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-300))
+    log.converted(
+        f"{what} times of receipt -> straight line at {1 / slope:.3f} Hz "
+        f"(residual rms {1e3 * np.sqrt(np.mean(residual**2)):.1f} ms, largest {1e3 * np.abs(residual).max():.1f} ms)"
+    )
+    return np.asarray(start + slope * number, dtype=np.float64)
+
+
+def make_gps(series: Series, log: Log) -> Gps:
+    """Make satellite fixes of rows latitude, longitude (deg), altitude (m), course (deg from north), speed (m/s).
+
+    A row without a position is no fix. A negative course or speed means that it is unknown.
+    """
+    series = sort_by_time(series, "gps", log)
+    lat, lon, alt, course, speed = series.values.T
+    outside = (np.abs(lat) > 90) | (np.abs(lon) > 360)
+    if outside.any():
+        log.noted(f"gps: {int(outside.sum())} fixes outside +-90, +-360 deg; marked as no fix")
+    valid = np.isfinite(lat) & np.isfinite(lon) & ~outside
+    course_rad = np.where(course >= 0, np.deg2rad(np.maximum(course, 0.0)), np.nan)
+    speed_mps = np.where(speed >= 0, speed, np.nan)
+    log.converted("gps course deg -> rad, clockwise from true north")
+    return Gps(series.t_ns, lat, lon, alt, course_rad, speed_mps, valid)
