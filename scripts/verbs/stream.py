@@ -11,7 +11,7 @@ from cyclopts import Group, Parameter
 
 from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.importers.spin_csv import SpinOptions, geometry_of
+from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
@@ -180,7 +180,7 @@ def _geometry_of(runs: Sequence[Run], options: SpinOptions, declination_deg: flo
         raise BadParameter(
             f"--declination, --set range: {spins[0]} follows a spin, which has no heading; leave them out"
         )
-    return geometry_of(options)
+    return find_geometry(options)
 
 
 def _say(passed: Passed, streams: Mapping[str, Live]) -> None:
