@@ -33,9 +33,14 @@ def write_json(target: str | None, rows: Sequence[Mapping[str, Any]]) -> None:
 
     A number that is not finite becomes null. Raises :class:`BadParameter` when the file cannot be written.
     """
+    write_document(target, {"rows": rows})
+
+
+def write_document(target: str | None, content: Mapping[str, Any]) -> None:
+    """Write an object as JSON to a file or to the standard output, as :func:`write_json` does with rows."""
     if target is None:
         return
-    text = json.dumps({"rows": _plain(rows)}, indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
     if target == STDOUT:
         print(text)
         return

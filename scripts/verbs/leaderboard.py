@@ -1,6 +1,5 @@
 """``stillpoint leaderboard``: score many estimators over many recordings and say which are better."""
 
-import json as json_format
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -16,7 +15,7 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Jobs, SetFlag
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
@@ -86,13 +85,10 @@ def leaderboard(
     folder = inputs.output_dir(out)
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
     _write(board, folder)
-    if json == STDOUT:
-        print(_json_text(board), end="")
-    else:
+    write_document(json, board.to_json())
+    if json != STDOUT:
         print_leaderboard(board)
         print(f"\nwritten to {folder}: leaderboard.json, study.toml")
-    if json not in (None, STDOUT):
-        write_text(Path(str(json)), _json_text(board))
     return 0 if any(run.error is None for run in board.runs) else 2
 
 
@@ -159,7 +155,7 @@ def _study(
 
 def _write(board: Leaderboard, folder: Path) -> None:
     """Write the leaderboard and the complete study, with paths relative to the folder."""
-    write_text(folder / "leaderboard.json", _json_text(board))
+    write_document(str(folder / "leaderboard.json"), board.to_json())
     study = Study(**board.study)
     study = replace(
         study,
@@ -179,7 +175,3 @@ def _relative(estimator: str, folder: Path) -> str:
         return f"{os.path.relpath(place, folder)}{colon}{name}"
     known, at, settings = estimator.partition("@")
     return f"{known}@{os.path.relpath(settings, folder)}" if at else estimator
-
-
-def _json_text(board: Leaderboard) -> str:
-    return json_format.dumps(board.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,22 +1,30 @@
 """``stillpoint validate``: score references against independent truth."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from stillpoint.datasets.errors import StillpointError
+from cyclopts import Parameter
+
+from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Inputs, Jobs
-from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir
+from stillpoint.scripts.shared.jobs import Outcome, run_jobs
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document, write_json
 from stillpoint.scripts.shared.opened import open_recording
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.scripts.verbs.validate_roll import validate_roll
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
 from stillpoint.studies.validation import validate as validate_recording
 
+if TYPE_CHECKING:
+    from stillpoint.studies.fidelity import JudgeFidelity
+
+FIDELITY_OUT = Path("fidelity")
+FIDELITY_COLUMNS = ("judge", "n", "tau", "median", "worst", "RMSE off", "95 %", "wrong", "other half")
 COLUMNS = (
     "recording",
     "method",
@@ -39,6 +47,9 @@ def validate(
     *,
     align: AlignKind = "heading",
     methods: str | None = None,
+    fidelity: Annotated[bool, Parameter(negative=())] = False,
+    estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
+    out: OutDir = FIDELITY_OUT,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
@@ -47,6 +58,9 @@ def validate(
     Errors are RMSEs over the moving samples of the truth, as in BROAD. "in 95 %" is the share of these whose error lies
     in the 95 % ellipsoid of the stated covariance; NEES/3, the mean square of the error over it, is 1 when it fits.
     Exit code 2 when nothing could be scored. Recordings of nothing but spinning bodies are scored by angle and rate.
+
+    With --fidelity: does a reference rank estimators as truth does? Every estimator is scored by both, on the same
+    samples. Writes fidelity.json and fidelity.png to the output folder.
 
     Parameters
     ----------
@@ -57,6 +71,12 @@ def validate(
     methods
         Names of reference methods and of estimators with commas between; by default every reference method and every
         offline estimator.
+    fidelity
+        Compare judges of estimators, not accuracies of references.
+    estimators
+        With --fidelity: names with commas between; by default all of attitude whose packages are installed.
+    out
+        With --fidelity: folder for results.
     jobs
         Processes; by default one per core, fewer for few recordings.
     json
@@ -64,6 +84,11 @@ def validate(
     """
     named = None if methods is None else [name.strip() for name in methods.split(",")]
     sources = inputs.recordings(paths)
+    if fidelity:
+        chosen_estimators = [] if estimators is None else [name.strip() for name in estimators.split(",")]
+        return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), jobs, json)
+    if estimators is not None:
+        raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --methods")
     if all(inputs.is_of_spin(source) for source in sources):
         return validate_roll(sources, named, align, jobs, json)
     chosen = default_methods() if named is None else check_methods(named)
@@ -85,6 +110,50 @@ def validate(
 
 def _validate(source: Path, methods: list[str], align: AlignKind) -> list[ValidationRow]:
     return validate_recording(source.stem, partial(open_recording, source), methods, align)
+
+
+def _validate_fidelity(
+    sources: Sequence[Path],
+    estimators: Sequence[str],
+    judges: Sequence[str],
+    align: AlignKind,
+    out: Path,
+    jobs: int | None,
+    json: str | None,
+) -> int:
+    """Measure, print and write how well each judge replaces truth."""
+    from stillpoint.studies.fidelity import measure_fidelity  # loads scipy.stats, which takes half a second
+    from stillpoint.studies.fidelity_figure import draw_fidelity
+
+    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
+        return run_jobs(function, items, jobs, what)
+
+    check_methods(judges)
+    found = measure_fidelity(sources, estimators, out, judges=judges, align=align, run_jobs=run)
+    write_document(str(out / "fidelity.json"), found.to_json())
+    draw_fidelity(found).savefig(out / "fidelity.png", dpi=150, metadata={"Software": None})
+    write_document(json, found.to_json())
+    if json != STDOUT:
+        estimated = len({row.estimator for row in found.rows})
+        title = f"judges of {estimated} estimators on {found.recordings} recordings, aligned: {align}"
+        print_table(title, FIDELITY_COLUMNS, [[_fidelity_cells(judge) for judge in found.judges]], texts=1)
+        errors = ((row.error, f"{row.judge} of {row.estimator}") for row in found.rows if row.error is not None)
+        print_refusals("not compared", errors)
+        print(f"written to {out}: fidelity.json, fidelity.png")
+    return 0 if any(judge.recordings for judge in found.judges) else 2
+
+
+def _fidelity_cells(judge: "JudgeFidelity") -> list[str]:
+    figures = (judge.tau_pooled, judge.tau_median, judge.tau_worst)
+    shares = (judge.relative_rmse_median, judge.relative_rmse_p95)
+    return [
+        judge.judge,
+        str(judge.recordings),
+        *("-" if figure is None else f"{figure:.3f}" for figure in figures),
+        *("-" if share is None else f"{share:.1%}" for share in shares),
+        f"{judge.wrong_verdicts} of {judge.verdicts}",
+        f"{judge.wrong_verdicts_other_half / max(judge.verdicts_other_half, 1):.1%}",
+    ]
 
 
 def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -> None:

@@ -51,7 +51,10 @@ def _name_best(table: Table, ranked: Sequence[Row], sources: Sequence[Source]) -
     text += f" and is better than {beaten} of {_count(len(mine), 'other')}"
     near = sorted((_ratio_of(pair, best.label) for pair in mine if pair.verdict == "undecided"), key=lambda r: -r[0])
     if near:
-        listed = ", ".join(f"{name} (ratio {ratio:.2f}, {low:.2f}-{high:.2f})" for ratio, low, high, name in near[:3])
+        listed = ", ".join(
+            f"{name} (ratio {ratio:.2f}{f', {low:.2f}-{high:.2f}' if table.general else ''})"
+            for ratio, low, high, name in near[:3]
+        )
         more = f" and {len(near) - 3} more" if len(near) > 3 else ""
         text += f"; it cannot be told from {listed}{more}"
     return f"{text}."
