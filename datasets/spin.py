@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.recording import Floats, Spin, SpinGeometry
 
@@ -25,12 +26,13 @@ PRODUCTS = ("omega_y^2", "omega_z^2", "omega_y omega_z")  # known where gyros me
 UNWANTED = ("omega_y dot", "omega_z dot", "omega_x omega_y", "omega_x omega_z")  # what eq (2) keeps out
 NEGLIGIBLE = 1e-9  # m or 1: coefficients below it are rounding
 SATURATED = 0.999  # of the range: a converter of 11 bits and more stops within this of it
-G_MPS2 = 9.80665
 
 X, Y, Z = np.eye(3)
 
 
-def five_accelerometers(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * G_MPS2) -> SpinGeometry:
+def five_accelerometers(
+    d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * STANDARD_GRAVITY_MPS2
+) -> SpinGeometry:
     """F1, F2, F3 along x, y, z at the centre, F4 radial at d1, F5 tangential at d2, gyros g1, g2 about y and z."""
     return SpinGeometry(
         accel_r_b_m=np.array([0 * X, 0 * X, 0 * X, d1_m * Z, d2_m * Y]),
@@ -40,7 +42,7 @@ def five_accelerometers(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2
     )
 
 
-def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * G_MPS2) -> SpinGeometry:
+def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * STANDARD_GRAVITY_MPS2) -> SpinGeometry:
     """F4 and F5 alone on the shaft of a motor, whose centre does not accelerate (paper 000, eq (26))."""
     return SpinGeometry(
         accel_r_b_m=np.array([d1_m * Z, d2_m * Y]),

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, BadRecording, Imu, Mag
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 
-GRAVITY_MPS2 = 9.80665  # imufusion's unit of specific force
 FIRST_S = 1.0  # of a recording: the dip of its field
 WEST_OF_NORTH = heading_rotation(np.pi / 2)  # takes North-West-Up to East-North-Up
 NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
@@ -165,7 +165,7 @@ def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:
     settings.convention = package.CONVENTION_ENU  # as a keyword of the constructor it is ignored
     peer, bias = package.Ahrs().set_settings(settings), package.Bias()
     bias.set_settings(package.BiasSettings(sample_rate=1 / data.interval_s))
-    gyro_b_degps, accel_b_g = np.rad2deg(data.gyro_b_radps), data.accel_b_mps2 / GRAVITY_MPS2
+    gyro_b_degps, accel_b_g = np.rad2deg(data.gyro_b_radps), data.accel_b_mps2 / STANDARD_GRAVITY_MPS2
     mag = data.mag_b_ut if params.magnetometer else None
     n = len(gyro_b_degps)
     q_nb, offset_degps, ready = np.empty((n, 4)), np.zeros((n, 3)), np.empty(n, dtype=np.bool_)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.doctor.witness import Witness
@@ -45,7 +46,7 @@ def white_noise(values: Floats, still: np.ndarray) -> Floats:
     third = values[3:] - 3 * values[2:-1] + 3 * values[1:-2] - values[:-3]
     if not run.any():
         return np.full(values.shape[1], np.nan)
-    return np.asarray(1.4826 * np.median(np.abs(third[run]), axis=0) / np.sqrt(20.0))
+    return np.asarray(MEDIAN_DEVIATION_TO_SD * np.median(np.abs(third[run]), axis=0) / np.sqrt(20.0))
 
 
 def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:

@@ -2,14 +2,19 @@
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.times import inside
 
-GRAVITY_MPS2 = 9.80665
-UNITS_OF_FORCE = {"g": GRAVITY_MPS2, "milli-g": GRAVITY_MPS2 / 1000, "cm/s^2": 0.01, "g twice": 1 / GRAVITY_MPS2}
+UNITS_OF_FORCE = {
+    "g": STANDARD_GRAVITY_MPS2,
+    "milli-g": STANDARD_GRAVITY_MPS2 / 1000,
+    "cm/s^2": 0.01,
+    "g twice": 1 / STANDARD_GRAVITY_MPS2,
+}
 UNITS_OF_FIELD = {"tesla": 1e6, "gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3}
 GRAVITY_FACT, GRAVITY_UNIT = 0.03, 0.15  # relative: below the first a fact, above the second another unit
 MOVING_UNIT = 1.2  # without rest: the median size in motion may be off by this (running: 0.6)
@@ -39,7 +44,7 @@ def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
     where = "at rest" if at_rest else "in the median (nothing rests)"
     values = {"size_mps2": size}
     tolerance = GRAVITY_UNIT if at_rest else MOVING_UNIT
-    off = size / GRAVITY_MPS2 - 1
+    off = size / STANDARD_GRAVITY_MPS2 - 1
     if -tolerance / (1 + tolerance) <= off <= tolerance:
         message = f"accel: {size:.4g} m/s^2 {where} ({100 * off:+.1f} % of 9.807)"
         if not at_rest or abs(off) <= GRAVITY_FACT:
@@ -47,7 +52,7 @@ def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
         advice = ": a scale or a bias error; calibrate the accelerometer in six poses"
         return [Finding("gravity-size", "warning", message + advice, values=values)]
     for unit, factor in UNITS_OF_FORCE.items():
-        if abs(np.log(size * factor / GRAVITY_MPS2)) < np.log(1 + tolerance):
+        if abs(np.log(size * factor / STANDARD_GRAVITY_MPS2)) < np.log(1 + tolerance):
             remedy = Remedy("matrix", "accel", f"accel * {factor:.6g} ({unit} -> m/s^2)", _scaling(factor))
             message = f"accel: {size:.4g} {where}, not 9.8 m/s^2: it is in {unit}; multiply by {factor:.6g}"
             return [Finding("accel-units", "error", message, remedy, values)]

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.doctor.finding import Finding, Severity
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
@@ -54,7 +55,7 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
     if len(squared) < 10:
         return
     middle = float(np.median(squared))
-    error = 1.4826 * float(np.median(np.abs(squared - middle))) / np.sqrt(len(squared))
+    error = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(squared - middle))) / np.sqrt(len(squared))
     if middle < -CERTAIN * error and middle < -(SLOWEST_RADPS**2):
         message = f"spin: the squared rate is {middle:.4g} rad^2/s^2 in the median: turn the sign of the radial one"
         yield Finding("spin-radial-sign", "error", message, values={"omega_squared_radps2": middle})

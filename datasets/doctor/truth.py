@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.doctor.candidates import CANDIDATES, choose, index_of
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
 from stillpoint.datasets.doctor.turning import gyro_series, solve, stands_out, vector_series
@@ -13,7 +14,6 @@ RATE_WINDOW_S = 0.04
 FORCE_WINDOW_S = 0.06  # half of the span of the second difference of the positions
 FEWEST = 50
 ACCEL_GAP = 0.05  # nats a sample by which one candidate must fit better than the next
-GRAVITY_MPS2 = 9.81
 
 
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
@@ -89,7 +89,7 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
     def measured(lag_s: float) -> Floats:
         return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
 
-    usual = 0.1 * GRAVITY_MPS2
+    usual = 0.1 * STANDARD_GRAVITY_MPS2
     # The accelerometer's axes (9), the arm from the tracked point to it (3), its bias (3).
     eye = np.broadcast_to(np.eye(3), (len(at_s), 3, 3))
     axes = np.einsum("ki,nj->nkij", np.eye(3), expected).reshape(-1, 3, 9)
@@ -113,7 +113,7 @@ def _accel_axes(expected: Floats, felt: Floats) -> Floats | None:
     Without turning several fit the one direction of gravity; the identity is then taken where it is one of them.
     """
     felt = felt * np.median(np.linalg.norm(expected, axis=1)) / (np.median(np.linalg.norm(felt, axis=1)) + 1e-300)
-    floor = (0.1 * GRAVITY_MPS2) ** 2
+    floor = (0.1 * STANDARD_GRAVITY_MPS2) ** 2
     mean = np.array([np.log(((expected - felt @ m.T) ** 2).sum(axis=1) + floor).mean() for m in CANDIDATES])
     best = int(mean.argmin())
     if np.sort(mean)[1] - mean[best] >= ACCEL_GAP:
@@ -139,7 +139,7 @@ def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
     squared = (reach * step) ** 2
     force_n = (position[middle + reach] - 2 * position[middle] + position[middle - reach]) / squared
-    force_n[:, 2] += GRAVITY_MPS2
+    force_n[:, 2] += STANDARD_GRAVITY_MPS2
     before, now, after = (rotation(truth.q_nb[middle + k * reach]).as_matrix() for k in (-1, 0, 1))
     swing = np.einsum("nji,njk->nik", now, (after - 2 * now + before) / squared)
     return t_s[middle], np.einsum("nji,nj->ni", now, force_n), swing

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.recording import Floats
-
-STANDARD_GRAVITY_MPS2 = 9.80665  # the g of data sheets and of phones
 
 RATE: dict[str, float] = {
     "rad/s": 1.0,

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter, BadSource
-from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.delimited import parse
 from stillpoint.datasets.importers.files import Bundle, open_bundle
 from stillpoint.datasets.importers.imported import Imported, make_mag

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.recording import Floats, Gps, Imu, Times
 
@@ -124,7 +125,7 @@ def fit_even_times(t_s: Floats, what: str, log: Log) -> Floats:
     for _ in range(20):
         slope, start = np.polyfit(number, t_s, 1, w=np.sqrt(weight))
         residual = t_s - (start + slope * number)
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+        scale = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(residual))) + 1e-12
         weight = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-300))
     log.converted(
         f"{what} times of receipt -> straight line at {1 / slope:.3f} Hz "

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
 from stillpoint.datasets.importers.clock import Clock
 from stillpoint.datasets.importers.columns import ANGLE, FORCE, RATE, Columns, parse_columns
@@ -33,7 +34,7 @@ from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.nearest import nearest
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
-from stillpoint.datasets.spin import G_MPS2, bench, five_accelerometers
+from stillpoint.datasets.spin import bench, five_accelerometers
 
 PRESETS = {"bench": bench, "five": five_accelerometers}
 COLUMNS = {
@@ -81,7 +82,7 @@ def find_geometry(options: SpinOptions) -> SpinGeometry:
                 raise BadParameter(f"--{name.replace('_', '-')} {arm:g}: give a positive length in m")
         given: dict[str, Any] = {name: arm for name, arm in arms.items() if arm is not None}
         if options.range_g is not None:
-            given["accel_range_mps2"] = options.range_g * G_MPS2
+            given["accel_range_mps2"] = options.range_g * STANDARD_GRAVITY_MPS2
         return PRESETS[options.geometry](**given)
     if options.d1_m is not None or options.d2_m is not None:
         raise BadParameter("--d1-m, --d2-m: belong to the geometries bench and five; a file states its own arms")
@@ -101,7 +102,7 @@ def _read_geometry(file: Path, range_g: float | None) -> SpinGeometry:
             np.array(given.get(key, []), dtype=np.float64).reshape(-1, 3)
             for key in ("accel_r_m", "accel_axis", "gyro_axis")
         )
-        limits = None if range_g is None else np.full(len(arms), float(range_g) * G_MPS2)
+        limits = None if range_g is None else np.full(len(arms), float(range_g) * STANDARD_GRAVITY_MPS2)
         return SpinGeometry(arms, _normalise(axes), _normalise(gyros), limits, bool(given.get("fixed_axis", False)))
     except (ValueError, TypeError, BadRecording) as error:
         raise BadParameter(f"{file}: {error}; give accel_r_m and accel_axis as rows of three numbers") from None

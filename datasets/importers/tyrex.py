@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.importers.arrays import load_mat, to_floats
-from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.files import digests, find_folders, read_text, reading
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import TyrexOptions

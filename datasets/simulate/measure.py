@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Floats, Imu, Mag, Times, Truth
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.path import Motion
-from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2, AccelModel, ClockModel, GyroModel, MagModel
+from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel
 
 ALLAN_TOP = 0.6178  # largest Allan deviation of a first-order Gauss-Markov process of unit sd (at 1.89 times its time)
 

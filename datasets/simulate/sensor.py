@@ -11,8 +11,6 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 
-STANDARD_GRAVITY_MPS2 = 9.80665  # the "g" of data sheets
-
 
 @dataclass(frozen=True)
 class GyroModel:

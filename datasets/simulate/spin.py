@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Encoder, Floats, Info, Recording, Spin, SpinGeometry, Times
 from stillpoint.datasets.simulate.draws import draws
 from stillpoint.datasets.simulate.spin_path import (
@@ -19,7 +20,7 @@ from stillpoint.datasets.simulate.spin_path import (
     turn,
     variable,
 )
-from stillpoint.datasets.simulate.spin_sensor import G_MPS2, EncoderModel, SpinAccel, SpinSensor
+from stillpoint.datasets.simulate.spin_sensor import EncoderModel, SpinAccel, SpinSensor
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, saturated, specific_force
 
 
@@ -90,7 +91,7 @@ def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
     """What holds a tilted shaft against gravity, in b (N, 3); at angle 0 the body's z axis points up most."""
     across = np.sin(tilt_rad)
     up = [np.full(len(angle_rad), np.cos(tilt_rad)), across * np.sin(angle_rad), across * np.cos(angle_rad)]
-    return np.asarray(G_MPS2 * np.column_stack(up))
+    return np.asarray(STANDARD_GRAVITY_MPS2 * np.column_stack(up))
 
 
 def _spin(
@@ -108,7 +109,7 @@ def _spin(
     gyro, gyro_bias = _gyros(geometry.gyro_axis_b, motion, sensor, seed)
     came = draws(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
     came[0] = True
-    ranged = replace(geometry, accel_range_mps2=np.full(count, sensor.range_g * G_MPS2))
+    ranged = replace(geometry, accel_range_mps2=np.full(count, sensor.range_g * STANDARD_GRAVITY_MPS2))
     spin = Spin(t_ns[came], np.column_stack([one for one, _ in made])[came], gyro[came], ranged)
     full = saturated(spin).sum(axis=0)
     notes = [f"accelerometer {k + 1}: {n} samples at its range" for k, n in enumerate(full) if n]
@@ -121,7 +122,7 @@ def _accelerometer(
     part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: Motion, sensor: SpinSensor, seed: int, name: str
 ) -> tuple[Floats, dict[str, float]]:
     """Samples (N,) with all their errors, and what was drawn."""
-    sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * G_MPS2 / 1e3}
+    sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * STANDARD_GRAVITY_MPS2 / 1e3}
     error = {what: draws(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
     arm = stated_arm_m * (1 + error["arm"])
     ideal = specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
@@ -129,7 +130,7 @@ def _accelerometer(
     felt += part.noise_mps2 * draws(seed, f"spin/{name}/noise").standard_normal(len(felt))
     spoilt, glitches = _glitches(part, motion.t_s, seed, f"spin/{name}")
     felt += glitches
-    limit = sensor.range_g * G_MPS2
+    limit = sensor.range_g * STANDARD_GRAVITY_MPS2
     if sensor.bits is not None:
         unit = 2 * limit / 2**sensor.bits
         felt = np.round(felt / unit) * unit
@@ -156,7 +157,7 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
         spoilt[np.searchsorted(t_s, at_s[at_s < t_s[-1]])] = True
     kinds = draws(seed, f"{name}/glitch-sizes").random((len(t_s), 2))
     size = part.glitch_low_g + (part.glitch_high_g - part.glitch_low_g) * kinds[:, 0]
-    return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * G_MPS2)
+    return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * STANDARD_GRAVITY_MPS2)
 
 
 def _gyros(axes: Floats, motion: Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 
-G_MPS2 = 9.80665  # of data sheets
 ADXL345_NOISE_MPS2 = 0.06  # rms of one sample, as measured on boards of the +-16 g range
 
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from math import atan2, nan, sqrt
 from typing import Literal, NamedTuple
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
@@ -43,7 +44,6 @@ from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, s
 
 # Not ready for so long after the first tilt.
 START_S = 2.0
-GRAVITY_MPS2 = 9.80665  # unit of the accelerometer in (14), (15) as printed
 FORMS = ("euler", "roots", "printed")
 EULER, ROOTS, _ = range(len(FORMS))
 
@@ -156,7 +156,7 @@ def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
     """(14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
     fx, fy, fz = force
     up, cos_pitch = frame.up_b, frame.cos_pitch
-    g = like(fx, GRAVITY_MPS2)
+    g = like(fx, STANDARD_GRAVITY_MPS2)
     if form == EULER:
         roll, pitch = (fy, fz), (-fx, sqrt(fy * fy + fz * fz))
     elif form == ROOTS:

@@ -7,9 +7,10 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_hz
-from stillpoint.datasets.spin import G_MPS2, saturated
+from stillpoint.datasets.spin import saturated
 from stillpoint.datasets.times import gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Inputs
@@ -115,7 +116,11 @@ def _spin_lines(spin: Spin) -> list[str]:
     geometry, full, missing = spin.geometry, saturated(spin).sum(axis=0), (~np.isfinite(spin.accel_mps2)).sum(axis=0)
     lines = ["on a fixed axis (a motor's shaft)" if geometry.fixed_axis else "free to turn about all axes"]
     for k, (arm, axis) in enumerate(zip(geometry.accel_r_b_m, geometry.accel_axis_b, strict=True)):
-        limit = "" if geometry.accel_range_mps2 is None else f", range {geometry.accel_range_mps2[k] / G_MPS2:.3g} g"
+        limit = (
+            ""
+            if geometry.accel_range_mps2 is None
+            else f", range {geometry.accel_range_mps2[k] / STANDARD_GRAVITY_MPS2:.3g} g"
+        )
         place = "arm not known" if np.isnan(arm).any() else f"arm {_vector(arm)} m"
         spoilt = f", {full[k]} saturated" * bool(full[k]) + f", {missing[k]} missing" * bool(missing[k])
         lines.append(f"accelerometer {k + 1}: {place}, axis {_vector(axis)}{limit}{spoilt}")

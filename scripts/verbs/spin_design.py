@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from stillpoint.datasets.spin import G_MPS2
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
@@ -79,7 +79,7 @@ def spin_design(
         geometry=geometry,
         fastest_radps=float(np.deg2rad(fastest_degps)),
         spin_up_s=spin_up_s,
-        range_mps2=range_g * G_MPS2,
+        range_mps2=range_g * STANDARD_GRAVITY_MPS2,
         headroom=headroom,
         room_m=room_m,
         radial_var_m2ps4=radial_var,
@@ -120,7 +120,7 @@ def _design_row(one: Placement) -> Sequence[str]:
         f"{one.q_rad2ps4:.3g}",
         f"{np.rad2deg(one.raw_rate_sd_radps):.2f}",
         f"{np.rad2deg(one.filtered_rate_sd_radps):.2f}",
-        f"{np.rad2deg(one.rate_per_bias) * G_MPS2 / 1e3:.3f}",
+        f"{np.rad2deg(one.rate_per_bias) * STANDARD_GRAVITY_MPS2 / 1e3:.3f}",
         f"{np.rad2deg(one.rate_per_arm) / 1e3:.1f}",
     )
 

@@ -10,8 +10,8 @@ import numpy as np
 from cyclopts import Parameter
 from matplotlib.figure import Figure
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.spin import G_MPS2
 from stillpoint.filters.spin.noise import RollParams
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir, recordings
@@ -83,7 +83,7 @@ def _show_variances(found: Identified) -> None:
     print_table("variances in (m/s²)², means and what turns once per turn in m/s²", TRIAL_COLUMNS, sections, texts=1)
     for one in found.trials:
         if one.turning_share > TURNING_SHARE:
-            tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / G_MPS2, 1.0)))
+            tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / STANDARD_GRAVITY_MPS2, 1.0)))
             print(
                 f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
                 f"tilted by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.earth import local_declination, normal_gravity_mps2
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
@@ -26,7 +27,6 @@ from stillpoint.smoother.strapdown import GyroErrors
 
 SHORTEST_S = 2.0
 SHORTEST_MOTION_S = 8.0  # without any rest: in 5 s of motion the bias was wrong by more than its covariance said
-STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 @dataclass(frozen=True, eq=False)

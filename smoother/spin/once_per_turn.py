@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD, STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.spin import G_MPS2
 from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
 from stillpoint.smoother.spin.params import HarmonicParams
 from stillpoint.smoother.spin.samples import RollSamples
@@ -28,7 +28,6 @@ FEWEST_IN_WINDOW = 48  # valid samples of each channel
 LEAST_TURNS = 2.0  # of the body in a window
 ROBUST_ROUNDS = 4
 ROBUST = 5.0  # sd
-MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 RIPPLE_SD = 4.0  # of Z, as :func:`excess` has it: below, a ripple of the rate explains both channels
 APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
 MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
@@ -183,7 +182,7 @@ def judged(
     )
     if abs(by_squared - by_accel) > p.agreement * min(abs(by_squared), abs(by_accel)) + APART_SD * apart_sd:
         return "vibration", f"{shown}: they contradict each other"
-    if abs((squared + 2j * accel) / together) > MOST_GRAVITY * G_MPS2:
+    if abs((squared + 2j * accel) / together) > MOST_GRAVITY * STANDARD_GRAVITY_MPS2:
         return "vibration", f"{shown}: more than g"
     if significance < p.significance:
         return "vibration", f"{shown}: too little to be sure"
@@ -232,7 +231,7 @@ def _fit(values: Floats, angle_rad: Floats, least_sd: float) -> tuple[complex, f
     for _ in range(ROBUST_ROUNDS):
         solution = np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0])
         left = values - design @ solution
-        sd = max(least_sd, MEDIAN_TO_SD * float(np.median(np.abs(left))))
+        sd = max(least_sd, MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(left))))
         root = 1 / (1 + (left / (ROBUST * sd)) ** 2)
     white = design * root[:, None]
     covariance = np.linalg.pinv(white.T @ white) * sd**2

@@ -15,6 +15,7 @@ from functools import cache
 
 import numpy as np
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
 from stillpoint.smoother.spin.encoder import encoder_rows, residuals_of
@@ -34,7 +35,6 @@ from stillpoint.smoother.spin.state import (
 )
 
 LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: so small that it is exact, large enough to factorise
-MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def sizes_of(chain: Chain, at: RollFit, params: RollNoise) -> Sizes:
 
 
 def _size(residual: Floats) -> float:
-    return MEDIAN_TO_SD * float(np.median(np.abs(residual))) if len(residual) else 0.0
+    return MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(residual))) if len(residual) else 0.0
 
 
 @cache

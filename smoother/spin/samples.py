@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import binom
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
 from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, saturated
 from stillpoint.smoother.spin.params import RollCalibration, RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
-MEDIAN_TO_SD = 1.4826  # of absolute values of a normal distribution
 ROUNDING = 1e-9  # relative
 RUN = 8  # equal values in a row
 COARSE = 0.3  # share of values that repeat the one before
@@ -133,7 +133,7 @@ def white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
     """
     whole = np.convolve(valid, np.ones(DIFFERENCE + 1), "valid") == DIFFERENCE + 1
     differences = np.diff(values, DIFFERENCE)[whole]
-    size = float(np.median(np.abs(differences))) * MEDIAN_TO_SD / np.sqrt(binom(2 * DIFFERENCE, DIFFERENCE))
+    size = float(np.median(np.abs(differences))) * MEDIAN_DEVIATION_TO_SD / np.sqrt(binom(2 * DIFFERENCE, DIFFERENCE))
     return max(size, least * float(np.sqrt(np.mean(values[valid] ** 2))), 1e-9)
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats, SpinGeometry
-from stillpoint.datasets.spin import G_MPS2, bench, channels, five_accelerometers, specific_force
+from stillpoint.datasets.spin import bench, channels, five_accelerometers, specific_force
 
 GEOMETRIES: dict[str, Callable[[float, float, float], SpinGeometry]] = {"bench": bench, "five": five_accelerometers}
 LENGTH_STEP_M = 0.01  # arms are chosen in whole centimetres
@@ -24,7 +25,7 @@ class Rig:
     geometry: str = "bench"  # of GEOMETRIES
     fastest_radps: float = float(np.deg2rad(2000))
     spin_up_s: float = 0.2  # from standstill to the fastest
-    range_mps2: float = 16 * G_MPS2
+    range_mps2: float = 16 * STANDARD_GRAVITY_MPS2
     headroom: float = 0.2  # share of the range that is left for ripple
     room_m: float = 0.5  # the longest arm there is room for
     radial_var_m2ps4: float = 0.8  # D4

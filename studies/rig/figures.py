@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from stillpoint.datasets.spin import G_MPS2
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.studies.rig.design import Placement, Rig, limits_m, place
 from stillpoint.studies.rig.identify import Identified
@@ -30,7 +30,7 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
     for values, colour, label, above in (
         ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample", ABOVE),
         ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m", BELOW),
-        ([G_MPS2 / 1e3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias", ABOVE),
+        ([STANDARD_GRAVITY_MPS2 / 1e3 * one.rate_per_bias for one in found], COLOURS[2], "per mg of bias", ABOVE),
     ):
         ax.plot(arms_m, np.rad2deg(values), color=colour)
         at = (arms_m[LABEL_AT], np.rad2deg(values[LABEL_AT]))

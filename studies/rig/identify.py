@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
 from stillpoint.datasets.spin import TERMS, channels, coefficients, saturated
 
-MAD_TO_SD = 1.4826  # of a normal distribution
 GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
 FEWEST = 100  # samples below which a variance says little
 TOLD_SDS = 5.0  # a variance is told from the encoder's where it is so many of its own standard deviations
@@ -234,7 +234,7 @@ def _smoothed(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floats, Fl
 
 
 def _residual(values: Floats, angle_rad: Floats) -> Residual:
-    robust_sd = MAD_TO_SD * float(np.median(np.abs(values - np.median(values))))
+    robust_sd = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(values - np.median(values))))
     return Residual(
         variance_m2ps4=float(np.var(values)),
         robust_m2ps4=robust_sd**2,

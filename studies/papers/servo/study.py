@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.frames import euler
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.sensor import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
 from stillpoint.filters import estimate
 from stillpoint.studies.papers.auv.study import difference_deg

@@ -5,10 +5,11 @@ import pytest
 from known import only
 
 from stillpoint.datasets import BadParameter, BadSource, Unobservable, read
+from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.spin_csv import SpinOptions
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.spin import BENCH, G_MPS2, channels, five_accelerometers
+from stillpoint.datasets.spin import BENCH, channels, five_accelerometers
 
 FULL = "%.17g"
 
@@ -55,8 +56,8 @@ def test_columns_units_signs_and_arms_by_flags(made, tmp_path):
         tmp_path / "raw.csv",
         None,
         ms=lambda r: r.spin.t_ns / 1e6,
-        tangential=lambda r: -r.spin.accel_mps2[:, 1] / (3.90625e-3 * G_MPS2),
-        radial=lambda r: r.spin.accel_mps2[:, 0] / (3.90625e-3 * G_MPS2),
+        tangential=lambda r: -r.spin.accel_mps2[:, 1] / (3.90625e-3 * STANDARD_GRAVITY_MPS2),
+        radial=lambda r: r.spin.accel_mps2[:, 0] / (3.90625e-3 * STANDARD_GRAVITY_MPS2),
         turns=lambda r: r.encoder.angle_rad / (2 * np.pi),
     )
     options = SpinOptions(
@@ -66,7 +67,7 @@ def test_columns_units_signs_and_arms_by_flags(made, tmp_path):
     assert recording.spin.accel_mps2 == pytest.approx(made.spin.accel_mps2, abs=1e-9)
     assert recording.encoder.angle_rad == pytest.approx(made.encoder.angle_rad, abs=1e-9)
     assert recording.spin.geometry.accel_r_b_m.tolist() == [[0, 0, 0.11], [0, 0.4, 0]]
-    assert recording.spin.geometry.accel_range_mps2 == pytest.approx([8 * G_MPS2] * 2)
+    assert recording.spin.geometry.accel_range_mps2 == pytest.approx([8 * STANDARD_GRAVITY_MPS2] * 2)
 
 
 def test_what_the_encoder_lacks_is_made_from_the_other_and_said(made, tmp_path):
@@ -186,13 +187,13 @@ def test_the_disc(data_dir, tmp_path, call, capsys):
     assert len(spin.t_ns) == len(recording.mag.t_ns) == 3558
     assert np.rad2deg(spin.gyro_radps[:, 0].max()) == pytest.approx(3391, abs=1)
     assert np.median(spin.gyro_radps[1584:1874, 0]) > np.deg2rad(2000)
-    assert np.abs(spin.accel_mps2).max() / G_MPS2 < 8
-    step_g = np.diff(np.unique(spin.accel_mps2[:, 1])).min() / G_MPS2
+    assert np.abs(spin.accel_mps2).max() / STANDARD_GRAVITY_MPS2 < 8
+    step_g = np.diff(np.unique(spin.accel_mps2[:, 1])).min() / STANDARD_GRAVITY_MPS2
     assert step_g == pytest.approx(16 / 2**15, rel=0.01)  # a converter of 16 bits over +-16 g
     assert np.isnan(spin.geometry.accel_r_b_m).all()
     with pytest.raises(Unobservable, match="lever arm of accelerometer 1, 2, 3 is not known"):
         channels(spin.geometry)
-    assert np.linalg.norm(spin.accel_mps2[:100].mean(axis=0)) / G_MPS2 == pytest.approx(1.03, abs=0.02)
+    assert np.linalg.norm(spin.accel_mps2[:100].mean(axis=0)) / STANDARD_GRAVITY_MPS2 == pytest.approx(1.03, abs=0.02)
     assert any("lever arm is NaN" in note for note in recording.info.notes)
 
 
