@@ -1,4 +1,4 @@
-"""Short stretches of missing samples: bridged by what was read on either side, and how far that may be off.
+"""Short stretches of missing samples: bridge_gaps by what was read on either side, and how far that may be off.
 
 A reading holds for the interval that ends at its stamp. Where samples are missing that interval is long, and one
 reading says little of it: in its place stands the mean of the readings before and after. How far the true mean over so
@@ -14,7 +14,7 @@ from stillpoint.datasets.times import GAP_STEPS
 LONG_GAP_S = 0.5  # a longer gap is not integrated across
 
 
-def bridged(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def bridge_gaps(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Readings (N, 3) with those after a short gap replaced, and by how much they may be wrong there: 0 elsewhere.
 
     ``dt_s`` (N,) are the intervals that end at the samples; ``moving`` (N,) where the recording shows how it moves.
@@ -29,11 +29,11 @@ def bridged(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tuple[Fl
     filled[gaps] = (values[gaps - 1] + values[gaps]) / 2
     missed = np.round(dt_s[gaps] / step_s).astype(np.int64)
     for steps in np.unique(missed):
-        wrong[gaps[missed == steps]] = _deviation(values, moving, int(steps))
+        wrong[gaps[missed == steps]] = _measure_deviation(values, moving, int(steps))
     return filled, wrong
 
 
-def _deviation(values: Floats, moving: NDArray[np.bool_], steps: int) -> Floats:
+def _measure_deviation(values: Floats, moving: NDArray[np.bool_], steps: int) -> Floats:
     """RMS (3,) of the mean over ``steps`` intervals less the mean of its ends, in motion where there is any."""
     if len(values) <= steps + 1:
         return np.asarray(values.std(axis=0))

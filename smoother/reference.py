@@ -30,13 +30,13 @@ class Method:
 def _graph(recording: Recording, params: GraphParams) -> Reference:
     """The factor graph; gtsam is loaded when it is needed, as it is not to be had everywhere."""
     try:
-        from stillpoint.smoother.attitude.graph import calibrating_graph
+        from stillpoint.smoother.attitude.graph import make_attitude_reference
     except ImportError as error:
         raise BadParameter(
             f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
             "use --method redistribution here"
         ) from error
-    return calibrating_graph(recording, params)
+    return make_attitude_reference(recording, params)
 
 
 def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:

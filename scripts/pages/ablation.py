@@ -19,8 +19,8 @@ from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.inputs import recordings
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.smoother.attitude.evidence import gather
-from stillpoint.smoother.attitude.graph import reference_from
+from stillpoint.smoother.attitude.evidence import gather_evidence
+from stillpoint.smoother.attitude.graph import reference_from_evidence
 from stillpoint.smoother.attitude.params import HANDHELD
 
 ALIGNMENTS: tuple[AlignKind, ...] = ("heading+mounting+time", "heading")
@@ -101,13 +101,13 @@ def _scored(source: Path, variant: Variant) -> dict[AlignKind, Score]:
 def solved(recording: Recording, variant: Variant) -> Reference | Estimate:
     """The recording by this variant of the graph; raises what the graph raises."""
     params = chosen(HANDHELD, variant.settings, "graph")
-    evidence = gather(recording, params)
+    evidence = gather_evidence(recording, params)
     if not variant.returns:
         evidence = replace(evidence, base=None, returns=None)
     if not variant.optimised:
         t_ns = recording.require_imu().t_ns
         return Estimate(t_ns, "start value", q_nb=evidence.start.q_nb, recording=recording.name)
-    return reference_from(recording, evidence, params)
+    return reference_from_evidence(recording, evidence, params)
 
 
 def _cells(scores: Sequence[Score]) -> list[str]:

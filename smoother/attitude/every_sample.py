@@ -1,35 +1,143 @@
-"""From states to samples: the calibrated gyro between keys, the remaining difference spread: paper 002 at key scale."""
+"""From states to samples: attitude, covariance and gyro bias at every IMU sample of a window.
+
+The calibrated gyro is integrated from each state to the next, and the remaining difference is spread in proportion to
+time: the error redistribution of Elmi Aziz and Mohseni Araste (2021), over 0.1 s. Covariances are interpolated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from gtsam.symbol_shorthand import B, H, M
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.compiled import compiled
-from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.quaternion import Quaternion, conjugate, exp, log, multiply
 from stillpoint.datasets.recording import Floats, Times
+from stillpoint.datasets.trajectory import Calibration
+from stillpoint.smoother.attitude.covariance import compute_accuracy
+from stillpoint.smoother.attitude.evidence import Evidence
+from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.magnetometer import field_matrix
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.solve import Solution, rotations_of
 
 COVARIANCE_STEP_S = 0.3
 
 
-@compiled
-def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
-    """Attitude (N, 4) of every sample.
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The answer at the N samples of a window, with covariances before the variance factor."""
 
-    ``key_rows`` (n,) rising, from the first sample to the last; ``key_q_nb`` (n, 4); ``rate_b_radps`` (N, 3) corrected;
-    ``dt_s`` (N,). From each key the gyro is integrated to the next; what then remains to that key's attitude is given
-    back in proportion to time, so that every key is met exactly.
+    samples: slice
+    q_nb: Floats  # (N, 4)
+    cov_b_rad2: Floats  # (N, 3, 3) relative to the mean heading
+    gyro_bias_b_radps: Floats  # (N, 3)
+    heading_rad2: float  # variance of the mean heading
+    closing_squares: tuple[float, ...]  # of the returns, see covariance.py
+    calibration: Calibration
+    late_sd_s: float  # of the accelerometer's delay
+    iterations: int
+    cost: float
+
+
+def sample_solution(window: Evidence, solution: Solution, until: int, name: str, params: GraphParams) -> Piece:
+    """Return a window's solution at every sample; of its returns, only those before state ``until`` are its own."""
+    keys, motion, values = window.keys, window.motion, solution.values
+    held = np.array(keys.held)
+    chosen = choose_covariance_states(keys)
+    resting = np.append(keys.at_rest, keys.at_rest[-1])[held]
+    counted = held if resting.all() else held[~resting]
+    base, returns = window.return_states()
+    own = tuple(state for state in returns if state < until)
+    accuracy = compute_accuracy(solution, chosen, counted, base, own, name, params)
+
+    gyro_matrix = np.eye(3) - values.atVector(M(0))[9:18].reshape(3, 3)
+    samples = slice(keys.row[held[0]], keys.row[held[-1]] + 1)
+    t_s, dt_s = motion.t_s[samples], motion.dt_s[samples]
+    step = bias_steps(keys, params)[held]
+    found = np.array([values.atConstantBias(B(k)).gyroscope() for k in range(step[0], step[-1] + 1)])
+    biases = np.linalg.solve(gyro_matrix, found.T).T
+    of_sample = step[np.clip(np.searchsorted(keys.t_s[held], t_s, side="right") - 1, 0, len(held) - 1)] - step[0]
+    rate = (motion.gyro_b_radps[samples] - biases[of_sample]) @ gyro_matrix.T
+    key_q = quaternion(Rotation.from_matrix(rotations_of(values, held)))
+    q_nb = interpolate_attitudes(keys.row[held] - samples.start, key_q, rate, dt_s)
+    cov = interpolate_covariances(t_s, q_nb, keys.t_s[chosen], accuracy.attitude_b_rad2, key_q[chosen - held[0]])
+    return Piece(
+        samples=samples,
+        q_nb=q_nb,
+        cov_b_rad2=cov,
+        gyro_bias_b_radps=biases[of_sample],
+        heading_rad2=accuracy.heading_rad2,
+        closing_squares=accuracy.closing_squares,
+        calibration=_read_calibration(solution, int(step[0]), accuracy.calibration),
+        late_sd_s=float(np.sqrt(accuracy.calibration[18, 18])),
+        iterations=len(solution.q_steps_rad),
+        cost=solution.cost,
+    )
+
+
+def join_pieces(pieces: Sequence[Piece], t_s: Floats) -> Piece:
+    """Return one piece of all; in an overlap the answer goes over linearly in time from one window to the next.
+
+    The mean heading is as well known as in the best window; the excess variance of another window's mean heading is
+    added to its own covariance. The calibration is that of the last window, which has seen all data.
+    """
+    if len(pieces) == 1:
+        return pieces[0]
+    best = min(piece.heading_rad2 for piece in pieces)
+    n = len(t_s)
+    q_nb, cov, bias = np.empty((n, 4)), np.empty((n, 3, 3)), np.empty((n, 3))
+    done = 0
+    for piece in pieces:
+        here = piece.samples
+        common, fresh = slice(here.start, done), slice(max(done, here.start), here.stop)
+        old, new = done - here.start, slice(max(done - here.start, 0), None)
+        up_b = rotation(piece.q_nb).as_matrix()[:, 2]
+        cov_piece = piece.cov_b_rad2 + (piece.heading_rad2 - best) * up_b[:, :, None] * up_b[:, None, :]
+        if old > 0:
+            span_s = t_s[common] - t_s[here.start]
+            share = (span_s / span_s[-1])[:, None]
+            before = rotation(q_nb[common])
+            step = (before.inv() * rotation(piece.q_nb[:old])).as_rotvec()
+            q_nb[common] = quaternion(before * Rotation.from_rotvec(share * step))
+            cov[common] = (1 - share[:, None]) * cov[common] + share[:, None] * cov_piece[:old]
+            bias[common] = (1 - share) * bias[common] + share * piece.gyro_bias_b_radps[:old]
+        q_nb[fresh], cov[fresh], bias[fresh] = piece.q_nb[new], cov_piece[new], piece.gyro_bias_b_radps[new]
+        done = here.stop
+    return replace(
+        pieces[-1],
+        samples=slice(0, n),
+        q_nb=q_nb,
+        cov_b_rad2=cov,
+        gyro_bias_b_radps=bias,
+        heading_rad2=best,
+        iterations=max(piece.iterations for piece in pieces),
+        cost=sum(piece.cost for piece in pieces),
+    )
+
+
+@compiled
+def interpolate_attitudes(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
+    """Return the attitude (N, 4) of every sample.
+
+    ``key_rows`` (n,) rise from the first sample to the last; ``key_q_nb`` (n, 4); ``rate_b_radps`` (N, 3) calibrated;
+    ``dt_s`` (N,). The gyro is integrated from each key to the next; the difference to that key's attitude is spread in
+    proportion to time, so that the result passes through every key.
     """
     q_nb = np.empty((len(dt_s), 4))
     for i in range(len(key_rows) - 1):
         first, last = key_rows[i], key_rows[i + 1]
         q = (key_q_nb[i, 0], key_q_nb[i, 1], key_q_nb[i, 2], key_q_nb[i, 3])
-        _put(q_nb, first, q)
+        _store(q_nb, first, q)
         span_s = 0.0
         for k in range(first + 1, last + 1):
             a, b, c = rate_b_radps[k, 0] * dt_s[k], rate_b_radps[k, 1] * dt_s[k], rate_b_radps[k, 2] * dt_s[k]
             q = multiply(q, exp((a, b, c)))
-            _put(q_nb, k, q)
+            _store(q_nb, k, q)
             span_s += dt_s[k]
         end = (key_q_nb[i + 1, 0], key_q_nb[i + 1, 1], key_q_nb[i + 1, 2], key_q_nb[i + 1, 3])
         a, b, c = log(multiply(conjugate(q), end))
@@ -38,22 +146,23 @@ def between_keys(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: 
             elapsed_s += dt_s[k]
             share = elapsed_s / span_s
             q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
-            _put(q_nb, k, multiply(q, exp((a * share, b * share, c * share))))
-    _put(q_nb, key_rows[-1], (key_q_nb[-1, 0], key_q_nb[-1, 1], key_q_nb[-1, 2], key_q_nb[-1, 3]))
+            _store(q_nb, k, multiply(q, exp((a * share, b * share, c * share))))
+    _store(q_nb, key_rows[-1], (key_q_nb[-1, 0], key_q_nb[-1, 1], key_q_nb[-1, 2], key_q_nb[-1, 3]))
     return q_nb
 
 
 @compiled
-def _put(q_nb: Floats, k: int, q: Quaternion) -> None:
+def _store(q_nb: Floats, k: int, q: Quaternion) -> None:
+    """Write a quaternion to row k, normalised."""
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for axis in range(4):
         q_nb[k, axis] = q[axis] / norm
 
 
-def states_with_covariance(keys: Keys) -> NDArray[np.int64]:
-    """Some of the window's states: it takes long to find a covariance, and from state to state it hardly changes.
+def choose_covariance_states(keys: Keys) -> NDArray[np.int64]:
+    """Return the states of a window whose covariances are computed: the others hardly differ, and each takes long.
 
-    One in COVARIANCE_STEP_S, the window's first and last, those beside gaps and at the ends of rests.
+    One in COVARIANCE_STEP_S, the first and last of the window, those beside gaps, and those at the ends of rests.
     """
     states = np.array(keys.held)
     gap = keys.intervals(keys.gap)
@@ -63,10 +172,12 @@ def states_with_covariance(keys: Keys) -> NDArray[np.int64]:
     return np.unique(np.concatenate([regular, states[[0, -1]], gap, gap + 1, rest_end]))
 
 
-def covariance_between(t_s: Floats, q_nb: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, key_q_nb: Floats) -> Floats:
-    """Covariance (N, 3, 3) in body axes at attitudes ``q_nb`` (N, 4): linear in time between keys, in the axes of n.
+def interpolate_covariances(
+    t_s: Floats, q_nb: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, key_q_nb: Floats
+) -> Floats:
+    """Return covariances (N, 3, 3) in body axes at attitudes ``q_nb`` (N, 4), linear in time in the axes of n.
 
-    ``key_cov_b_rad2`` (m, 3, 3) at attitudes ``key_q_nb`` (m, 4).
+    ``key_cov_b_rad2`` (m, 3, 3) are known at attitudes ``key_q_nb`` (m, 4).
     """
     turn = rotation(key_q_nb).as_matrix()
     key_cov_n = turn @ key_cov_b_rad2 @ turn.transpose(0, 2, 1)
@@ -76,3 +187,20 @@ def covariance_between(t_s: Floats, q_nb: Floats, key_t_s: Floats, key_cov_b_rad
     covariance_n = (1 - share)[:, None, None] * key_cov_n[left] + share[:, None, None] * key_cov_n[right]
     turn = rotation(q_nb).as_matrix()
     return np.asarray(turn.transpose(0, 2, 1) @ covariance_n @ turn)
+
+
+def _read_calibration(solution: Solution, bias_step: int, covariance: Floats) -> Calibration:
+    vector = solution.values.atVector(M(0))
+    sd = np.sqrt(np.diagonal(covariance))
+    field = solution.values.atVector(H(0)) if solution.values.exists(H(0)) else None
+    return Calibration(
+        gyro_matrix=np.eye(3) - vector[9:18].reshape(3, 3),
+        gyro_matrix_sd=sd[9:18].reshape(3, 3),
+        accel_matrix=np.eye(3) - vector[:9].reshape(3, 3),
+        accel_matrix_sd=sd[:9].reshape(3, 3),
+        accel_bias_b_mps2=solution.values.atConstantBias(B(bias_step)).accelerometer(),
+        mag_matrix=None if field is None else np.asarray(np.linalg.inv(field_matrix(field)), dtype=np.float64),
+        hard_iron_b_ut=None if field is None else field[3:6],
+        field_n_ut=None if field is None else field[:3],
+        clock_offset_s={"accel": float(vector[18])} | ({} if field is None else {"mag": float(field[6])}),
+    )

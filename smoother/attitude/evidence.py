@@ -1,4 +1,4 @@
-"""What a recording says before anything is solved: rests, returns, states, start value, field, satellite fixes."""
+"""Gather what a recording shows before anything is solved: rests, returns, states, start value, field, fixes."""
 
 from dataclasses import dataclass, replace
 
@@ -9,8 +9,8 @@ from stillpoint.datasets.earth import local_declination, normal_gravity_mps2
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
-from stillpoint.smoother.attitude.keys import Keys, Motion, choose_keys, motion_of
-from stillpoint.smoother.attitude.magnetometer import FieldMeasurements, measurements_at, start_of_field
+from stillpoint.smoother.attitude.keys import Keys, Motion, choose_keys, prepare_motion
+from stillpoint.smoother.attitude.magnetometer import FieldMeasurements, select_measurements, start_field
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.satellite import (
     Fixes,
@@ -31,13 +31,13 @@ SHORTEST_MOTION_S = 8.0  # without any rest: in 5 s of motion the bias was wrong
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All that the graph is built from, of a whole recording or of one window of it."""
+    """Everything that the graph is built from, of a whole recording or of one of its windows."""
 
     motion: Motion
     keys: Keys
     start: Start
     rests_ns: Times
-    n_rests_under_way: int  # left out: the satellites saw the body move
+    n_rests_under_way: int  # not used as rests: the satellites saw the body move
     base: BasePose | None
     returns: Returns | None
     measured: FieldMeasurements | None
@@ -49,7 +49,7 @@ class Evidence:
     field_start: Floats | None  # (16,) where field, hard iron, delay and matrix of the magnetometer begin
 
     def within(self, first: int, end: int) -> "Evidence":
-        """The same for the window of the states ``first`` to ``end - 1``."""
+        """Return the evidence for the window of the states ``first`` to ``end - 1``."""
         keys = self.keys.within(first, end)
         return replace(
             self,
@@ -59,7 +59,7 @@ class Evidence:
         )
 
     def return_states(self) -> tuple[int | None, tuple[int, ...]]:
-        """The states in the middle of the base rest and of each return in the window."""
+        """Return the states in the middle of the base rest and of each return in the window."""
         if self.base is None or self.returns is None:
             return None, ()
         middle = [(self.base.start + self.base.end) // 2, *(sum(span) // 2 for span in self.returns.spans)]
@@ -70,27 +70,30 @@ class Evidence:
 
 
 def with_bias_prior(params: GraphParams, evidence: Evidence) -> GraphParams:
-    """The settings for this evidence: a start value of the gyro's bias that no rest supports is worth less."""
+    """Return the settings with a wider prior of the gyro's bias if no rest supports its start value."""
     if len(evidence.rests_ns):
         return params
     p = params.inertial
     return replace(params, inertial=replace(p, gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps)))
 
 
-def turned_round(evidence: Evidence) -> Evidence:
-    """The same with the states, and the field, beginning half a turn about up away."""
+def turn_start_round(evidence: Evidence) -> Evidence:
+    """Return the evidence with its initial heading rotated by 180 deg."""
     turn = heading_rotation(np.pi)
     place, velocity = turn.apply(evidence.place_n_m), turn.apply(evidence.velocity_n_mps)
     q_nb = quaternion(turn * rotation(evidence.q_nb))
     measured = evidence.measured
     field_start = evidence.field_start
     if measured is not None:
-        field_start = start_of_field(measured, q_nb[measured.state], evidence.start.hard_iron_b_ut)
+        field_start = start_field(measured, q_nb[measured.state], evidence.start.hard_iron_b_ut)
     return replace(evidence, q_nb=q_nb, place_n_m=place, velocity_n_mps=velocity, field_start=field_start)
 
 
-def gather(recording: Recording, params: GraphParams) -> Evidence:
-    """Rests, returns, keys, start value and field measurements of a recording."""
+def gather_evidence(recording: Recording, params: GraphParams) -> Evidence:
+    """Return rests, returns, states, start value and measurements of field and satellites of a recording.
+
+    Raises :class:`Unobservable` for a recording that is too short to tell bias from motion.
+    """
     imu = recording.require_imu()
     seconds = (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
     found_ns = find_rests(imu, params.rest)
@@ -101,21 +104,21 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
             f"{recording.name}: {seconds:.2f} s are too short to tell bias from motion; give {SHORTEST_S:.0f} s "
             f"or more with a rest, {SHORTEST_MOTION_S:.0f} s without"
         )
-    motion = motion_of(imu, rests_ns)
+    motion = prepare_motion(imu, rests_ns)
     keys = choose_keys(motion, params.keys)
     bias = motion.gyro_b_radps[motion.at_rest].mean(axis=0) if motion.at_rest.any() else None
     start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias)
     measured = None
     if recording.mag is not None:
-        measured = measurements_at(keys, motion, recording.mag, int(imu.t_ns[0]), params.magnetic)
+        measured = select_measurements(keys, motion, recording.mag, int(imu.t_ns[0]), params.magnetic)
     fixes = None if recording.gps is None else fixes_at(keys, recording.gps, int(imu.t_ns[0]), params.gps)
-    base, returns = _base(recording, rests_ns, params)
-    turn = heading_rotation(_start_turn(recording, motion, start, base, measured, fixes))
+    base, returns = _find_base_and_returns(recording, rests_ns, params)
+    turn = heading_rotation(_find_start_turn(recording, motion, start, base, measured, fixes))
     q_nb = quaternion(turn * rotation(start.q_nb[keys.row]))
     field_start = None
     if measured is not None:
-        field_start = start_of_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
-    heading = _heading(recording, base, measured, fixes)
+        field_start = start_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
+    heading = _describe_heading(recording, base, measured, fixes)
     place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
     return Evidence(
         motion,
@@ -135,8 +138,10 @@ def gather(recording: Recording, params: GraphParams) -> Evidence:
     )
 
 
-def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[BasePose | None, Returns | None]:
-    """Base pose and returns, None for a recording that does not begin at rest: the graph needs neither."""
+def _find_base_and_returns(
+    recording: Recording, rests_ns: Times, params: GraphParams
+) -> tuple[BasePose | None, Returns | None]:
+    """Return base pose and returns; None for a recording that does not begin at rest, as the graph needs neither."""
     try:
         base = find_base_pose(recording, rests_ns, params.returns)
     except Unobservable:
@@ -144,9 +149,10 @@ def _base(recording: Recording, rests_ns: Times, params: GraphParams) -> tuple[B
     return base, find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
 
 
-def _heading(
+def _describe_heading(
     recording: Recording, base: BasePose | None, measured: FieldMeasurements | None, fixes: Fixes | None
 ) -> str:
+    """Return what the heading refers to."""
     if recording.base_pose is not None and base is not None:
         return "of the base pose that the recording carries"
     if measured is None and fixes is not None:
@@ -156,8 +162,11 @@ def _heading(
     return local_declination(recording.info)[1]
 
 
-def sign_of_gravity(recording: Recording, evidence: Evidence) -> str:
-    """What tells up from down: an accelerometer with all its signs flipped is at home in a world upside down."""
+def describe_gravity_test(recording: Recording, evidence: Evidence) -> str:
+    """Return which data test the sign of gravity.
+
+    Gyro and accelerometer alone do not: with all signs of the accelerometer flipped they fit a world upside down.
+    """
     if recording.base_pose is not None and evidence.base is not None:
         return "tested against the base pose"
     if evidence.fixes is not None:
@@ -167,14 +176,19 @@ def sign_of_gravity(recording: Recording, evidence: Evidence) -> str:
     return "not tested: an accelerometer with all signs flipped would not show; give place and date, or a base pose"
 
 
+def has_known_base_pose(recording: Recording, evidence: Evidence) -> bool:
+    """Return whether the heading is that of the base pose that the recording carries."""
+    return recording.base_pose is not None and evidence.base is not None
+
+
 def gravity_mps2(info: Info) -> float:
-    """Normal gravity at the place of the recording, or the standard value."""
+    """Return normal gravity at the place of the recording, or the standard value."""
     if info.place_lat_lon_alt is None:
         return STANDARD_GRAVITY_MPS2
     return normal_gravity_mps2(info.place_lat_lon_alt[0], info.place_lat_lon_alt[2])
 
 
-def _start_turn(
+def _find_start_turn(
     recording: Recording,
     motion: Motion,
     start: Start,
@@ -182,7 +196,7 @@ def _start_turn(
     measured: FieldMeasurements | None,
     fixes: Fixes | None,
 ) -> float:
-    """Angle about up that takes the start's heading to n's: the base pose's, the declination's, or the course's."""
+    """Return the angle about up from the start's heading to that of n: of base pose, declination or course."""
     if recording.base_pose is not None and base is not None:
         known, found = rotation(recording.base_pose), rotation(start.q_nb[base.start])
         difference = quaternion(known * found.inv())

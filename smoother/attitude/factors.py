@@ -1,18 +1,17 @@
-"""The calibrating factor graph: what is known about a moving sensor, one small generator for each idea.
+"""Factors of the attitude graph: what is known about a moving sensor, one small generator for each idea.
 
     X pose (attitude in n, place)   V velocity   C effective IMU bias of an interval
-    B bias, a step every 10 s       M calibration, one per recording   H field and hard iron (field.py)
+    B bias, one every 10 s          M calibration, one per recording   H field and hard iron (magnetometer.py)
 
       H ----+----------+               B0 ------- B1
             |          |              / |        /          C_i = B + M [w, a, da/dt]    (linear)
            X0 -- C0 -- X1 -- C1 -- X2 ...
            V0 --------- V1 -------- V2 ...      M touches every C_i
             |           |           |
-        bounded     at rest:    X0 = X2 where the base pose is met again
+        bounded     at rest:    X0 = X2 at a return to the base pose
         motion      V = 0, X1 = X2
 
-All factors are gtsam's own; a calibration reaches the preintegrated IMU factor through the bias it takes anyway.
-Names of gtsam occur here and in solve.py only.
+All factors are gtsam's own. The calibration enters the preintegrated IMU factor through its bias.
 """
 
 from collections.abc import Iterator
@@ -27,34 +26,34 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.params import GraphParams
 
-CALIBRATION = 19  # 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
+CALIBRATION = 19  # unknowns: 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
 RETURN_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
 FREE = gtsam.imuBias.ConstantBias()
 
-isotropic = gtsam.noiseModel.Isotropic.Sigma
-diagonal = gtsam.noiseModel.Diagonal.Sigmas
+_isotropic = gtsam.noiseModel.Isotropic.Sigma
+_diagonal = gtsam.noiseModel.Diagonal.Sigmas
 
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """What fixes the trajectory from outside; keys are indices of states. None: it is so in no state of the window."""
+    """What ties states to known attitudes or to each other; None where the window has no such state."""
 
-    base: int | None  # the state in the base pose
-    base_q_nb: Floats | None  # its attitude, when it is known
+    base: int | None  # index of the state in the base pose
+    base_q_nb: Floats | None  # (4,) its attitude, if the recording carries one
     base_sd_rad: float
-    returns: tuple[int, ...]  # states in which the base pose is met again
-    first_q_nb: Floats | None  # (4,) attitude of the first state, weakly
-    first_cov_b_rad2: Floats  # (3, 3) how weakly
+    returns: tuple[int, ...]  # states in the middle of the returns
+    first_q_nb: Floats | None  # (4,) weak prior of the first state's attitude
+    first_cov_b_rad2: Floats  # (3, 3) its covariance
 
 
-def steps_of_bias(keys: Keys, params: GraphParams) -> np.ndarray:
-    """Which bias holds at each state, (n,)."""
+def bias_steps(keys: Keys, params: GraphParams) -> np.ndarray:
+    """Return the number of the bias that holds at each state, (n,)."""
     return ((keys.t_s - keys.t_s[0]) / params.inertial.bias_step_s).astype(np.int64)
 
 
 def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float, params: GraphParams) -> Iterator:
-    """Neighbouring states differ by what gyro and accelerometer measured between them, less the bias C."""
+    """Tie neighbouring states by what gyro and accelerometer measured between them, less the bias C."""
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     p, eye = params.inertial, np.eye(3)
     sizes = {
@@ -78,7 +77,7 @@ def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float,
 
 
 def _noise(gyro_rad2ps: Floats, accel_m2ps3: Floats, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
-    """Densities (3, 3) of both sensors, squared, as gtsam takes them."""
+    """Return gtsam's parameters for the squared noise densities (3, 3) of both sensors."""
     noise = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
     noise.setGyroscopeCovariance(gyro_rad2ps)
     noise.setAccelerometerCovariance(accel_m2ps3)
@@ -87,7 +86,7 @@ def _noise(gyro_rad2ps: Floats, accel_m2ps3: Floats, g_mps2: float, params: Grap
 
 
 def _clipped_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
-    """In a clipped axis there was more than was read: a share of the range, for as long as it was clipped."""
+    """Return the noise of an interval with replaced readings, which are wrong by a share of their excess."""
     p, seconds = params.inertial, keys.t_s[i + 1] - keys.t_s[i]
     gyro = p.gyro_radps_rthz**2 + (p.gyro_beyond * keys.gyro_clipped_rad[i]) ** 2 / seconds
     accel = p.accel_mps2_rthz**2 + (p.accel_beyond * keys.accel_clipped_mps[i]) ** 2 / seconds
@@ -95,9 +94,11 @@ def _clipped_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gt
 
 
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
-    """The effective bias of an interval: C = B + M [mean force, mean rate, change of the force]."""
-    noise, eye, step = diagonal(EFFECTIVE_BIAS_SD), np.eye(6), steps_of_bias(keys, params)
-    origin = gtsam.Values()  # without it gtsam takes the factors for ones on changes, and never sees a violation
+    """Tie the effective bias of an interval to bias and calibration: C = B + M [mean force, mean rate, jerk]."""
+    noise, eye, step = _diagonal(EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
+    origin = (
+        gtsam.Values()
+    )  # without a linearisation point gtsam applies the factors to changes, and never sees a violation
     origin.insert(M(0), np.zeros(CALIBRATION))
     for i in keys.intervals(~keys.gap):
         by_matrix = np.zeros((6, CALIBRATION))
@@ -113,24 +114,24 @@ def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
 
 
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:
-    """The bias begins near its start value and walks; the calibration is near identity."""
-    p, step = params.inertial, steps_of_bias(keys, params)
+    """Keep the first bias near its start value, let it walk, and keep the calibration near identity."""
+    p, step = params.inertial, bias_steps(keys, params)
     walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
     for k in range(step[keys.first], step[keys.held[-1]]):
-        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, diagonal(walk))
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, _diagonal(walk))
     if keys.first > 0:
         return
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     spread = np.concatenate([np.full(3, p.accel_bias_sd_mps2), np.full(3, p.gyro_bias_sd_radps)])
-    yield gtsam.PriorFactorConstantBias(B(0), start, diagonal(spread))
+    yield gtsam.PriorFactorConstantBias(B(0), start, _diagonal(spread))
     sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), np.full(1, p.accel_late_sd_s)]
-    yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), diagonal(np.concatenate(sizes)))
+    yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), _diagonal(np.concatenate(sizes)))
 
 
 def motion_factors(keys: Keys, placed: bool, params: GraphParams) -> Iterator:
-    """A hand, a table, a vehicle: the place stays within metres, the speed within metres per second.
+    """Bound place and speed, as those of a hand, a table or a vehicle are; at rest the speed is zero.
 
-    Where satellites say where it is (``placed``), only rests are added.
+    Where satellites show the place (``placed``), only rests are bounded.
     """
     p, zero = params.motion, np.zeros(3)
     span_s = np.append(keys.span_s, keys.span_s[-1])
@@ -138,44 +139,44 @@ def motion_factors(keys: Keys, placed: bool, params: GraphParams) -> Iterator:
     for i in keys.states:
         share = 1 / np.sqrt(min(span_s[i], 1.0))
         if resting[i]:
-            yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, p.rest_velocity_sd_mps))
+            yield gtsam.PriorFactorVector(V(i), zero, _isotropic(3, p.rest_velocity_sd_mps))
         elif not placed:
-            yield gtsam.PriorFactorVector(V(i), zero, isotropic(3, p.velocity_sd_mps * share))
+            yield gtsam.PriorFactorVector(V(i), zero, _isotropic(3, p.velocity_sd_mps * share))
         if not placed:
-            yield gtsam.GPSFactor(X(i), zero, isotropic(3, p.position_sd_m * share))
+            yield gtsam.GPSFactor(X(i), zero, _isotropic(3, p.position_sd_m * share))
 
 
 def rest_factors(keys: Keys, params: GraphParams) -> Iterator:
-    """At rest nothing turns and nothing moves."""
+    """Keep neighbouring states equal during a rest."""
     p = params.motion
-    still = diagonal(np.concatenate([np.full(3, p.rest_turn_sd_rad), np.full(3, 1e-3)]))
+    still = _diagonal(np.concatenate([np.full(3, p.rest_turn_sd_rad), np.full(3, 1e-3)]))
     for i in keys.intervals(keys.at_rest & ~keys.gap):
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), still)
 
 
 def gap_factors(keys: Keys, params: GraphParams) -> Iterator:
-    """Across a gap the sensor may have turned at any rate up to ``gap_rate_sd`` and gone as far as its speed allows."""
+    """Tie the states beside a gap loosely: it may hide a turn at ``gap_rate_sd`` and a move at the usual speed."""
     rate, speed = params.inertial.gap_rate_sd_radps, params.motion.velocity_sd_mps
     for i in keys.intervals(keys.gap):
         seconds = keys.span_s[i]
-        loose = diagonal(np.concatenate([np.full(3, min(rate * seconds, np.pi)), np.full(3, speed * seconds)]))
+        loose = _diagonal(np.concatenate([np.full(3, min(rate * seconds, np.pi)), np.full(3, speed * seconds)]))
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), loose)
 
 
 def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
-    """The base pose is met again (robustly: it may have been knocked); the first attitude is where it began."""
+    """Tie returns to the base pose, robustly as it may have been knocked, and the first state to its attitude."""
     if anchors.first_q_nb is not None:
-        first = gtsam.Pose3(rot3(anchors.first_q_nb), np.zeros(3))
+        first = gtsam.Pose3(_make_rot3(anchors.first_q_nb), np.zeros(3))
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = anchors.first_cov_b_rad2, np.diag([100.0] * 3)
         yield gtsam.PriorFactorPose3(X(0), first, gtsam.noiseModel.Gaussian.Covariance(covariance))
     if anchors.base is None:
         return
     if anchors.base_q_nb is not None:
-        noise = diagonal(np.concatenate([np.full(3, anchors.base_sd_rad), np.full(3, 100.0)]))
-        yield gtsam.PriorFactorPose3(X(anchors.base), gtsam.Pose3(rot3(anchors.base_q_nb), np.zeros(3)), noise)
+        noise = _diagonal(np.concatenate([np.full(3, anchors.base_sd_rad), np.full(3, 100.0)]))
+        yield gtsam.PriorFactorPose3(X(anchors.base), gtsam.Pose3(_make_rot3(anchors.base_q_nb), np.zeros(3)), noise)
     turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
-    noise = diagonal(np.concatenate([np.full(3, turn), np.full(3, place)]))
+    noise = _diagonal(np.concatenate([np.full(3, turn), np.full(3, place)]))
     robust = gtsam.noiseModel.Robust.Create(RETURN_LOSS, noise)
     for state in anchors.returns:
         yield gtsam.BetweenFactorPose3(X(anchors.base), X(state), gtsam.Pose3(), robust)
@@ -184,10 +185,10 @@ def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
 def start_values(
     keys: Keys, q_nb: Floats, place_n_m: Floats, velocity_n_mps: Floats, bias_b_radps: Floats, params: GraphParams
 ) -> gtsam.Values:
-    """Values of the window's states: attitudes (n, 4), places and velocities (n, 3) of the start."""
+    """Return start values of a window's unknowns from attitudes (n, 4), places and velocities (n, 3)."""
     values = gtsam.Values()
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
-    step = steps_of_bias(keys, params)
+    step = bias_steps(keys, params)
     for i, matrix in zip(keys.held, rotation(q_nb[keys.held]).as_matrix(), strict=True):
         values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), place_n_m[i]))
         values.insert(V(i), velocity_n_mps[i])
@@ -199,6 +200,6 @@ def start_values(
     return values
 
 
-def rot3(q_nb: Floats) -> gtsam.Rot3:
-    """gtsam's rotation of a quaternion wxyz."""
+def _make_rot3(q_nb: Floats) -> gtsam.Rot3:
+    """Return gtsam's rotation for a quaternion wxyz."""
     return gtsam.Rot3.Quaternion(*(float(x) for x in q_nb))

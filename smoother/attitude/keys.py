@@ -1,4 +1,4 @@
-"""Where the graph has its states, and what the sensors measured between them."""
+"""Choose the states of the graph, and sum up what the sensors measured between them."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
-from stillpoint.smoother.attitude.clipping import extended
+from stillpoint.smoother.attitude.clipping import extend_clipped
 from stillpoint.smoother.attitude.params import KeyParams
-from stillpoint.smoother.missing import LONG_GAP_S, bridged
+from stillpoint.smoother.missing import LONG_GAP_S, bridge_gaps
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
@@ -22,19 +22,19 @@ class Motion:
 
     t_s: Floats  # (N,)
     dt_s: Floats  # (N,) the interval that ends at the sample
-    gyro_b_radps: Floats  # (N, 3) extended where clipped
+    gyro_b_radps: Floats  # (N, 3) with clipped and missing readings replaced
     accel_b_mps2: Floats  # (N, 3) the same
     at_rest: NDArray[np.bool_]  # (N,)
-    gyro_beyond_radps: Floats  # (N, 3) by how much an extended or bridged reading may be wrong, 0 elsewhere
+    gyro_beyond_radps: Floats  # (N, 3) by how much a replaced reading may be wrong, 0 elsewhere
     accel_beyond_mps2: Floats  # (N, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Keys:
-    """n states and the n - 1 intervals between them, and which of them the graph of a window has.
+    """n states, the n - 1 intervals between them, and the part of them that belongs to a window.
 
-    A window's factors are those of its states ``first`` to ``end - 1`` and of the intervals that begin there, so that
-    a window that ends where another begins shares no factor with it.
+    A window has the factors of its states ``first`` to ``end - 1`` and of the intervals that begin there, so that a
+    window that ends where another begins shares no factor with it.
     """
 
     row: NDArray[np.int64]  # (n,) the sample at which the state stands
@@ -53,54 +53,54 @@ class Keys:
 
     @property
     def states(self) -> range:
-        """The states whose factors the window has."""
+        """Return the states whose factors belong to the window."""
         return range(self.first, len(self.t_s) if self.end is None else self.end)
 
     @property
     def held(self) -> range:
-        """The states that occur in the window: its own, and the one at which its last interval ends."""
+        """Return the states that occur in the window: its own, and the one at which its last interval ends."""
         return range(self.first, min(self.states.stop + 1, len(self.t_s)))
 
     def intervals(self, which: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Numbers of the window's intervals that are ``which`` (n - 1,)."""
+        """Return the numbers of the window's intervals at which ``which`` (n - 1,) is true."""
         return np.flatnonzero(which[self.first : self.end]) + self.first
 
     def within(self, first: int, end: int) -> "Keys":
-        """The window of the states ``first`` to ``end - 1``."""
+        """Return the window of the states ``first`` to ``end - 1``."""
         return replace(self, first=first, end=end)
 
     @property
     def clipped(self) -> NDArray[np.bool_]:
-        """Intervals with a clipped reading, (n - 1,)."""
+        """Return which intervals have a clipped or missing reading, (n - 1,)."""
         return np.asarray((self.gyro_clipped_rad > 0).any(axis=1) | (self.accel_clipped_mps > 0).any(axis=1))
 
     @property
     def span_s(self) -> Floats:
-        """Lengths of the intervals, (n - 1,)."""
+        """Return the lengths of the intervals, (n - 1,)."""
         return np.diff(self.t_s)
 
 
-def motion_of(imu: Imu, rests_ns: Times) -> Motion:
-    """The stream with the marks that the graph needs."""
+def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
+    """Return the IMU stream in seconds, with rests marked and clipped and missing readings replaced."""
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for start, end in np.searchsorted(imu.t_ns, rests_ns):
         at_rest[start : end + 1] = True
-    gyro, gyro_beyond = extended(t_s, imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
-    accel, accel_beyond = extended(t_s, imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
+    gyro, gyro_beyond = extend_clipped(t_s, imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
+    accel, accel_beyond = extend_clipped(t_s, imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
     step_s = np.diff(t_s)
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
-    gyro, gyro_missed = bridged(dt_s, gyro, ~at_rest)
-    accel, accel_missed = bridged(dt_s, accel, ~at_rest)
+    gyro, gyro_missed = bridge_gaps(dt_s, gyro, ~at_rest)
+    accel, accel_missed = bridge_gaps(dt_s, accel, ~at_rest)
     beyond = np.maximum(gyro_beyond, gyro_missed), np.maximum(accel_beyond, accel_missed)
     return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:
-    """States every ``moving_s`` in motion and every ``resting_s`` at rest, at the ends of rests and gaps."""
-    rows = _rows(motion, params)
-    total_s, turned = _running(motion.dt_s, motion.gyro_b_radps)
-    _, pushed = _running(motion.dt_s, motion.accel_b_mps2)
+    """Place states every ``moving_s`` in motion, every ``resting_s`` at rest, and at the ends of rests and gaps."""
+    rows = _choose_rows(motion, params)
+    total_s, turned = _integrate(motion.dt_s, motion.gyro_b_radps)
+    _, pushed = _integrate(motion.dt_s, motion.accel_b_mps2)
     first, last = rows[:-1] + 1, rows[1:] + 1
     span_s = (total_s[last] - total_s[first])[:, None]
     moving = np.concatenate([[0], np.cumsum(~motion.at_rest)])
@@ -110,16 +110,16 @@ def choose_keys(motion: Motion, params: KeyParams) -> Keys:
         t_s=motion.t_s[rows],
         at_rest=(moving[last] - moving[rows[:-1]]) == 0,
         gap=longest > max(LONG_GAP_S, GAP_STEPS * float(np.median(motion.dt_s))),
-        gyro_clipped_rad=_sums(motion.gyro_beyond_radps * motion.dt_s[:, None], first),
-        accel_clipped_mps=_sums(motion.accel_beyond_mps2 * motion.dt_s[:, None], first),
+        gyro_clipped_rad=_sum_intervals(motion.gyro_beyond_radps * motion.dt_s[:, None], first),
+        accel_clipped_mps=_sum_intervals(motion.accel_beyond_mps2 * motion.dt_s[:, None], first),
         gyro_b_radps=(turned[last] - turned[first]) / span_s,
         accel_b_mps2=(pushed[last] - pushed[first]) / span_s,
         jerk_b_mps3=(motion.accel_b_mps2[rows[1:]] - motion.accel_b_mps2[rows[:-1]]) / span_s,
     )
 
 
-def _rows(motion: Motion, params: KeyParams) -> NDArray[np.int64]:
-    """A regular grid in each stretch of rest, of motion, and on either side of a gap."""
+def _choose_rows(motion: Motion, params: KeyParams) -> NDArray[np.int64]:
+    """Return the samples at which states stand: a regular grid in each stretch of rest or motion between gaps."""
     n = len(motion.t_s)
     broken = np.diff(motion.at_rest) | (np.diff(motion.t_s) > LONG_GAP_S)
     edges = np.unique(np.concatenate([[0], np.flatnonzero(broken), np.flatnonzero(broken) + 1, [n - 1]]))
@@ -133,11 +133,11 @@ def _rows(motion: Motion, params: KeyParams) -> NDArray[np.int64]:
             rows.append(np.searchsorted(motion.t_s, wanted_s))
     merged = np.unique(np.concatenate(rows))
     spaced = np.diff(motion.t_s[merged]) >= 0.3 * params.moving_s
-    return _without_slivers(merged, spaced, motion).astype(np.int64)
+    return _drop_slivers(merged, spaced, motion).astype(np.int64)
 
 
-def _without_slivers(rows: NDArray[np.int64], spaced: NDArray[np.bool_], motion: Motion) -> NDArray[np.int64]:
-    """Drop keys that stand a sample or two after another, but never one beside a gap or the last."""
+def _drop_slivers(rows: NDArray[np.int64], spaced: NDArray[np.bool_], motion: Motion) -> NDArray[np.int64]:
+    """Drop states a sample or two after another one, but never one beside a gap or the last."""
     after_gap = np.concatenate([[True], np.diff(motion.t_s) > LONG_GAP_S])
     keep = np.concatenate([[True], spaced]) | after_gap[rows]
     keep[-1] = True
@@ -145,12 +145,12 @@ def _without_slivers(rows: NDArray[np.int64], spaced: NDArray[np.bool_], motion:
     return rows[keep | before_gap]
 
 
-def _running(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Time and integral up to each sample, (N + 1,) and (N + 1, 3)."""
+def _integrate(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return time and integral up to each sample, (N + 1,) and (N + 1, 3)."""
     integral = np.concatenate([np.zeros((1, 3)), np.cumsum(values * dt_s[:, None], axis=0)])
     return np.concatenate([[0.0], np.cumsum(dt_s)]), integral
 
 
-def _sums(values: Floats, first: NDArray[np.int64]) -> Floats:
-    """Sums (n - 1, 3) over the samples of each interval, exactly 0 where all are."""
+def _sum_intervals(values: Floats, first: NDArray[np.int64]) -> Floats:
+    """Return sums (n - 1, 3) over the samples of each interval, exactly 0 where all samples are 0."""
     return np.asarray(np.add.reduceat(values, first, axis=0)) if len(first) else np.zeros((0, 3))

@@ -2,9 +2,9 @@
 
 The local field m, the hard iron h, the delay d and the matrix S (scale, axes, soft iron) are unknown: H, 16 numbers.
 
-gtsam has no factor with these unknown; this one is linearised here and handed over as a Jacobian factor in every
-iteration, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity). Over the delay
-the body turns as the gyro says: R(t - d) = R(t) exp(-w d).
+gtsam has no factor with these unknowns. The equation is linearised here in every iteration and given to gtsam as
+Jacobian factors, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity). During
+the delay the body turns at the gyro's rate: R(t - d) = R(t) exp(-w d).
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ from stillpoint.smoother.attitude.params import FieldParams
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 SHRINK = 0.6  # from iteration to iteration
 UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
-HEADING_SD_UT = 1e-3  # of the field's east part where its direction is north by definition
-LATE_S = 0.04  # a phone's magnetometer is late by so much; the rate is taken over that time before a state
+HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
+LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +36,19 @@ class FieldMeasurements:
     gyro_b_radps: Floats  # (K, 3) mean over LATE_S before the state
 
     def at(self, states: range) -> "FieldMeasurements | None":
-        """Those at some of the states, None where there are none."""
+        """Return the measurements at some of the states, None where there are none."""
         there = (self.state >= states.start) & (self.state < states.stop)
         if not there.any():
             return None
         return FieldMeasurements(self.state[there], self.field_b_ut[there], self.gyro_b_radps[there])
 
 
-def measurements_at(keys: Keys, motion: Motion, mag: Mag, t0_ns: int, params: FieldParams) -> FieldMeasurements | None:
-    """The field at states ``step_s`` apart, interpolated to their time; None where there are fewer than three.
+def select_measurements(
+    keys: Keys, motion: Motion, mag: Mag, t0_ns: int, params: FieldParams
+) -> FieldMeasurements | None:
+    """Return the field at states ``step_s`` apart, interpolated to their time; None if there are fewer than three.
 
-    States farther than half a step from a sample of the magnetometer's own clock are left out.
+    States farther than half a step from the nearest sample of the magnetometer get no measurement.
     """
     t_s = (mag.t_ns - t0_ns) / 1e9
     wanted_s = np.arange(keys.t_s[0], keys.t_s[-1], params.step_s)
@@ -65,14 +67,17 @@ def measurements_at(keys: Keys, motion: Motion, mag: Mag, t0_ns: int, params: Fi
     return FieldMeasurements(state.astype(np.int64), field, rate)
 
 
-def start_of_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
-    """Where H begins, (16,): the median field in n, seen from attitudes ``q_nb`` (K, 4), and the hard iron (3,)."""
+def start_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
+    """Return the start value of H (16,): the median field in n at attitudes ``q_nb`` (K, 4), and the hard iron (3,)."""
     field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
     return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(UNKNOWNS - 6)])
 
 
 def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
-    """Around the start; horizontally the field points to ``azimuth_rad`` east of north where n is defined by it."""
+    """Return the prior of H around its start value.
+
+    If ``azimuth_known``, the field defines the heading: it points to ``azimuth_rad`` east of north.
+    """
     level = np.hypot(start[0], start[1])
     mean = np.concatenate([[level * np.sin(azimuth_rad), level * np.cos(azimuth_rad), start[2]], start[3:]])
     sizes = np.repeat([params.field_sd_ut, params.iron_sd_ut, params.late_sd_s, params.matrix_sd], [3, 3, 1, 9])
@@ -85,41 +90,41 @@ def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: 
     return gtsam.PriorFactorVector(H(0), mean, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
 
-def residuals(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
-    """(1 + S) R(t - d)^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and H (16,)."""
-    return _seen(measured, rotations, field) @ field_matrix(field).T + field[3:6] - measured.field_b_ut
+def compute_residuals(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
+    """Return (1 + S) R(t - d)^T m + h - b, (K, 3) uT, for rotation matrices (K, 3, 3) and H (16,)."""
+    return _predict_field(measured, rotations, field) @ field_matrix(field).T + field[3:6] - measured.field_b_ut
 
 
 def field_matrix(field: Floats) -> Floats:
-    """1 + S, (3, 3), of H (16,)."""
+    """Return 1 + S, (3, 3), of H (16,)."""
     return np.asarray(np.eye(3) + field[7:].reshape(3, 3))
 
 
-def _seen(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
-    """R(t - d)^T m, (K, 3): the field in the body when it was measured."""
+def _predict_field(measured: FieldMeasurements, rotations: Floats, field: Floats) -> Floats:
+    """Return R(t - d)^T m, (K, 3): the field in the body when it was measured."""
     return np.einsum("kji,j->ki", rotations @ _turn_back(measured, field[6]), field[:3])
 
 
 def _turn_back(measured: FieldMeasurements, late_s: float) -> Floats:
-    """exp(-w d), (K, 3, 3): from the attitude of a state to that when its field was there."""
+    """Return exp(-w d), (K, 3, 3): the turn from a state's attitude back to that when its field was measured."""
     return np.asarray(Rotation.from_rotvec(-late_s * measured.gyro_b_radps).as_matrix())
 
 
-def weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
-    """Square roots of the Geman-McClure weights, (K,)."""
+def compute_weights(residual: Floats, scale_ut: float, params: FieldParams) -> Floats:
+    """Return the square roots of the Geman-McClure weights, (K,)."""
     return 1 / (1 + np.sum(residual**2, axis=1) / (params.robust * scale_ut) ** 2)
 
 
-def linear_factors(
+def linearise_measurements(
     measured: FieldMeasurements, rotations: Floats, field: Floats, scale_ut: float, params: FieldParams
 ) -> list[gtsam.JacobianFactor]:
-    """The measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
+    """Return the measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
     With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
-    residual, seen = residuals(measured, rotations, field), _seen(measured, rotations, field)
+    residual, seen = compute_residuals(measured, rotations, field), _predict_field(measured, rotations, field)
     matrix = field_matrix(field)
-    root = weights(residual, scale_ut, params) / scale_ut
+    root = compute_weights(residual, scale_ut, params) / scale_ut
     back = _turn_back(measured, field[6])
     cross = np.zeros((len(seen), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]
@@ -140,7 +145,7 @@ def linear_factors(
     ]
 
 
-def next_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:
-    """The scale of the next iteration: smaller, but not below the residuals' own size or ``sd_ut``."""
+def shrink_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:
+    """Return the scale of the next iteration: smaller, but not below the residuals' own size or ``sd_ut``."""
     size = float(np.median(np.linalg.norm(residual, axis=1)))  # about sd for three axes
     return max(params.sd_ut, min(SHRINK * scale_ut, max(size, params.sd_ut)))

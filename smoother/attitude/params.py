@@ -1,4 +1,4 @@
-"""Settings of the calibrating factor graph, and presets for ways of moving."""
+"""Settings of the attitude graph, and presets for kinds of motion."""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +9,7 @@ from stillpoint.smoother.rest import RestParams
 
 @dataclass(frozen=True)
 class KeyParams(Settings):
-    """Where the graph has states: default, lowest, highest, meaning."""
+    """Spacing of the states, and windows: default, lowest, highest, meaning."""
 
     moving_s: float = number(0.1, 0.02, 1.0, "between keys in motion")
     resting_s: float = number(1.0, 0.1, 10.0, "between keys at rest")
@@ -19,9 +19,10 @@ class KeyParams(Settings):
 
 @dataclass(frozen=True)
 class InertialNoise(Settings):
-    """Gyro and accelerometer. The densities in motion are larger than a sensor's white noise on purpose.
+    """Noise and priors of gyro and accelerometer.
 
-    They stand for all that a constant calibration does not explain: vibration, clipping, non-linearity, clock jitter.
+    The densities in motion are larger than a sensor's white noise on purpose: they include what a constant calibration
+    does not explain (vibration, clipping, non-linearity, clock jitter).
     """
 
     gyro_radps_rthz: float = number(0.003, 1e-6, 1.0, "gyro in motion, white")
@@ -45,7 +46,7 @@ class InertialNoise(Settings):
 
 @dataclass(frozen=True)
 class MotionPriors(Settings):
-    """How far and how fast the sensor moves: zero-mean, one draw a second."""
+    """Priors of position and velocity: zero-mean, independent from second to second."""
 
     position_sd_m: float = number(5.0, 0.01, 1e7, "position around a free origin")
     velocity_sd_mps: float = number(5.0, 0.01, 1e4, "speed around standstill")

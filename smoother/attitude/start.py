@@ -1,13 +1,13 @@
-"""A start value for the graph that needs no rest and no other filter: gyro bias, hard iron, tilt and heading.
+"""Find a start value for the graph without a rest and without a filter: gyro bias, hard iron, tilt and heading.
 
-In a block of a few seconds the gyro ties all attitudes to the block's first one. Seen from there, the mean specific
-force of every half second points up and the field is constant; whatever turns them is the gyro's bias, whatever makes
-the field's length change with the attitude is the hard iron. Both follow from least squares over all blocks,
+In a block of a few seconds the gyro relates all attitudes to the block's first one. In its axes the mean specific force
+of every half second points up and the field is constant. The gyro's bias turns them; the hard iron makes the field's
+length depend on the attitude. Both follow from least squares over all blocks,
 
     R_k a_k = u_block,   R_k (m_k - h) = m_block,   d(R_k v)/db = -[R_k v]x (-int R dt),
 
-robustly weighted, first with short blocks in which even 6 deg/s of bias does little harm, then with longer ones. Up and
-field then give each block's attitude in n, with no memory from block to block that could carry an error on.
+robustly weighted, first with short blocks in which even a bias of 6 deg/s does little harm, then with longer ones. Up
+and field then give each block's attitude in n independently, so that no error is carried from block to block.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ ITERATIONS = 12
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where the optimiser begins."""
+    """Start values of the optimiser."""
 
     q_nb: Floats  # (N, 4) north is magnetic with a magnetometer, arbitrary without
     gyro_bias_b_radps: Floats  # (3,)
@@ -58,23 +58,23 @@ class _Means:
 
 
 def find_start(motion: Motion, mag: Mag | None, t0_ns: int, rest_bias_b_radps: Floats | None) -> Start:
-    """The start value; ``rest_bias_b_radps`` (3,) is the gyro's mean at rest when there was a rest."""
-    field_b = None if mag is None else _on_clock(motion, mag, t0_ns)
+    """Return the start value; ``rest_bias_b_radps`` (3,) is the gyro's mean at rest, None without a rest."""
+    field_b = None if mag is None else _interpolate_field(motion, mag, t0_ns)
     guesses = [rest_bias_b_radps] if rest_bias_b_radps is not None else [np.median(motion.gyro_b_radps, axis=0)]
     if rest_bias_b_radps is None:
         guesses.append(np.zeros(3))
-    found = [_bias_and_iron(motion, field_b, guess) for guess in guesses]
+    found = [_fit_bias_and_iron(motion, field_b, guess) for guess in guesses]
     bias, iron, misfit = min(found, key=lambda each: each[2])
-    return Start(_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
+    return Start(_compute_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
 
 
-def _on_clock(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
+def _interpolate_field(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
     t_s = (mag.t_ns - t0_ns) / 1e9
     return np.stack([np.interp(motion.t_s, t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
 
 
-def _blocks(motion: Motion, length_s: float) -> NDArray[np.int64]:
-    """First sample of each block; gaps end a block."""
+def _split_blocks(motion: Motion, length_s: float) -> NDArray[np.int64]:
+    """Return the first sample of each block; a gap ends a block."""
     starts = [0]
     pieces = np.concatenate([[0], np.flatnonzero(motion.dt_s > LONG_GAP_S), [len(motion.t_s)]])
     for first, last in pairwise(pieces):
@@ -86,19 +86,19 @@ def _blocks(motion: Motion, length_s: float) -> NDArray[np.int64]:
     return np.unique(np.array(starts, dtype=np.int64))
 
 
-def _bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> tuple[Floats, Floats, float]:
-    """Gauss-Newton over blocks of growing length."""
+def _fit_bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> tuple[Floats, Floats, float]:
+    """Return gyro bias, hard iron and misfit by Gauss-Newton over blocks of growing length."""
     iron, misfit = np.zeros(3), np.inf
     bias = np.array(bias, dtype=np.float64)
     field = np.zeros_like(motion.gyro_b_radps) if field_b is None else field_b
     for length_s in BLOCKS_S:
-        starts = _blocks(motion, length_s)
+        starts = _split_blocks(motion, length_s)
         for _ in range(ITERATIONS):
-            windows, block = _windows(motion, starts)
+            windows, block = _split_half_seconds(motion, starts)
             means = _Means(
                 *_block_means(motion.gyro_b_radps - bias, motion.accel_b_mps2, field, motion.dt_s, starts, windows)
             )
-            step, misfit = _solve(means, iron, block, field_b is not None)
+            step, misfit = _solve_step(means, iron, block, field_b is not None)
             bias = bias + np.clip(step[:3], -BIAS_STEP_RADPS, BIAS_STEP_RADPS)
             iron = iron + step[3:]
             if np.abs(step[:3]).max() < 1e-5:
@@ -106,8 +106,8 @@ def _bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> tupl
     return bias, iron, misfit
 
 
-def _windows(motion: Motion, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First sample of each half second within each block, (W + 1,) with the end, and the block it belongs to."""
+def _split_half_seconds(motion: Motion, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first sample of each half second within each block, (W + 1,) with the end, and its block."""
     within_s = motion.t_s - motion.t_s[starts][np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1]
     number = np.floor(within_s / WINDOW_S).astype(np.int64)
     block_of = np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1
@@ -119,7 +119,7 @@ def _windows(motion: Motion, starts: NDArray[np.int64]) -> tuple[NDArray[np.int6
 def _block_means(
     rate: Floats, force: Floats, field: Floats, dt_s: Floats, starts: NDArray[np.int64], windows: NDArray[np.int64]
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """The four arrays of :class:`_Means` in one pass over the samples."""
+    """Return the four arrays of :class:`_Means` in one pass over the samples."""
     n_windows = len(windows) - 1
     mean_force, mean_field = np.zeros((n_windows, 3)), np.zeros((n_windows, 3))
     mean_turn, drift = np.zeros((n_windows, 3, 3)), np.zeros((n_windows, 3, 3))
@@ -151,7 +151,7 @@ def _block_means(
 
 @numba.njit(cache=True)
 def _rotate_by(x: float, y: float, z: float, out: Floats) -> None:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
+    """Write the rotation matrix of a rotation vector (Rodrigues) to ``out``."""
     angle = np.sqrt(x * x + y * y + z * z)
     s = 1.0 if angle < 1e-9 else np.sin(angle) / angle
     c = 0.5 if angle < 1e-9 else (1.0 - np.cos(angle)) / (angle * angle)
@@ -160,23 +160,23 @@ def _rotate_by(x: float, y: float, z: float, out: Floats) -> None:
     out[2, 0], out[2, 1], out[2, 2] = c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)
 
 
-def _solve(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool) -> tuple[Floats, float]:
-    """One weighted least-squares step of (bias, hard iron), (6,), and the misfit before it."""
+def _solve_step(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool) -> tuple[Floats, float]:
+    """Return one weighted least-squares step of (bias, hard iron), (6,), and the misfit before it."""
     force, force_by_bias = means.force, -_cross(means.force) @ means.drift
-    weight, size = _robust(_centred(force, block), block, FORCE_SD_MPS2)
-    residual = _centred(force, block, weight)
-    design = np.concatenate([_centred(force_by_bias, block, weight), np.zeros((len(force), 3, 3))], axis=2)
+    weight, size = _compute_robust_weights(_subtract_block_mean(force, block), block, FORCE_SD_MPS2)
+    residual = _subtract_block_mean(force, block, weight)
+    design = np.concatenate([_subtract_block_mean(force_by_bias, block, weight), np.zeros((len(force), 3, 3))], axis=2)
     rows, values = [np.sqrt(weight)[:, None, None] * design], [np.sqrt(weight)[:, None] * residual]
     misfit = size / FORCE_SD_MPS2
     if magnetic:
         field = means.field - means.turn @ iron
         field_by_bias = -_cross(field) @ means.drift
-        weight, size = _robust(_centred(field, block), block, FIELD_SD_UT)
+        weight, size = _compute_robust_weights(_subtract_block_mean(field, block), block, FIELD_SD_UT)
         both = np.concatenate([field_by_bias, -means.turn], axis=2)
         scale = np.sqrt(weight) / FIELD_WEIGHT_UT
-        rows.append(scale[:, None, None] * _centred(both, block, weight))
-        values.append(scale[:, None] * _centred(field, block, weight))
-        size_row, size_value = _earth_sized(field, means.turn, scale)
+        rows.append(scale[:, None, None] * _subtract_block_mean(both, block, weight))
+        values.append(scale[:, None] * _subtract_block_mean(field, block, weight))
+        size_row, size_value = _pull_to_earth_size(field, means.turn, scale)
         rows.append(size_row)
         values.append(size_value)
         misfit += size / FIELD_SD_UT
@@ -186,10 +186,10 @@ def _solve(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool
     return np.linalg.solve(normal, design.T @ target), misfit
 
 
-def _earth_sized(field: Floats, turn: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Rows (W, 6) and values (W,) that pull the field's size to the earth's.
+def _pull_to_earth_size(field: Floats, turn: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Return rows (W, 6) and values (W,) that pull the field's size to that of the earth.
 
-    Turning about the vertical only, the vertical parts of field and hard iron cannot be told apart otherwise.
+    Motion about the vertical alone does not separate the vertical parts of field and hard iron.
     """
     size = np.linalg.norm(field, axis=1)
     along = -np.einsum("wi,wij->wj", field / np.maximum(size, 1e-9)[:, None], turn)
@@ -197,8 +197,8 @@ def _earth_sized(field: Floats, turn: Floats, scale: Floats) -> tuple[Floats, Fl
     return np.concatenate([np.zeros_like(along), weight[:, None] * along], axis=1), weight * (size - EARTH_FIELD_UT)
 
 
-def _centred(values: Floats, block: NDArray[np.int64], weight: Floats | None = None) -> Floats:
-    """Values less the weighted mean of their block."""
+def _subtract_block_mean(values: Floats, block: NDArray[np.int64], weight: Floats | None = None) -> Floats:
+    """Return values minus the weighted mean of their block."""
     weight = np.ones(len(values)) if weight is None else weight
     flat = values.reshape(len(values), -1)
     edges = np.flatnonzero(np.diff(block, prepend=-1))
@@ -206,27 +206,27 @@ def _centred(values: Floats, block: NDArray[np.int64], weight: Floats | None = N
     return (flat - total[block]).reshape(values.shape)
 
 
-def _robust(residual: Floats, block: NDArray[np.int64], least: float) -> tuple[Floats, float]:
-    """Geman-McClure weights, and the robust size of the residuals."""
+def _compute_robust_weights(residual: Floats, block: NDArray[np.int64], least: float) -> tuple[Floats, float]:
+    """Return Geman-McClure weights, and the median size of the residuals."""
     length = np.linalg.norm(residual, axis=1)
     size = float(np.median(length))
     return 1 / (1 + (length / (2 * max(least, 1.48 * size))) ** 2) ** 2, size
 
 
 def _cross(v: Floats) -> Floats:
-    """Cross-product matrices (W, 3, 3)."""
+    """Return cross-product matrices (W, 3, 3)."""
     x, y, z = v.T
     o = np.zeros_like(x)
     return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], axis=1)
 
 
-def _attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iron: Floats) -> Floats:
-    """Attitude of every sample: the gyro within a block, up over the block, and the field over its neighbours too.
+def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iron: Floats) -> Floats:
+    """Return the attitude of every sample from the gyro, up over a block, and the field over neighbouring blocks.
 
-    The gyro carries the heading from block to block; the field corrects it by the angle on which most of the blocks
-    around agree, so that a magnet passing by does not turn a block.
+    The gyro carries the heading from block to block; the field corrects it by the angle on which most of the
+    neighbouring blocks agree, so that a passing magnet does not turn a block.
     """
-    starts = _blocks(motion, LEVEL_BLOCK_S)
+    starts = _split_blocks(motion, LEVEL_BLOCK_S)
     ends = np.append(starts[1:], len(motion.t_s))
     identity = np.array([1.0, 0.0, 0.0, 0.0])
     chained: list[Rotation] = []
@@ -236,19 +236,23 @@ def _attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iron: Float
         turn = rotation(integrate(identity, motion.gyro_b_radps[first:last] - bias, step_s))
         up = np.median(turn.apply(motion.accel_b_mps2[first:last].copy()), axis=0)
         before = chained[-1][-1] if chained else None
-        level = _level_like(up, before, motion.gyro_b_radps[first] - bias, motion.dt_s[first])
+        level = _level_block(up, before, motion.gyro_b_radps[first] - bias, motion.dt_s[first])
         chained.append(level * turn)
         if field_b is not None:
             east, north, _ = level.apply(np.median(turn.apply(field_b[first:last] - iron), axis=0))
             offsets[block] = np.arctan2(east, north)
     piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
-    corrected = [_agreed(offsets[piece == number]) for number in np.unique(piece)] if field_b is not None else [offsets]
+    corrected = (
+        [_take_circular_median(offsets[piece == number]) for number in np.unique(piece)]
+        if field_b is not None
+        else [offsets]
+    )
     turned = zip(np.concatenate(corrected), chained, strict=True)
     return np.concatenate([quaternion(heading_rotation(float(angle)) * block) for angle, block in turned])
 
 
-def _agreed(angles: Floats) -> Floats:
-    """Each angle replaced by the one among its neighbours that is nearest to all of them (a circular median)."""
+def _take_circular_median(angles: Floats) -> Floats:
+    """Return each angle replaced by the circular median of its neighbours."""
     half = NEIGHBOURS // 2
     agreed = np.empty(len(angles))
     for k in range(len(angles)):
@@ -257,8 +261,8 @@ def _agreed(angles: Floats) -> Floats:
     return agreed
 
 
-def _level_like(up: Floats, before: Rotation | None, rate: Floats, dt_s: float) -> Rotation:
-    """Block to level, with the heading that continues the attitude before it."""
+def _level_block(up: Floats, before: Rotation | None, rate: Floats, dt_s: float) -> Rotation:
+    """Return the rotation that levels a block and continues the heading of the attitude before it."""
     predicted = Rotation.identity() if before is None else before * Rotation.from_rotvec(rate * min(dt_s, LONG_GAP_S))
     if not up.any():
         return predicted  # a sensor that reads nothing but zeros

@@ -1,62 +1,111 @@
-"""Long recordings: windows that overlap, each of which begins with all that those before it say.
+"""Solve a recording in windows: one for a short recording, overlapping ones for a long recording.
 
     |------- window 1 -------|
-                     |------- window 2 -------|        the answer goes over from one to the other
-                     ^ until                           linearly in the overlap
+                     |------- window 2 -------|        the answer goes over linearly from one to the other
+                     ^ until                           in the overlap
 
-What ends a window's past are the states before the next one's first. Their factors are linearised at the optimum and
-reduced to the unknowns that both have in common (the state in between, the bias there, calibration, field and hard
-iron, the base pose): a Gaussian on these with all its correlations, so that nothing is counted twice or forgotten.
-A window's own answer, though, knows of the future no more than the overlap.
+The past of a window consists of the states before the first state of the next window. Their factors are linearised at
+the optimum and reduced to the unknowns that both windows share (the state in between, its bias, calibration, field and
+hard iron, base pose). The result is a Gaussian on these unknowns with all correlations, so that no measurement is
+counted twice or forgotten. A window's own answer uses the future only as far as the overlap.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, H, M, V, X
 from scipy.spatial.transform import Rotation
 
+from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
-from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.trajectory import Calibration
-from stillpoint.smoother.attitude.evidence import Evidence
-from stillpoint.smoother.attitude.factors import steps_of_bias
+from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.smoother.attitude.build import build_graph, build_start_values
+from stillpoint.smoother.attitude.every_sample import Piece, sample_solution
+from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
+from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
-from stillpoint.smoother.attitude.solve import Solution, linearised
+from stillpoint.smoother.attitude.plausibility import (
+    Contradiction,
+    Fit,
+    average_fits,
+    measure_fit,
+    refuse_contradictions,
+    refuse_fixes,
+)
+from stillpoint.smoother.attitude.satellite import believed_share
+from stillpoint.smoother.attitude.solve import Solution, linearise, solve
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The solved graph of a recording: one piece for each window."""
+
+    pieces: list[Piece]
+    fit: Fit
+    params: GraphParams  # with the sensor priors that were used
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What a window hands to the next."""
+    """What a window hands over to the next one."""
 
-    factors: tuple[gtsam.LinearContainerFactor, ...]  # on the unknowns in common
-    values: gtsam.Values  # of all that the window had
+    factors: tuple[gtsam.LinearContainerFactor, ...]  # on the unknowns that both share
+    values: gtsam.Values  # of all unknowns of the window
     held: range  # its states in the overlap
-    base: int | None  # the state of the base pose, when it lies in the past
-    gyro_bias_b_radps: Floats  # (3,) where the next begins
+    base: int | None  # the state of the base pose, if it lies in the past
+    gyro_bias_b_radps: Floats  # (3,) at the first state of the next window
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """The answer at the N samples of a window; covariances as the noise sizes promise them."""
+def solve_both_headings(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
+    """Solve from the start value, and once more with its heading rotated by 180 deg if the field then points south.
 
-    samples: slice
-    q_nb: Floats  # (N, 4)
-    cov_b_rad2: Floats  # (N, 3, 3) relative to the mean heading
-    gyro_bias_b_radps: Floats  # (N, 3)
-    heading_rad2: float  # variance of the mean heading
-    closing_squares: tuple[float, ...]
-    calibration: Calibration
-    late_sd_s: float  # of the accelerometer's delay
-    iterations: int
-    cost: float
+    This happens where the magnetometer covers little of the recording, so that the start value has no heading.
+    Raises :class:`Contradiction` when the field points south from both headings.
+    """
+    solved = solve_windows(recording, evidence, params)
+    if _field_points_north(solved.pieces, recording, evidence):
+        return solved
+    solved = solve_windows(recording, turn_start_round(evidence), params)
+    if not _field_points_north(solved.pieces, recording, evidence):
+        raise Contradiction(recording.name, "the field points away from north, wherever the heading begins")
+    return solved
 
 
-def split(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
-    """First state of each window, of the next one, and its end: equally long, none longer than ``window_s``."""
+def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
+    """Solve window by window; each window begins with everything that the windows before it have found.
+
+    Raises :class:`Unobservable` when a window has no unique optimum or one that no sensor can have produced.
+    """
+    pieces: list[Piece] = []
+    fits: list[Fit] = []
+    past: Past | None = None
+    for first, until, end in split_windows(evidence.keys, params.keys):
+        window, closed = evidence.within(first, end), evidence.within(first, until)
+        start_bias = evidence.start.gyro_bias_b_radps
+        bias = start_bias if past is None else past.gyro_bias_b_radps
+        before = build_graph(recording, closed, bias, params)
+        after = build_graph(recording, evidence.within(until, end), bias, params) if until < end else None
+        graph = join_graphs(before, after, past)
+        values = start_window(window, past, params)
+        solution = solve(graph, values, window.keys.held, window.measured, recording.name, params)
+        inherited = 0 if past is None else len(past.factors)
+        fits.append(measure_fit(graph, inherited, solution, window.keys, params))
+        refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
+        if window.fixes is not None:
+            refuse_fixes(believed_share(window.fixes, solution.values, params.gps), recording.name)
+        pieces.append(sample_solution(window, solution, until, recording.name, params))
+        if until < end:
+            past = hand_over(join_graphs(before, None, past), closed, window.keys, solution, params)
+    return Solved(pieces, average_fits(fits), params)
+
+
+def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
+    """Return for each window its first state, the first state of the next window, and its end.
+
+    All windows have the same length, at most ``window_s``.
+    """
     n, length_s = len(keys.t_s), keys.t_s[-1] - keys.t_s[0]
     overlap_s = min(params.overlap_s, params.window_s / 2)
     count = int(np.ceil((length_s - overlap_s) / (params.window_s - overlap_s)))
@@ -68,20 +117,45 @@ def split(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in range(count)]
 
 
+def join_graphs(
+    before: gtsam.NonlinearFactorGraph, after: gtsam.NonlinearFactorGraph | None, past: Past | None
+) -> gtsam.NonlinearFactorGraph:
+    """Return one graph of two stretches of states and, last, the factors inherited from the past."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(before)
+    if after is not None:
+        graph.push_back(after)
+    for factor in () if past is None else past.factors:
+        graph.push_back(factor)
+    return graph
+
+
+def start_window(window: Evidence, past: Past | None, params: GraphParams) -> gtsam.Values:
+    """Return the start values of a window: those of the evidence, overwritten by the past where the two overlap."""
+    if past is None:
+        return build_start_values(window, window.q_nb, window.start.gyro_bias_b_radps, params)
+    values = build_start_values(window, _continue_attitudes(past, window), past.gyro_bias_b_radps, params)
+    _resume(values, past, window.keys, params)
+    return values
+
+
 def hand_over(
     graph: gtsam.NonlinearFactorGraph, closed: Evidence, window: Keys, solution: Solution, params: GraphParams
 ) -> Past:
-    """The past in a nutshell: ``graph`` has the factors of ``closed``, the part of the window before the next one."""
+    """Reduce the factors of a window's past to the unknowns that it shares with the next window.
+
+    ``graph`` holds the factors of ``closed``, the part of the window before the next one.
+    """
     keys, values = closed.keys, solution.values
     until = keys.states.stop
-    system, _ = linearised(graph, values, closed.measured, solution.field_scale_ut, params)
-    step = int(steps_of_bias(keys, params)[until])
+    system, _ = linearise(graph, values, closed.measured, solution.field_scale_ut, params)
+    step = int(bias_steps(keys, params)[until])
     base, _ = closed.return_states()
     base = base if base is not None and base < until else None
     common = [X(until), V(until), B(step), M(0)]
     common += [H(0)] if values.exists(H(0)) else []
     common += [X(base)] if base is not None else []
-    _, rest = system.eliminatePartialMultifrontal(_without(solution.ordering, system, common))
+    _, rest = system.eliminatePartialMultifrontal(_order_without(solution.ordering, system, common))
     return Past(
         factors=tuple(gtsam.LinearContainerFactor(rest.at(k), values) for k in range(rest.size())),
         values=values,
@@ -91,8 +165,17 @@ def hand_over(
     )
 
 
-def _without(ordering: gtsam.Ordering, system: gtsam.GaussianFactorGraph, kept: list[int]) -> gtsam.Ordering:
-    """The unknowns of the system but for those kept, in the window's order: it is good for its past, too."""
+def _field_points_north(pieces: list[Piece], recording: Recording, evidence: Evidence) -> bool:
+    """Return whether the local field points to the north of the declination; True if the field is not the heading."""
+    field_n_ut = pieces[-1].calibration.field_n_ut
+    if field_n_ut is None or has_known_base_pose(recording, evidence) or evidence.fixes is not None:
+        return True
+    azimuth, _ = local_declination(recording.info)
+    return bool(field_n_ut[0] * np.sin(azimuth) + field_n_ut[1] * np.cos(azimuth) > 0)
+
+
+def _order_without(ordering: gtsam.Ordering, system: gtsam.GaussianFactorGraph, kept: list[int]) -> gtsam.Ordering:
+    """Return the unknowns of a system except those kept, in the order of the whole window."""
     wanted = set(system.keyVector()).difference(kept)
     shorter = gtsam.Ordering()
     for k in range(ordering.size()):
@@ -101,26 +184,26 @@ def _without(ordering: gtsam.Ordering, system: gtsam.GaussianFactorGraph, kept: 
     return shorter
 
 
-def attitudes_after(past: Past, evidence: Evidence) -> Floats:
-    """The attitudes (n, 4) to start from, turned to the heading of the past where no field tells it."""
-    if evidence.measured is not None:
-        return evidence.q_nb
+def _continue_attitudes(past: Past, window: Evidence) -> Floats:
+    """Return the start attitudes (n, 4), rotated to the heading of the past if no magnetometer shows the heading."""
+    if window.measured is not None:
+        return window.q_nb
     last = past.held[-1]
-    turn = rotation(evidence.q_nb[last]).inv()
+    turn = rotation(window.q_nb[last]).inv()
     difference = quaternion(Rotation.from_matrix(past.values.atPose3(X(last)).rotation().matrix()) * turn)
     angle_rad = float(2 * np.arctan2(difference[3], difference[0]))
-    return quaternion(heading_rotation(angle_rad) * rotation(evidence.q_nb))
+    return quaternion(heading_rotation(angle_rad) * rotation(window.q_nb))
 
 
-def resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) -> None:
-    """Where the past had an unknown of the window, that begins where the past left it."""
+def _resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) -> None:
+    """Overwrite start values with the optimum of the window before, for all unknowns that both windows have."""
     before = past.values
     for i in past.held:
         values.update(X(i), before.atPose3(X(i)))
         values.update(V(i), before.atVector(V(i)))
         if before.exists(C(i)) and values.exists(C(i)):
             values.update(C(i), before.atConstantBias(C(i)))
-    step = steps_of_bias(keys, params)[past.held]
+    step = bias_steps(keys, params)[past.held]
     for k in range(step[0], step[-1] + 1):
         values.update(B(k), before.atConstantBias(B(k)))
     values.update(M(0), before.atVector(M(0)))
@@ -128,43 +211,3 @@ def resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) ->
         values.update(H(0), before.atVector(H(0)))
     if past.base is not None and past.base not in keys.held:
         values.insert(X(past.base), before.atPose3(X(past.base)))
-
-
-def joined(pieces: Sequence[Piece], t_s: Floats) -> Piece:
-    """One piece of all: in an overlap it goes over from one to the next linearly in time.
-
-    The mean heading is as well known as in the best window; what another window's is worse than that is added to its
-    own covariance. The calibration is the last one, which has seen all data.
-    """
-    if len(pieces) == 1:
-        return pieces[0]
-    best = min(piece.heading_rad2 for piece in pieces)
-    n = len(t_s)
-    q_nb, cov, bias = np.empty((n, 4)), np.empty((n, 3, 3)), np.empty((n, 3))
-    done = 0
-    for piece in pieces:
-        here = piece.samples
-        common, fresh = slice(here.start, done), slice(max(done, here.start), here.stop)
-        old, new = done - here.start, slice(max(done - here.start, 0), None)
-        up_b = rotation(piece.q_nb).as_matrix()[:, 2]
-        cov_piece = piece.cov_b_rad2 + (piece.heading_rad2 - best) * up_b[:, :, None] * up_b[:, None, :]
-        if old > 0:
-            span_s = t_s[common] - t_s[here.start]
-            share = (span_s / span_s[-1])[:, None]
-            before = rotation(q_nb[common])
-            step = (before.inv() * rotation(piece.q_nb[:old])).as_rotvec()
-            q_nb[common] = quaternion(before * Rotation.from_rotvec(share * step))
-            cov[common] = (1 - share[:, None]) * cov[common] + share[:, None] * cov_piece[:old]
-            bias[common] = (1 - share) * bias[common] + share * piece.gyro_bias_b_radps[:old]
-        q_nb[fresh], cov[fresh], bias[fresh] = piece.q_nb[new], cov_piece[new], piece.gyro_bias_b_radps[new]
-        done = here.stop
-    return replace(
-        pieces[-1],
-        samples=slice(0, n),
-        q_nb=q_nb,
-        cov_b_rad2=cov,
-        gyro_bias_b_radps=bias,
-        heading_rad2=best,
-        iterations=max(piece.iterations for piece in pieces),
-        cost=sum(piece.cost for piece in pieces),
-    )

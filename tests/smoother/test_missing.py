@@ -7,14 +7,14 @@ from known_motion import without
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.missing import bridged
+from stillpoint.smoother.missing import bridge_gaps
 
 STEP_S = 0.01
 
 
 def test_without_a_gap_nothing_changes():
     values = np.random.default_rng(0).normal(size=(50, 3))
-    filled, wrong = bridged(np.full(50, STEP_S), values, np.ones(50, bool))
+    filled, wrong = bridge_gaps(np.full(50, STEP_S), values, np.ones(50, bool))
     assert filled is values
     assert not wrong.any()
 
@@ -24,7 +24,7 @@ def test_a_straight_line_is_bridged_exactly():
     t_s = np.arange(200) * STEP_S
     keep = (t_s < 0.8) | (t_s > 1.1)
     values = np.outer(t_s, [1.0, -2.0, 0.5])[keep]
-    filled, wrong = bridged(np.diff(t_s[keep], prepend=-STEP_S), values, np.ones(keep.sum(), bool))
+    filled, wrong = bridge_gaps(np.diff(t_s[keep], prepend=-STEP_S), values, np.ones(keep.sum(), bool))
     after = np.flatnonzero(np.diff(t_s[keep]) > 0.1)[0] + 1
     np.testing.assert_allclose(filled[after], (values[after - 1] + values[after]) / 2)
     assert np.delete(np.abs(filled - values), after, axis=0).max() == 0
@@ -41,7 +41,7 @@ def test_how_wrong_a_bridge_may_be_is_read_off_the_motion(length_s):
     values = np.repeat(np.sin(2 * np.pi * t_s)[:, None], 3, axis=1)
     keep = (t_s <= 10) | (t_s > 10 + length_s)
     dt_s = np.diff(t_s[keep], prepend=-STEP_S)
-    _, wrong = bridged(dt_s, values[keep], np.ones(keep.sum(), bool))
+    _, wrong = bridge_gaps(dt_s, values[keep], np.ones(keep.sum(), bool))
     x = np.pi * dt_s.max()
     assert wrong.max() == pytest.approx((np.sin(x) / x - np.cos(x)) / np.sqrt(2), rel=0.1, abs=0.015)
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu
 from stillpoint.datasets.frames import quaternion
 from stillpoint.smoother.attitude import factors
-from stillpoint.smoother.attitude.keys import choose_keys, motion_of
+from stillpoint.smoother.attitude.keys import choose_keys, prepare_motion
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
 
 G = 9.80665
@@ -30,7 +30,7 @@ def turning(rate_b_radps, seconds=1.0, accel_late_s=0.0):
     )
     gyro = np.tile(rate_b_radps, (len(t_s), 1))
     imu = Imu((t_s * 1e9).astype(np.int64), gyro, felt.inv().apply([0.0, 0.0, G]))
-    motion = motion_of(imu, NO_RESTS)
+    motion = prepare_motion(imu, NO_RESTS)
     keys = choose_keys(motion, KeyParams(moving_s=0.1))
     return motion, keys, attitude[keys.row]
 
@@ -74,7 +74,7 @@ def test_a_gyro_sample_describes_the_interval_that_ends_at_it():
     gyro = np.zeros((41, 3))
     gyro[1:, 2] = np.where(np.arange(1, 41) <= 20, 4.0, 0.0)
     turned = np.cumsum(gyro[:, 2]) / 200
-    motion = motion_of(Imu((t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, G], (41, 1))), NO_RESTS)
+    motion = prepare_motion(Imu((t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, G], (41, 1))), NO_RESTS)
     keys = choose_keys(motion, KeyParams(moving_s=0.1))
     attitude = Rotation.from_rotvec(np.outer(turned[keys.row], [0, 0, 1]))
     made = list(factors.imu_factors(motion, keys, np.zeros(3), G, PARAMS))

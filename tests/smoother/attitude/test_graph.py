@@ -15,8 +15,8 @@ from stillpoint.datasets.simulate import PERFECT, PHONE, simulate
 from stillpoint.datasets.trajectory import CONVENTION
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
+from stillpoint.smoother.attitude.covariance import covariance_factor
 from stillpoint.smoother.attitude.params import HANDHELD
-from stillpoint.smoother.attitude.solve import scale_of
 
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
@@ -139,8 +139,8 @@ def test_the_covariance_is_neither_boast_nor_excuse(kind):
 
 def test_many_returns_do_not_promise_more_than_six() -> None:
     """Over hours the returns would scale the covariance to nothing, while what errs alike each time stays."""
-    assert scale_of([0.06] * 900, HANDHELD) == pytest.approx(scale_of([0.06] * 6, HANDHELD))
-    assert scale_of([], HANDHELD) == pytest.approx(HANDHELD.variance_factor)
-    assert scale_of([4.0] * 3, HANDHELD) > HANDHELD.variance_factor > scale_of([0.1] * 3, HANDHELD)
+    assert covariance_factor([0.06] * 900, HANDHELD) == pytest.approx(covariance_factor([0.06] * 6, HANDHELD))
+    assert covariance_factor([], HANDHELD) == pytest.approx(HANDHELD.variance_factor)
+    assert covariance_factor([4.0] * 3, HANDHELD) > HANDHELD.variance_factor > covariance_factor([0.1] * 3, HANDHELD)
     for count in (1, 3, 50):  # closing as well as promised says: as promised
-        assert scale_of([1.0] * count, HANDHELD) == pytest.approx(HANDHELD.variance_factor)
+        assert covariance_factor([1.0] * count, HANDHELD) == pytest.approx(HANDHELD.variance_factor)

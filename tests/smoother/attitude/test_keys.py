@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillpoint.datasets import Imu
-from stillpoint.smoother.attitude.keys import LONG_GAP_S, choose_keys, motion_of
+from stillpoint.smoother.attitude.keys import LONG_GAP_S, choose_keys, prepare_motion
 from stillpoint.smoother.attitude.params import KeyParams
 
 PARAMS = KeyParams()
@@ -35,7 +35,7 @@ def test_no_sample_is_left_out_and_none_is_used_twice(rate_hz, jitter, gaps_s, r
     for at_s, length_s in gaps_s:
         t_s = t_s[(t_s < at_s) | (t_s > at_s + length_s)]
     imu = stream(t_s - t_s[0])
-    motion = motion_of(imu, rests(imu, (rest_s[0], rest_s[0] + rest_s[1])))
+    motion = prepare_motion(imu, rests(imu, (rest_s[0], rest_s[0] + rest_s[1])))
     keys = choose_keys(motion, PARAMS)
     assert keys.row[0] == 0
     assert keys.row[-1] == len(t_s) - 1
@@ -48,7 +48,7 @@ def test_no_sample_is_left_out_and_none_is_used_twice(rate_hz, jitter, gaps_s, r
 
 def test_states_are_dense_in_motion_and_sparse_at_rest():
     imu = stream(np.arange(3000) / 100)
-    keys = choose_keys(motion_of(imu, rests(imu, (10.0, 20.0))), PARAMS)
+    keys = choose_keys(prepare_motion(imu, rests(imu, (10.0, 20.0))), PARAMS)
     assert keys.at_rest.sum() == pytest.approx(10, abs=1)
     assert (~keys.at_rest).sum() == pytest.approx(200, abs=4)
 
@@ -56,7 +56,7 @@ def test_states_are_dense_in_motion_and_sparse_at_rest():
 def test_a_long_gap_has_a_state_on_either_side_and_is_not_integrated():
     t_s = np.arange(1000) / 100
     imu = stream(t_s[(t_s < 4.0) | (t_s >= 6.0)])
-    keys = choose_keys(motion_of(imu, rests(imu)), PARAMS)
+    keys = choose_keys(prepare_motion(imu, rests(imu)), PARAMS)
     (gap,) = np.flatnonzero(keys.gap)
     assert keys.t_s[gap] == pytest.approx(3.99)
     assert keys.t_s[gap + 1] == pytest.approx(6.0)
@@ -65,19 +65,19 @@ def test_a_long_gap_has_a_state_on_either_side_and_is_not_integrated():
 def test_a_clipped_interval_says_for_how_long_it_may_be_wrong():
     imu = stream(np.arange(2000) / 100, scale=10.0)
     limited = Imu(imu.t_ns, np.clip(imu.gyro_b_radps, -8.0, 8.0), imu.accel_b_mps2)
-    motion = motion_of(limited, rests(imu))
+    motion = prepare_motion(limited, rests(imu))
     np.testing.assert_array_equal(motion.gyro_beyond_radps > 0, np.abs(imu.gyro_b_radps) >= 8.0)
     assert not motion.accel_beyond_mps2.any()
     keys = choose_keys(motion, PARAMS)
     wrong = motion.gyro_beyond_radps * motion.dt_s[:, None]
     np.testing.assert_allclose(keys.gyro_clipped_rad.sum(axis=0), wrong[1:].sum(axis=0))
     slow = Imu(imu.t_ns, np.clip(imu.gyro_b_radps, -2.0, 2.0), imu.accel_b_mps2)
-    assert not motion_of(slow, rests(imu)).gyro_beyond_radps.any()  # below the smallest range a sensor has
+    assert not prepare_motion(slow, rests(imu)).gyro_beyond_radps.any()  # below the smallest range a sensor has
 
 
 @pytest.mark.parametrize("count", [2, 3, 10])
 def test_a_handful_of_samples_is_enough(count):
     imu = stream(np.arange(count) / 100)
-    keys = choose_keys(motion_of(imu, rests(imu)), PARAMS)
+    keys = choose_keys(prepare_motion(imu, rests(imu)), PARAMS)
     assert len(keys.t_s) >= 2
     assert len(keys.at_rest) == len(keys.t_s) - 1

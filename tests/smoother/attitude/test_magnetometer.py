@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import quaternion
 from stillpoint.smoother.attitude.magnetometer import (
     FieldMeasurements,
+    compute_residuals,
+    compute_weights,
     field_matrix,
     field_prior,
-    linear_factors,
-    next_scale,
-    residuals,
-    start_of_field,
-    weights,
+    linearise_measurements,
+    shrink_scale,
+    start_field,
 )
 from stillpoint.smoother.attitude.params import FieldParams
 
@@ -44,18 +44,18 @@ def seen(attitude, rate=RATE):
 
 
 def test_nothing_is_left_at_the_truth(attitude, measured):
-    assert np.abs(residuals(measured, attitude.as_matrix(), FIELD)).max() < 1e-12
+    assert np.abs(compute_residuals(measured, attitude.as_matrix(), FIELD)).max() < 1e-12
 
 
 def test_a_tilted_attitude_leaves_what_the_model_has_too_much(attitude, measured):
     tilted = attitude * Rotation.from_rotvec([0.01, 0.0, 0.0])
     wanted = seen(tilted) + FIELD[3:6] - measured.field_b_ut
-    np.testing.assert_allclose(residuals(measured, tilted.as_matrix(), FIELD), wanted, atol=1e-12)
+    np.testing.assert_allclose(compute_residuals(measured, tilted.as_matrix(), FIELD), wanted, atol=1e-12)
 
 
 def test_jacobians_agree_with_central_differences(attitude, measured):
     """Near the truth the weights are 1, so the whitened Jacobian is the residual's over the scale."""
-    made = linear_factors(measured, attitude.as_matrix(), FIELD, PARAMS.sd_ut, PARAMS)
+    made = linearise_measurements(measured, attitude.as_matrix(), FIELD, PARAMS.sd_ut, PARAMS)
     h = 1e-6
     for k, factor in enumerate(made):
         assert list(factor.keys()) == [X(k), H(0)]
@@ -63,12 +63,15 @@ def test_jacobians_agree_with_central_differences(attitude, measured):
         np.testing.assert_allclose(target, 0.0, atol=1e-12)
         for axis in range(3):
             d = np.eye(3)[axis] * h
-            moved = [residuals(measured, (attitude * Rotation.from_rotvec(s * d)).as_matrix(), FIELD) for s in (1, -1)]
+            moved = [
+                compute_residuals(measured, (attitude * Rotation.from_rotvec(s * d)).as_matrix(), FIELD)
+                for s in (1, -1)
+            ]
             np.testing.assert_allclose(matrix[:, axis], (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut, atol=1e-6)
         np.testing.assert_allclose(matrix[:, 3:6], 0.0)
         for axis in range(len(FIELD)):
             d = np.eye(len(FIELD))[axis] * h
-            moved = [residuals(measured, attitude.as_matrix(), FIELD + s * d) for s in (1, -1)]
+            moved = [compute_residuals(measured, attitude.as_matrix(), FIELD + s * d) for s in (1, -1)]
             numeric = (moved[0] - moved[1])[k] / (2 * h) / PARAMS.sd_ut
             np.testing.assert_allclose(matrix[:, 6 + axis], numeric, atol=1e-6)
 
@@ -80,13 +83,13 @@ def test_one_step_goes_to_the_truth(attitude, measured):
     """
     off = FIELD + np.array([0.01, 0.0, -0.01, 0.0, 0.01, 0.0, -1e-5, *np.full(9, 1e-5)])
     system = gtsam.GaussianFactorGraph()
-    for factor in linear_factors(measured, attitude.as_matrix(), off, PARAMS.sd_ut, PARAMS):
+    for factor in linearise_measurements(measured, attitude.as_matrix(), off, PARAMS.sd_ut, PARAMS):
         system.push_back(factor)
     for k in range(4):
         system.push_back(gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
     system.push_back(gtsam.JacobianFactor(H(0), 1e-3 * np.eye(16), np.zeros(16), gtsam.noiseModel.Unit.Create(16)))
     found = off + system.optimize().at(H(0))
-    before, after = (np.abs(residuals(measured, attitude.as_matrix(), field)).max() for field in (off, found))
+    before, after = (np.abs(compute_residuals(measured, attitude.as_matrix(), field)).max() for field in (off, found))
     assert after < 1e-3 * before
 
 
@@ -94,10 +97,10 @@ def test_the_matrix_is_found_but_for_the_size_of_the_field():
     """From 60 known attitudes, in a few iterations; a common scale of all axes and the field's size are one thing."""
     attitudes = Rotation.random(60, rng=np.random.default_rng(5))
     measured = FieldMeasurements(np.arange(60), seen(attitudes, 0.0 * RATE[:1]) + FIELD[3:6], np.zeros((60, 3)))
-    field = start_of_field(measured, quaternion(attitudes), np.zeros(3))
+    field = start_field(measured, quaternion(attitudes), np.zeros(3))
     for _ in range(6):
         system = gtsam.GaussianFactorGraph()
-        for factor in linear_factors(measured, attitudes.as_matrix(), field, PARAMS.sd_ut, PARAMS):
+        for factor in linearise_measurements(measured, attitudes.as_matrix(), field, PARAMS.sd_ut, PARAMS):
             system.push_back(factor)
         for k in range(60):
             held = gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6))
@@ -113,14 +116,14 @@ def test_the_matrix_is_found_but_for_the_size_of_the_field():
 def test_a_magnet_loses_its_weight():
     """Geman-McClure: a half (of the root) where the residual is robust * scale, next to nothing at ten times that."""
     size = PARAMS.robust * PARAMS.sd_ut
-    root = weights(np.array([[0.0, 0.0, 0.0], [size, 0.0, 0.0], [0.0, 10 * size, 0.0]]), PARAMS.sd_ut, PARAMS)
+    root = compute_weights(np.array([[0.0, 0.0, 0.0], [size, 0.0, 0.0], [0.0, 10 * size, 0.0]]), PARAMS.sd_ut, PARAMS)
     np.testing.assert_allclose(root, [1.0, 0.5, 1 / 101])
 
 
 def test_the_scale_shrinks_to_its_end_and_stays():
     scale, small = 8 * PARAMS.sd_ut, np.zeros((5, 3))
     for _ in range(10):
-        scale, before = next_scale(scale, small, PARAMS), scale
+        scale, before = shrink_scale(scale, small, PARAMS), scale
         assert scale <= before
     assert scale == PARAMS.sd_ut
 
@@ -128,7 +131,7 @@ def test_the_scale_shrinks_to_its_end_and_stays():
 def test_the_start_is_the_median_field_without_the_iron(attitude):
     """With neither delay nor matrix: these are for the graph to find."""
     at_rest = FieldMeasurements(np.arange(4), attitude.inv().apply(FIELD[:3]) + FIELD[3:6], 0 * RATE)
-    found = start_of_field(at_rest, quaternion(attitude), FIELD[3:6])
+    found = start_field(at_rest, quaternion(attitude), FIELD[3:6])
     np.testing.assert_allclose(found, [*FIELD[:6], *np.zeros(10)], atol=1e-9)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Mag
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
-from stillpoint.smoother.attitude.keys import motion_of
+from stillpoint.smoother.attitude.keys import prepare_motion
 from stillpoint.smoother.attitude.start import find_start
 
 NO_RESTS = np.empty((0, 2), dtype=np.int64)
@@ -23,7 +23,7 @@ def swing():
 
 def start_of(recording):
     imu = recording.imu
-    return find_start(motion_of(imu, NO_RESTS), recording.mag, int(imu.t_ns[0]), None)
+    return find_start(prepare_motion(imu, NO_RESTS), recording.mag, int(imu.t_ns[0]), None)
 
 
 def error_deg(recording, start):

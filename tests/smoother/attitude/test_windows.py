@@ -1,4 +1,4 @@
-"""Windows of a long recording: what one hands to the next, and how they are joined."""
+"""Windows of a long recording: what one hands over to the next, and how they are joined."""
 
 from dataclasses import replace
 
@@ -13,11 +13,12 @@ from stillpoint.datasets.frames import rotation  # noqa: E402
 from stillpoint.datasets.recording import Recording  # noqa: E402
 from stillpoint.datasets.simulate import simulate  # noqa: E402
 from stillpoint.datasets.trajectory import total_sd_rad  # noqa: E402
-from stillpoint.smoother.attitude.evidence import Evidence, gather  # noqa: E402
-from stillpoint.smoother.attitude.graph import build, reference_from  # noqa: E402
+from stillpoint.smoother.attitude.build import build_graph  # noqa: E402
+from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence  # noqa: E402
+from stillpoint.smoother.attitude.graph import reference_from_evidence  # noqa: E402
 from stillpoint.smoother.attitude.params import HANDHELD  # noqa: E402
-from stillpoint.smoother.attitude.solve import linearised, solve  # noqa: E402
-from stillpoint.smoother.attitude.windows import hand_over, split  # noqa: E402
+from stillpoint.smoother.attitude.solve import linearise, solve  # noqa: E402
+from stillpoint.smoother.attitude.windows import Past, hand_over, join_graphs, split_windows, start_window  # noqa: E402
 
 WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
 
@@ -29,31 +30,38 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def evidence(recording: Recording) -> Evidence:
-    return gather(recording, HANDHELD)
+    return gather_evidence(recording, HANDHELD)
 
 
 def test_windows_cover_all_states_and_share_no_factor(evidence: Evidence) -> None:
     keys = evidence.keys
-    windows = split(keys, WINDOWED.keys)
+    windows = split_windows(keys, WINDOWED.keys)
     assert len(windows) == 3
     own = np.concatenate([np.arange(first, until) for first, until, _ in windows])
     np.testing.assert_array_equal(own, np.arange(len(keys.t_s)))
     for first, until, end in windows:
         assert keys.t_s[min(end, len(keys.t_s) - 1)] - keys.t_s[first] <= WINDOWED.keys.window_s + 1.0
         assert set(keys.within(first, until).states).isdisjoint(keys.within(until, end).states)
-    assert split(keys, HANDHELD.keys) == [(0, len(keys.t_s), len(keys.t_s))]
+    assert split_windows(keys, HANDHELD.keys) == [(0, len(keys.t_s), len(keys.t_s))]
 
 
-def test_what_is_handed_over_says_all_that_the_past_says(recording: Recording, evidence: Evidence) -> None:
-    """At the optimum of the whole, the rest with the summed-up past has the same covariances and wants no step."""
+def build(recording: Recording, window: Evidence, past: Past | None) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Return the graph of a window and its start values."""
+    bias = window.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+    graph = join_graphs(build_graph(recording, window, bias, HANDHELD), None, past)
+    return graph, start_window(window, past, HANDHELD)
+
+
+def test_past_handed_over_holds_all_information_of_its_factors(recording: Recording, evidence: Evidence) -> None:
+    """At the optimum of the whole graph, the later half with the reduced past has the same covariances and step."""
     n = len(evidence.keys.t_s)
-    graph, values = build(recording, evidence, None, HANDHELD)
+    graph, values = build(recording, evidence, None)
     whole = solve(graph, values, evidence.keys.held, evidence.measured, "whole", HANDHELD)
     closed, later = evidence.within(0, n // 2), evidence.within(n // 2, n)
-    past = hand_over(build(recording, closed, None, HANDHELD)[0], closed, evidence.keys, whole, HANDHELD)
-    rest, resumed = build(recording, later, past, HANDHELD)
-    system, _ = linearised(rest, resumed, later.measured, whole.field_scale_ut, HANDHELD)
-    there, _ = linearised(graph, whole.values, evidence.measured, whole.field_scale_ut, HANDHELD)
+    past = hand_over(build(recording, closed, None)[0], closed, evidence.keys, whole, HANDHELD)
+    rest, resumed = build(recording, later, past)
+    system, _ = linearise(rest, resumed, later.measured, whole.field_scale_ut, HANDHELD)
+    there, _ = linearise(graph, whole.values, evidence.measured, whole.field_scale_ut, HANDHELD)
     tree, wanted = there.eliminateMultifrontal(whole.ordering), there.optimize()
     same, step = system.eliminateMultifrontal(gtsam.Ordering.MetisGaussianFactorGraph(system)), system.optimize()
     for key in (M(0), H(0), X(n // 2), X(3 * n // 4), X(n - 1)):
@@ -62,9 +70,9 @@ def test_what_is_handed_over_says_all_that_the_past_says(recording: Recording, e
         assert np.abs((step.at(key) - wanted.at(key)) / sd).max() < 0.02
 
 
-def test_windows_answer_like_the_whole(recording: Recording, evidence: Evidence) -> None:
-    """Windows of a minute know less of the future than the whole does: on average within the whole's sd."""
-    whole, parts = (reference_from(recording, evidence, params) for params in (HANDHELD, WINDOWED))
+def test_windows_agree_with_the_whole_recording(recording: Recording, evidence: Evidence) -> None:
+    """Windows of 80 s see less of the future than one graph does: on average they agree within its sd."""
+    whole, parts = (reference_from_evidence(recording, evidence, params) for params in (HANDHELD, WINDOWED))
     assert parts.diagnostics["windows"] == 3
     apart_rad = np.linalg.norm((rotation(whole.q_nb).inv() * rotation(parts.q_nb)).as_rotvec(), axis=1)
     assert np.mean(apart_rad / total_sd_rad(whole.cov_b_rad2)) < 1.0

@@ -1,0 +1,77 @@
+"""The graph of a stretch of a recording, and the values that the optimiser starts from."""
+
+from collections.abc import Iterable
+from itertools import chain
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import H
+
+from stillpoint.datasets.earth import local_declination
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.smoother.attitude import factors
+from stillpoint.smoother.attitude.evidence import Evidence, gravity_mps2, has_known_base_pose
+from stillpoint.smoother.attitude.magnetometer import field_prior
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.satellite import fix_factors
+
+UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
+DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
+
+
+def build_graph(
+    recording: Recording, evidence: Evidence, bias_b_radps: Floats, params: GraphParams
+) -> gtsam.NonlinearFactorGraph:
+    """Return all factors on the states of ``evidence``, except those of the magnetometer's readings.
+
+    Two disjoint stretches of states have no factor in common. ``bias_b_radps`` (3,) is the gyro bias about which the
+    IMU is preintegrated.
+    """
+    keys = evidence.keys
+    everything: Iterable[gtsam.NonlinearFactor] = chain(
+        factors.imu_factors(evidence.motion, keys, bias_b_radps, gravity_mps2(recording.info), params),
+        factors.calibration_factors(keys, params),
+        factors.bias_factors(keys, bias_b_radps, params),
+        factors.motion_factors(keys, evidence.fixes is not None, params),
+        () if evidence.fixes is None else fix_factors(evidence.fixes, params.gps),
+        factors.rest_factors(keys, params),
+        factors.gap_factors(keys, params),
+        factors.anchor_factors(_find_anchors(recording, evidence, params), params),
+    )
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in everything:
+        graph.push_back(factor)
+    if evidence.field_start is not None and keys.first == 0:
+        azimuth, _ = local_declination(recording.info)
+        azimuth_known = not has_known_base_pose(recording, evidence)
+        graph.push_back(field_prior(evidence.field_start, azimuth, azimuth_known, params.magnetic))
+    return graph
+
+
+def build_start_values(evidence: Evidence, q_nb: Floats, bias_b_radps: Floats, params: GraphParams) -> gtsam.Values:
+    """Return start values of all unknowns of a window, with attitudes ``q_nb`` (n, 4) and gyro bias (3,)."""
+    values = factors.start_values(
+        evidence.keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias_b_radps, params
+    )
+    if evidence.field_start is not None:
+        values.insert(H(0), evidence.field_start)
+    return values
+
+
+def _find_anchors(recording: Recording, evidence: Evidence, params: GraphParams) -> factors.Anchors:
+    """Return the states in the base pose, and how well the first attitude is known."""
+    keys = evidence.keys
+    base, returns = evidence.return_states()
+    known_pose = has_known_base_pose(recording, evidence)
+    absolute = evidence.field_start is not None or evidence.fixes is not None or known_pose
+    spread = np.diag([UNKNOWN_RAD**2, UNKNOWN_RAD**2, UNKNOWN_RAD**2 if absolute else DEFINED_RAD**2])
+    turn = rotation(evidence.q_nb[0]).as_matrix()
+    return factors.Anchors(
+        base=base,
+        base_q_nb=recording.base_pose if base in keys.states else None,
+        base_sd_rad=params.returns.repeat_sd_rad,
+        returns=returns,
+        first_q_nb=evidence.q_nb[0] if keys.first == 0 else None,
+        first_cov_b_rad2=turn.T @ spread @ turn,
+    )

@@ -1,0 +1,84 @@
+"""Report a solved graph as a Reference, with everything that was found about the sensor and the rests."""
+
+from typing import Any
+
+import numpy as np
+
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.times import gaps
+from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
+from stillpoint.smoother.attitude.covariance import covariance_factor
+from stillpoint.smoother.attitude.every_sample import Piece, join_pieces
+from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
+from stillpoint.smoother.attitude.plausibility import judge_returns_again, measure_surprise
+from stillpoint.smoother.attitude.windows import Solved
+
+
+def report_reference(
+    recording: Recording, evidence: Evidence, solved: Solved, magnetometer_left_out: str | None
+) -> Reference:
+    """Return the pieces of a solved graph as one reference.
+
+    ``magnetometer_left_out`` says why the magnetometer was not used, None where it was or where there is none.
+    """
+    whole = join_pieces(solved.pieces, evidence.motion.t_s)
+    verdicts: tuple[BasePoseReturn, ...] = ()
+    if evidence.base is not None and evidence.returns is not None:
+        verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, solved.params)
+    closing = _select_closing_squares(evidence, verdicts, solved.pieces)
+    factor = covariance_factor(closing, solved.params)
+    diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {"closing_squares": closing}
+    if magnetometer_left_out is not None:
+        diagnostics["magnetometer_left_out"] = magnetometer_left_out
+    return Reference(
+        t_ns=recording.require_imu().t_ns,
+        q_nb=whole.q_nb,
+        cov_b_rad2=factor * whole.cov_b_rad2,
+        gyro_bias_b_radps=whole.gyro_bias_b_radps,
+        heading_sd_rad=float(np.sqrt(factor * whole.heading_rad2)),
+        method="graph",
+        name=recording.name,
+        calibration=whole.calibration,  # its sd is mostly that of the prior, which the factor does not apply to
+        rests_ns=evidence.rests_ns,
+        returns=verdicts,
+        diagnostics=diagnostics,
+    )
+
+
+def _select_closing_squares(
+    evidence: Evidence, verdicts: tuple[BasePoseReturn, ...], pieces: list[Piece]
+) -> list[float]:
+    """Return the closing squares of the returns that are accepted before and after the solution.
+
+    A base pose that was knocked says nothing about the gyro.
+    """
+    if evidence.returns is None:
+        return []
+    pairs = zip(evidence.returns.verdicts, verdicts, strict=True)
+    kept = [after.accepted for before, after in pairs if before.accepted]
+    squares = [square for piece in pieces for square in piece.closing_squares]
+    return [square for square, good in zip(squares, kept, strict=True) if good]
+
+
+def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, whole: Piece) -> dict[str, Any]:
+    gap = gaps(recording.require_imu().t_ns)
+    inertial = solved.params.inertial
+    return {
+        "heading": evidence.heading,
+        "sign_of_gravity": describe_gravity_test(recording, evidence),
+        "n_rests_under_way": evidence.n_rests_under_way,
+        "gaps": int(gap.sum()),
+        "longest_gap_s": float(evidence.motion.dt_s[1:][gap].max(initial=0.0)),
+        "windows": len(solved.pieces),
+        "iterations": whole.iterations,
+        "cost": whole.cost,
+        "residuals": solved.fit.squares,
+        "gyro_bias_prior_sd_radps": inertial.gyro_bias_sd_radps,
+        "gyro_matrix_prior_sd": inertial.gyro_matrix_sd,
+        "accel_matrix_prior_sd": inertial.accel_matrix_sd,
+        "accel_late_sd_s": whole.late_sd_s,
+        "calibration_surprise_sd": measure_surprise(whole.calibration, solved.params),
+        "field_inlier_share": solved.fit.field_inlier_share,
+        "field_misfit_ut": solved.fit.field_misfit_ut,
+        "convention": CONVENTION,
+    }
