@@ -18,7 +18,6 @@ from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Reference, total_sd_rad
 from stillpoint.scoring.compare import Comparison, moving_samples, name_of
 from stillpoint.scoring.errors import attitude_error, rotation_error_n
-from stillpoint.scoring.report.envelope import break_line, envelope
 from stillpoint.scoring.score import Score
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
@@ -158,6 +157,31 @@ def draw_line(
 ) -> None:
     """One series (N,), broken at gaps and at wrapped angles, with as many points as the axes can show."""
     ax.plot(*envelope(*break_line(t_s, value, longest_step_s, largest_jump), columns_of(ax)), **style)
+
+
+def envelope(t: Floats, value: Floats, columns: int) -> tuple[Floats, Floats]:
+    """First, least, greatest and last sample of each of ``columns`` equal stretches of time, in the order of time.
+
+    ``t`` (N,) rising, ``value`` (N,), may hold NaN where a line breaks; returns the kept (t, value). A line through
+    them covers the same pixels as one through all samples (Jugel et al., "M4", VLDB 2014).
+    """
+    if len(t) <= 4 * columns:
+        return t, value
+    column = np.minimum(((t - t[0]) / (t[-1] - t[0]) * columns).astype(np.intp), columns - 1)
+    first = np.flatnonzero(np.diff(column, prepend=-1))
+    last = np.append(first[1:], len(t)) - 1
+    order = np.lexsort((value, column))  # within a column by size, NaN last
+    finite = np.add.reduceat(np.isfinite(value), first)
+    least, greatest = order[first], order[first + np.maximum(finite - 1, 0)]
+    broken = np.flatnonzero(np.isnan(value))
+    kept = np.unique(np.concatenate([first, least, greatest, last, broken]))
+    return t[kept], value[kept]
+
+
+def break_line(t: Floats, value: Floats, longest_step: float, largest_jump: float) -> tuple[Floats, Floats]:
+    """The series with a NaN wherever two neighbours are too far apart in time (a gap) or in value (a wrapped angle)."""
+    at = np.flatnonzero((np.diff(t) > longest_step) | (np.abs(np.diff(value)) > largest_jump)) + 1
+    return np.insert(t, at, (t[at - 1] + t[at]) / 2), np.insert(value, at, np.nan)
 
 
 def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:

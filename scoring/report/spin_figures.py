@@ -13,26 +13,25 @@ from matplotlib.ticker import MaxNLocator
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.scoring.report.envelope import envelope
-from stillpoint.scoring.report.figures import REST_GREY, colour_of, columns_of, draw_line
+from stillpoint.scoring.report.figures import REST_GREY, colour_of, columns_of, draw_line, envelope
 from stillpoint.scoring.spin import RollComparison
 
 BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
-OBSERVATION = "observation"  # the method whose noise is several times that of the others
+OBSERVATION = "observation"  # its noise is several times that of the rest
 WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
 
 
 @dataclass(frozen=True, eq=False)
 class RateSeries:
-    """The rates of one recording over time, by method, beside the true one."""
+    """RateSeries about the spin axis over time, of the judge and of several methods."""
 
-    t_s: Floats
-    truth_radps: Floats
-    rate_radps: Mapping[str, Floats]  # method -> rate at t_s
+    t_s: Floats  # (N,)
+    truth_radps: Floats  # (N,)
+    rate_radps: Mapping[str, Floats]  # by method, (N,)
 
 
 def series_of(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> RateSeries:
-    """Rates at the stamps that all comparisons share."""
+    """RateSeries at the stamps that all comparisons share."""
     t_ns = reduce(np.intersect1d, (c.t_ns for c in comparisons))
     true = np.interp(t_ns, truth.t_ns, truth.rate_radps)
     rates = {c.estimated: true + c.rate_error_radps[np.searchsorted(c.t_ns, t_ns)] for c in comparisons}
@@ -83,10 +82,10 @@ def _line(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> No
 
 
 def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, int], against: str = "truth") -> None:
-    """On top the rates, the truth over them; below, the error of each method on an axis of its own.
+    """Draw the rates with the truth on top, and below them the error of each method on an axis of its own.
 
-    ``methods`` gives each method its colour. The observation has a scale of its own, all others share one, so that what
-    looks smaller is smaller; how many samples exceed it is said.
+    ``methods`` gives each method its colour. All methods but the observation share one scale, so that a smaller error
+    looks smaller; a title says how many samples exceed it.
     """
     truth_degps = np.rad2deg(series.truth_radps)
     errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
@@ -95,7 +94,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     for method, k in methods.items():
         draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
     draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
-    margin = 0.06 * np.ptp(truth_degps) + spread(series, methods)
+    margin = 0.06 * np.ptp(truth_degps) + _shown_spread(series, methods)
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")
     for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
@@ -114,13 +113,13 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
 
 
 def error_limit(error: Floats) -> float:
-    """Half the height of an error's axis: all but the worst thousandth with room, or everything where that fits."""
+    """Return half the height of an error's axis, which holds all but the worst thousandth, or all where that fits."""
     most = float(np.quantile(np.abs(error), 0.999)) * 1.5
     worst = float(np.abs(error).max())
     return 1.05 * worst if worst < WIDE_FROM * most else most
 
 
-def spread(series: RateSeries, methods: Mapping[str, int]) -> float:
-    """Room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
+def _shown_spread(series: RateSeries, methods: Mapping[str, int]) -> float:
+    """Return the room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
     truth = np.rad2deg(series.truth_radps)
     return max(error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)

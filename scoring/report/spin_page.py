@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.page import dotted, facts_of_recording, load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.provenance import describe_recording, flatten_params, list_versions
 from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, draw_rates, series_of
+from stillpoint.scoring.report.templates import load_template
 from stillpoint.scoring.spin import (
     ZERO_WORDS,
     AngleZero,
@@ -88,8 +89,8 @@ def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) 
         ],
         pictures=_pictures(material.recording, verdicts[0]),
         files=dict(material.sha256),
-        params={_name(thing): dict(dotted("", thing.params)) for thing in made},
-        versions=versions(),
+        params={_name(thing): dict(flatten_params(thing.params)) for thing in made},
+        versions=list_versions(),
     )
 
 
@@ -108,7 +109,7 @@ def _name(thing: RollReference | Estimate) -> str:
 
 
 def _facts(recording: Recording) -> dict[str, str]:
-    facts = facts_of_recording(recording)
+    facts = describe_recording(recording)
     assert recording.spin is not None
     geometry = recording.spin.geometry
     arms = (

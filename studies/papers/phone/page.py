@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.page import dotted, load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.provenance import flatten_params, list_versions
+from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.phone.figures import Span, draw_angles, draw_judges
 from stillpoint.studies.papers.phone.study import (
     ACC,
@@ -91,10 +92,10 @@ def phone_page(
         ],
         command=command,
         parameters={
-            name: "; ".join(f"{key} = {value}" for key, value in dotted("", params))
+            name: "; ".join(f"{key} = {value}" for key, value in flatten_params(params))
             for name, params in first[0].params.items()
         },
-        versions=versions(),
+        versions=list_versions(),
     )
 
 

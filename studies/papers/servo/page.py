@@ -7,8 +7,9 @@ import numpy as np
 
 from stillpoint.datasets.simulate.servo import BENCH
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.page import load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.provenance import list_versions
+from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.servo.figures import draw_drift, draw_rolls, draw_sensors
 from stillpoint.studies.papers.servo.study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, first_swing_s
 
@@ -43,7 +44,7 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
         pictures=_pictures(trials[0]),
         first_seed=trials[0].seed,
         command=command,
-        versions=versions(),
+        versions=list_versions(),
     )
 
 

@@ -1,4 +1,4 @@
-"""Figures of the spin experiments: one group of bars for each trial."""
+"""Figures of the experiments with a spinning body: bars of an error per trial."""
 
 from collections.abc import Mapping, Sequence
 

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.page import dotted, load_template, versions
 from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.spin_figures import draw_rates
+from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.spin.figures import draw_bars
 from stillpoint.studies.papers.spin.study import (
     FILTERS,
@@ -63,7 +64,7 @@ def roll_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], o
         sections=[_section(noise, some, scenario, online, methods) for noise, some in trials.items()],
         command=command,
         parameters=_parameters(trials),
-        versions=versions(),
+        versions=list_versions(),
     )
 
 
@@ -208,7 +209,7 @@ def _parameters(trials: Mapping[NoiseKind, Sequence[Trial]]) -> dict[str, str]:
     found: dict[str, dict[str, str]] = {}
     for noise, some in trials.items():
         for method, params in some[0].params.items():
-            text = "; ".join(f"{key} = {value}" for key, value in dotted("", params))
+            text = "; ".join(f"{key} = {value}" for key, value in flatten_params(params))
             found.setdefault(method, {})[noise] = text
     shown = {}
     for method, by_noise in found.items():

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BasePoseReturn, Calibration, Estimate, Imu, Recording, Reference, Truth
 from stillpoint.datasets.frames import quaternion, rotation
-from stillpoint.scoring.report.envelope import break_line, envelope
-from stillpoint.scoring.report.figures import draw_angles, draw_errors, draw_scores, view_of
+from stillpoint.scoring.report.figures import break_line, draw_angles, draw_errors, draw_scores, envelope, view_of
 from stillpoint.scoring.report.page import Material, judge, report_html
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

@@ -1,0 +1,194 @@
+"""What the plots of a page show of one recording: which panels there are, and their curves by panel and estimator."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from stillpoint.datasets.frames import EulerFrame, euler, rotation
+from stillpoint.datasets.recording import Floats, Recording, Times, Truth
+from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
+from stillpoint.scoring.compare import Comparison, moving_samples
+from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.report.curves import encode_curve, reduce_angle, reduce_series
+
+JUDGE = "judge"  # the key of the judge's own curve, beside the names of the estimators
+BAND_SDS = 3.0  # standard deviations that a band shows
+CURVE_BYTES = 1_500_000  # of all curves of one recording against one judge
+FEWEST_COLUMNS, MOST_COLUMNS = 500, 8000
+BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
+
+Curves = dict[str, dict[str, dict[str, Any]]]  # panel -> series -> encoded curve
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot over time."""
+
+    key: str  # of its curves in the page's data
+    title: str
+    unit: str
+    scale: Literal["log", "linear"] = "linear"
+    judge: Literal["line", "band"] = "band"  # how the judge's own curve is drawn
+    height: int = 220
+
+
+ERROR_PANELS = (
+    Panel("total", "Total error", "deg", "log", height=280),
+    Panel("heading", "Heading error", "deg", "log"),
+    Panel("inclination", "Inclination error", "deg", "log"),
+)
+ANGLE_PANELS = tuple(Panel(name, name.capitalize(), "deg", judge="line") for name in ("roll", "pitch", "yaw"))
+AXIS_PANELS = tuple(Panel(name, f"Error about {name}", "deg", height=190) for name in ("east", "north", "up"))
+BIAS_PANELS = tuple(Panel(f"bias_{axis}", f"Gyro bias {axis}", "deg/s", judge="line", height=190) for axis in "xyz")
+FIELD_PANELS = (
+    Panel("field", "Strength of the magnetic field", "µT", judge="line", height=190),
+    Panel("dip", "Dip of the magnetic field", "deg", judge="line", height=190),
+)
+
+
+def error_curves(
+    comparisons: Mapping[str, Comparison], zero_ns: int, columns: int, panels: Sequence[Panel] = ERROR_PANELS
+) -> Curves:
+    """Curves of the total, heading and inclination error by label, and the band of the judge's own covariance."""
+    curves: Curves = {panel.key: {} for panel in panels}
+    for label, comparison in comparisons.items():
+        error = attitude_error(comparison.q_est, comparison.q_true)
+        for panel in panels:
+            size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
+            curve = reduce_series(comparison.t_ns, size_deg, zero_ns, columns, "rms")
+            curves[panel.key][label] = encode_curve(curve, "log")
+    judged = next((c for c in comparisons.values() if c.true_cov_b_rad2 is not None), None)
+    if judged is not None:
+        for panel in panels:
+            band_deg = BAND_SDS * np.rad2deg(_judge_sd_rad(judged, panel.key))
+            curve = reduce_series(judged.t_ns, band_deg, zero_ns, columns, "rms")
+            curves[f"{panel.key}:sd"] = {JUDGE: encode_curve(curve, "log")}
+    return curves
+
+
+def recording_entry(
+    comparisons: Mapping[str, Comparison], truth: Reference | Truth, curves: Curves, zero_ns: int
+) -> dict[str, Any]:
+    """The entry of one recording in a page's data: the span and the rests in s, and the curves."""
+    rests_s = (rest_spans(truth) - zero_ns) / 1e9
+    span_s = (np.array([truth.t_ns[0], truth.t_ns[-1]]) - zero_ns) / 1e9
+    return {"span": span_s.tolist(), "rests": np.round(rests_s, 3).tolist(), "curves": curves, "page": None}
+
+
+def rest_spans(truth: Reference | Truth) -> Times:
+    """First and last stamp (R, 2) of each rest. A truth rests where it does not count as moving."""
+    if isinstance(truth, Reference):
+        return truth.rests_ns
+    still = ~moving_samples(truth)
+    edges = np.diff(still.astype(np.int8), prepend=0, append=0)
+    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return np.stack([truth.t_ns[first], truth.t_ns[last]], axis=1)
+
+
+def run_plots(
+    comparisons: Mapping[str, Comparison],
+    truth: Reference | Truth,
+    frame: EulerFrame,
+    recording: Recording | None = None,
+    estimates: Sequence[Estimate] = (),
+    reference: Reference | None = None,
+) -> tuple[tuple[Panel, ...], dict[str, Any]]:
+    """All panels that the material has curves for, and the recording's entry in the page's data."""
+    zero_ns = int(truth.t_ns[0])
+    panels = (*ERROR_PANELS, *ANGLE_PANELS, *AXIS_PANELS)
+    columns = _columns(len(panels) * (len(comparisons) + 1))
+    curves = error_curves(comparisons, zero_ns, columns)
+    curves |= _angle_curves(comparisons, truth, frame, zero_ns, columns)
+    curves |= _axis_curves(comparisons, zero_ns, columns)
+    biases = {JUDGE: reference, **{each.name: each for each in estimates}}
+    curves |= _bias_curves({name: made for name, made in biases.items() if made is not None}, zero_ns, columns)
+    if recording is not None and recording.mag is not None and reference is not None:
+        curves |= _field_curves(recording, reference, zero_ns, columns)
+    shown = tuple(panel for panel in (*panels, *BIAS_PANELS, *FIELD_PANELS) if curves.get(panel.key))
+    return shown, recording_entry(comparisons, truth, curves, zero_ns)
+
+
+def plots_payload(
+    panels: Sequence[Panel], series: Sequence[str], recordings: Mapping[str, Any], **more: Any
+) -> dict[str, Any]:
+    """The data of a page as ``page.js`` reads it."""
+    return {"panels": [asdict(panel) for panel in panels], "series": list(series), "recordings": recordings, **more}
+
+
+def _columns(series: int) -> int:
+    return int(np.clip(CURVE_BYTES // (BYTES_PER_COLUMN * max(series, 1)), FEWEST_COLUMNS, MOST_COLUMNS))
+
+
+def _judge_sd_rad(comparison: Comparison, what: str) -> Floats:
+    cov_b = comparison.true_cov_b_rad2
+    assert cov_b is not None
+    if what == "total":
+        return total_sd_rad(cov_b)
+    to_n = rotation(comparison.q_true).as_matrix()
+    variance_n = np.einsum("nij,njk,nik->ni", to_n, cov_b, to_n)
+    return np.sqrt(variance_n[:, 2] if what == "heading" else variance_n[:, 0] + variance_n[:, 1])
+
+
+def _angle_curves(
+    comparisons: Mapping[str, Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int, columns: int
+) -> Curves:
+    curves: Curves = {panel.key: {} for panel in ANGLE_PANELS}
+    attitudes = {JUDGE: (truth.t_ns, truth.q_nb), **{name: (c.t_ns, c.q_est) for name, c in comparisons.items()}}
+    for name, (t_ns, q_nb) in attitudes.items():
+        for panel, angle_rad in zip(ANGLE_PANELS, euler(q_nb, frame).T, strict=True):
+            curves[panel.key][name] = encode_curve(reduce_angle(t_ns, np.rad2deg(angle_rad), zero_ns, columns))
+    return curves
+
+
+def _axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, columns: int) -> Curves:
+    """Signed errors about east, north and up, and three standard deviations where an estimate states them."""
+    curves: Curves = {panel.key: {} for panel in AXIS_PANELS}
+    curves |= {f"{panel.key}:sd": {} for panel in AXIS_PANELS}
+    for name, comparison in comparisons.items():
+        error_deg = np.rad2deg(rotation_error_n(comparison.q_est, comparison.q_true))
+        for axis, panel in enumerate(AXIS_PANELS):
+            reduced = reduce_angle(comparison.t_ns, error_deg[:, axis], zero_ns, columns)
+            curves[panel.key][name] = encode_curve(reduced)
+            if comparison.cov_b_rad2 is None:
+                continue
+            row = rotation(comparison.q_est).as_matrix()[:, axis]
+            sd_deg = np.rad2deg(np.sqrt(np.einsum("ni,nij,nj->n", row, comparison.cov_b_rad2, row)))
+            band = reduce_series(comparison.t_ns, BAND_SDS * sd_deg, zero_ns, columns)
+            curves[f"{panel.key}:sd"][name] = encode_curve(band)
+    return curves
+
+
+def _bias_curves(made: Mapping[str, Estimate | Reference], zero_ns: int, columns: int) -> Curves:
+    curves: Curves = {panel.key: {} for panel in BIAS_PANELS}
+    for name, thing in made.items():
+        if thing.gyro_bias_b_radps is None:
+            continue
+        for panel, bias_radps in zip(BIAS_PANELS, thing.gyro_bias_b_radps.T, strict=True):
+            curves[panel.key][name] = encode_curve(reduce_series(thing.t_ns, np.rad2deg(bias_radps), zero_ns, columns))
+    return curves
+
+
+def _field_curves(recording: Recording, reference: Reference, zero_ns: int, columns: int) -> Curves:
+    """Strength and dip of the magnetic field, corrected by what the reference found and turned by its attitude."""
+    mag = recording.mag
+    if mag is None:
+        return {}
+    within = (mag.t_ns >= reference.t_ns[0]) & (mag.t_ns <= reference.t_ns[-1])
+    t_ns, field_b_ut = mag.t_ns[within], mag.mag_b_ut[within]
+    if len(t_ns) == 0:
+        return {}
+    found = reference.calibration
+    if found.hard_iron_b_ut is not None:
+        field_b_ut = field_b_ut - found.hard_iron_b_ut
+    if found.mag_matrix is not None:
+        field_b_ut = field_b_ut @ found.mag_matrix.T
+    nearest = np.clip(np.searchsorted(reference.t_ns, t_ns), 0, len(reference.t_ns) - 1)
+    field_n_ut = rotation(reference.q_nb[nearest]).apply(field_b_ut.copy())
+    strength_ut = np.linalg.norm(field_n_ut, axis=1)
+    dip_deg = np.rad2deg(np.arctan2(-field_n_ut[:, 2], np.hypot(field_n_ut[:, 0], field_n_ut[:, 1])))
+    return {
+        "field": {JUDGE: encode_curve(reduce_series(t_ns, strength_ut, zero_ns, columns))},
+        "dip": {JUDGE: encode_curve(reduce_series(t_ns, dip_deg, zero_ns, columns))},
+    }

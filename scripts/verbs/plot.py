@@ -1,0 +1,145 @@
+"""``stillpoint plot``: one figure for a paper, of a recording with its estimates or of a leaderboard."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import EulerFrame
+from stillpoint.scoring import AlignKind
+from stillpoint.scoring.report.figures import View, draw_angles, draw_errors, view_of
+from stillpoint.scoring.report.page import Material, judge
+from stillpoint.scoring.report.printed import COLUMN_IN, write_figure
+from stillpoint.scripts.shared.companions import recording_name
+from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.inputs import SUFFIX, kind_of
+from stillpoint.scripts.verbs.report import gather
+
+Kind = Literal["angles", "errors", "ranking", "map"]
+BOARD_FILE = "leaderboard.json"
+ANGLE_ROW_IN, ERROR_ROW_IN = 1.1, 0.8  # heights of axes
+
+
+def plot(
+    paths: Inputs,
+    /,
+    *,
+    kind: Kind,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    align: AlignKind = "heading",
+    frame: EulerFrame = "nwu",
+    from_s: Annotated[float | None, Parameter(name="--from")] = None,
+    to_s: Annotated[float | None, Parameter(name="--to")] = None,
+    width: float = COLUMN_IN,
+) -> None:
+    """Draw one figure for a paper.
+
+    Writes a PDF, SVG or PNG at the width of a column, with type that stays readable there.
+
+    Parameters
+    ----------
+    paths
+        For angles and errors a recording, with the reference and the estimates beside it, or estimates of one
+        recording. For ranking and map the leaderboard.json of stillpoint leaderboard, or its folder.
+    kind
+        angles: roll, pitch and yaw over time. errors: the total error over time, one row per estimate. ranking: the
+        typical error of every estimator with its interval. map: the error of every estimator on every recording.
+    out
+        The file to write; .pdf, .svg or .png.
+    align
+        What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
+    frame
+        Frame of roll, pitch and yaw: nwu, ned or enu.
+    from_s
+        Begin of the shown stretch, in seconds from the start.
+    to_s
+        End of the shown stretch, in seconds from the start.
+    width
+        Width of the figure in inches.
+    """
+    if kind in ("ranking", "map"):
+        _plot_board(_board_file(paths), kind, out, width)
+    else:
+        _plot_run(paths, kind, out, width, align, frame, (from_s, to_s))
+    print(out)
+
+
+def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
+    from stillpoint.studies.leaderboard import Leaderboard
+    from stillpoint.studies.publish.figures import draw_map, draw_ranking, map_height_in, ranking_height_in
+
+    try:
+        board = Leaderboard.from_json(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise BadParameter(f"{file}: is no result of stillpoint leaderboard ({reason})") from None
+    if kind == "map":
+        write_figure(out, 1, map_height_in(board), lambda axes: draw_map(axes[0], board), width)
+    else:
+        table = board.tables[0]
+        write_figure(out, 1, ranking_height_in(table), lambda axes: draw_ranking(axes[0], table), width)
+
+
+def _board_file(paths: Sequence[Path]) -> Path:
+    if len(paths) != 1:
+        raise BadParameter(f"plot: {len(paths)} files; --kind ranking and map take one {BOARD_FILE}")
+    file = paths[0] / BOARD_FILE if paths[0].is_dir() else paths[0]
+    if not file.is_file():
+        raise BadParameter(f"{file}: there is no such file; make it first: stillpoint leaderboard")
+    return file
+
+
+def _plot_run(
+    paths: Sequence[Path],
+    kind: Kind,
+    out: Path,
+    width: float,
+    align: AlignKind,
+    frame: EulerFrame,
+    span_s: tuple[float | None, float | None],
+) -> None:
+    verdicts = judge(_material(paths), align, frame)
+    if not verdicts:
+        raise BadParameter(f"{paths[0]}: nothing to draw; make estimates of it: stillpoint estimate")
+    first = verdicts[0]
+    view = _cut(view_of(first.comparisons, first.truth, frame, int(first.truth.t_ns[0])), span_s)
+    if kind == "angles":
+        write_figure(out, 3, ANGLE_ROW_IN, lambda axes: draw_angles(axes, view), width, time_axis=True)
+    else:
+        rows = len(view.comparisons)
+        write_figure(out, rows, ERROR_ROW_IN, lambda axes: draw_errors(axes, view), width, time_axis=True)
+
+
+def _material(paths: Sequence[Path]) -> Material:
+    """A recording with all that lies beside it, or only with the estimates that are named."""
+    kinds = {kind_of(path) for path in paths}
+    names = {recording_name(path) for path in paths}
+    if len(names) != 1 or not kinds <= {"recording", "estimate"}:
+        raise BadParameter("plot: name one recording, or estimates of one recording")
+    (name,) = names
+    missing = next((path for path in paths if not path.is_file()), None)
+    if missing is not None:
+        raise BadParameter(f"{missing}: there is no such file")
+    material = gather(paths[0].parent / f"{name}{SUFFIX}")
+    if not isinstance(material, Material):
+        raise BadParameter(f"{paths[0]}: is of a spinning body; its figures stand in its report: stillpoint report")
+    if kinds == {"recording"}:
+        return material
+    wanted = {path.name.removeprefix(f"{name}.").removesuffix(".estimate.mcap") for path in paths}
+    return replace(material, estimates=tuple(one for one in material.estimates if one.name in wanted))
+
+
+def _cut(view: View, span_s: tuple[float | None, float | None]) -> View:
+    """The view between two times in seconds from its start. Raises :class:`BadParameter` when nothing is left."""
+    ends = [
+        end if asked is None else view.zero_ns + round(asked * 1e9)
+        for end, asked in zip(view.span_ns, span_s, strict=True)
+    ]
+    first, last = max(ends[0], view.span_ns[0]), min(ends[1], view.span_ns[1])
+    if first >= last:
+        raise BadParameter(f"--from, --to: leave nothing of {(view.span_ns[1] - view.span_ns[0]) / 1e9:.1f} s")
+    return replace(view, span_ns=(first, last))

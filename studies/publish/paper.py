@@ -1,0 +1,28 @@
+"""What a paper takes from a leaderboard: the table as LaTeX, CSV and Markdown, and figures as PDF and SVG."""
+
+from pathlib import Path
+
+from stillpoint.scoring.report.printed import write_figure
+from stillpoint.studies.leaderboard import Leaderboard
+from stillpoint.studies.publish.figures import draw_map, draw_ranking, map_height_in, ranking_height_in
+from stillpoint.studies.publish.tables import csv_table, latex_table, markdown_table
+
+TABLES = {"table.tex": latex_table, "table.csv": csv_table, "table.md": markdown_table}
+
+
+def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
+    """Write tables and figures into a folder that is there, and return their paths."""
+    written = []
+    for name, make in TABLES.items():
+        target = folder / name
+        target.write_text(make(board), encoding="utf-8")
+        written.append(target)
+    for ending in (".pdf", ".svg"):
+        for k, table in enumerate(board.tables):
+            target = folder / f"ranking{'' if k == 0 else f'-{k + 1}'}{ending}"
+            write_figure(target, 1, ranking_height_in(table), lambda axes, table=table: draw_ranking(axes[0], table))
+            written.append(target)
+        target = folder / f"map{ending}"
+        write_figure(target, 1, map_height_in(board), lambda axes: draw_map(axes[0], board))
+        written.append(target)
+    return written

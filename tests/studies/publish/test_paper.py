@@ -1,0 +1,89 @@
+"""Tables and figures of a leaderboard for papers."""
+
+import csv
+import io
+import re
+from dataclasses import replace
+
+import pytest
+from boards import HOSTILE, make_board
+
+from stillpoint.studies.publish.paper import write_paper
+from stillpoint.studies.publish.tables import (
+    csv_table,
+    html_table,
+    latex_table,
+    markdown_table,
+    ranking_rows,
+    text_table,
+)
+
+
+@pytest.fixture(scope="module")
+def board():
+    return make_board()
+
+
+def test_csv_holds_every_figure_in_full(board) -> None:
+    rows = list(csv.DictReader(io.StringIO(csv_table(board))))
+    first = board.tables[0].rows[0]
+    assert [row["label"] for row in rows] == [row.label for row in board.tables[0].rows]
+    assert float(rows[0]["total_rmse_typical_deg"]) == first.total_rmse_deg.typical
+    assert float(rows[0]["total_rmse_low95_deg"]) == first.total_rmse_deg.ci95[0]
+    assert rows[-1]["rank_best"] == ""
+
+
+def test_every_character_that_latex_reads_is_escaped(board) -> None:
+    awkward = r"50% a_b & $x$ #1 {~^\}"
+    rows = tuple(replace(row, label=awkward) for row in board.tables[0].rows[:1])
+    table = latex_table(replace(board, tables=(replace(board.tables[0], rows=rows),)))
+    line = next(line for line in table.splitlines() if "50" in line)
+    assert r"50\% a\_b \& \$x\$ \#1 \{\textasciitilde{}\textasciicircum{}\textbackslash{}\}" in line
+    assert len(re.findall(r"(?<!\\)&", line)) == 8
+
+
+def test_latex_has_a_column_per_heading(board) -> None:
+    table = latex_table(board)
+    columns = re.search(r"tabular\}\{(\w+)\}", table)[1]
+    body = table.split(r"\midrule")[1].split(r"\bottomrule")[0].strip().splitlines()
+    assert len(body) == len(board.tables[0].rows)
+    assert {len(re.findall(r"(?<!\\)&", line)) + 1 for line in body} == {len(columns)}
+
+
+def test_markdown_keeps_its_columns_when_a_name_has_a_bar(board) -> None:
+    rows = tuple(replace(row, label="a|b") for row in board.tables[0].rows)
+    text = markdown_table(replace(board, tables=(replace(board.tables[0], rows=rows),)))
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {10}
+
+
+def test_html_escapes_names_and_text_is_aligned(board) -> None:
+    assert HOSTILE not in html_table(board)
+    lines = text_table(board).splitlines()[1:-1]
+    assert len({line.index("estimator") if "estimator" in line else 6 for line in lines}) == 1
+
+
+def test_rows_that_failed_keep_their_row(board) -> None:
+    rows = ranking_rows(board)
+    assert rows[-1]["failed"] == 2
+    assert rows[-1]["rank_best"] is None
+
+
+def test_a_paper_gets_tables_and_figures_at_column_width(board, tmp_path) -> None:
+    names = {path.name for path in write_paper(tmp_path, board)}
+    assert names == {"table.tex", "table.csv", "table.md", "ranking.pdf", "ranking.svg", "map.pdf", "map.svg"}
+    svg = (tmp_path / "ranking.svg").read_text()
+    assert float(re.search(r'width="([\d.]+)pt"', svg)[1]) == pytest.approx(3.5 * 72, abs=0.1)
+    assert "estimator-0" in svg  # text, not outlines
+    for name in ("ranking.svg", "map.svg"):
+        sizes = [float(size) for size in re.findall(r"font-size: ([\d.]+)px", (tmp_path / name).read_text())]
+        assert min(sizes) >= 6
+    assert (tmp_path / "ranking.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_same_board_gives_the_same_figures(board, tmp_path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_paper(tmp_path / name, board)
+    for file in (tmp_path / "a").iterdir():
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
