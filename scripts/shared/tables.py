@@ -1,4 +1,8 @@
-"""What a verb prints on stdout: one table, and one line for what could not be done."""
+"""Tables on stdout: boxes that fit the window on a terminal, tab-separated text in a pipe.
+
+The columns of a table stand in the order of their importance; on a terminal those on the right that do not fit are left
+out, and a line names them.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -6,28 +10,84 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-WIDTH_OF_PIPES = 200  # where stdout is no terminal, nothing should be folded
+from stillpoint.datasets.errors import BadParameter
+
+ALL = "all"
+BORDER = 3  # characters that a column takes besides its text, and one more for the table
 
 
 def print_table(
-    title: str, columns: Sequence[str], sections: Iterable[Iterable[Sequence[str]]], texts: int = 2
+    title: str,
+    columns: Sequence[str],
+    sections: Iterable[Iterable[Sequence[str]]],
+    texts: int = 2,
+    wanted: str | None = None,
 ) -> None:
-    """Print rows of text under ``columns``, with a line between sections; the first ``texts`` columns to the left."""
-    table = Table(title=Text(title), title_justify="left")
-    for place, column in enumerate(columns):
-        table.add_column(Text(column), justify="left" if place < texts else "right", overflow="fold")
-    for rows in sections:
-        for row in rows:
-            table.add_row(*map(Text, row))
-        table.add_section()
+    """Print rows of text under ``columns``, with a line between sections; the first ``texts`` columns to the left.
+
+    ``wanted`` is the value of --columns: "all", or names of columns with commas between. Raises :class:`BadParameter`
+    for a name that no column has.
+    """
+    rows = [[list(map(str, row)) for row in section] for section in sections]
+    chosen = range(len(columns)) if wanted in (None, ALL) else choose_columns(columns, str(wanted))
     console = Console()
-    (console if console.is_terminal else Console(width=WIDTH_OF_PIPES)).print(table)
+    if not console.is_terminal:
+        _print_lines(title, columns, rows, chosen)
+        return
+    shown = list(chosen) if wanted is not None else fit_columns(columns, rows, console.width)
+    table = Table(title=Text(title), title_justify="left")
+    for k in shown:
+        table.add_column(Text(columns[k]), justify="left" if k < texts else "right", overflow="fold")
+    for section in rows:
+        for row in section:
+            table.add_row(*(Text(row[k]) for k in shown))
+        table.add_section()
+    console.print(table)
+    hidden = [columns[k] for k in range(len(columns)) if k not in shown]
+    if hidden and wanted is None:
+        print(f"--columns all shows also: {'; '.join(hidden)}")
+
+
+def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
+    """Return the places of the named columns; a name is a heading, or what stands in it before a comma."""
+    names: dict[str, int] = {}
+    for k, heading in enumerate(columns):
+        names.setdefault(heading.partition(",")[0].strip().lower(), k)
+    chosen = []
+    for name in wanted.split(","):
+        if name.strip().lower() not in names:
+            raise BadParameter(
+                f"--columns {name.strip()}: there is no such column; there are {', '.join(names)}, {ALL}"
+            )
+        chosen.append(names[name.strip().lower()])
+    return chosen
+
+
+def fit_columns(columns: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], width: int) -> list[int]:
+    """Return the places of the leftmost columns that fit into ``width`` characters, at least the first two."""
+    cells = [columns, *(row for section in sections for row in section)]
+    taken, fitting = 1, []
+    for k in range(len(columns)):
+        taken += BORDER + max(len(line[k]) for line in cells)
+        if taken > width and k >= 2:
+            break
+        fitting.append(k)
+    return fitting
 
 
 def print_refusals(what: str, refusals: Iterable[tuple[str, str]]) -> None:
-    """One line per message, with the names of all that were refused for it: ``not made (cf, vqf): ...``."""
+    """Print one line per message, with the names of all that were refused for it: ``not made (cf, vqf): ...``."""
     names: dict[str, list[str]] = {}
     for message, name in refusals:
         names.setdefault(message, []).append(name)
     for message, refused in names.items():
         print(f"{what} ({', '.join(dict.fromkeys(refused))}): {message}")
+
+
+def _print_lines(
+    title: str, columns: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], chosen: Sequence[int]
+) -> None:
+    """Print the title behind a hash, the headings, and a line per row, with tabs between the cells."""
+    print(f"# {title}")
+    for line in (columns, *(row for section in sections for row in section)):
+        print("\t".join(" ".join(line[k].split()) for k in chosen))
