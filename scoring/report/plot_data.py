@@ -15,7 +15,7 @@ from stillpoint.scoring.report.curves import encode_curve, reduce_angle, reduce_
 
 JUDGE = "judge"  # the key of the judge's own curve, beside the names of the estimators
 BAND_SDS = 3.0  # standard deviations that a band shows
-CURVE_BYTES = 1_500_000  # of all curves of one recording against one judge
+CURVE_BYTES = 1_000_000  # of all curves of one recording against one judge
 FEWEST_COLUMNS, MOST_COLUMNS = 500, 8000
 BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
 
