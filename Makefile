@@ -6,13 +6,17 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-data test-wheel lint types format clean
+.PHONY: demo test quick test-data test-wheel lint types format clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
 
 test: .venv/.dev
 	$(PYTEST) -q -n auto
+
+# All but the tests marked slow: under a minute once the estimators are compiled.
+quick: .venv/.dev
+	$(PYTEST) -q -n auto -m 'not wheel and not slow'
 
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data
@@ -45,7 +49,7 @@ types: .venv/.dev
 	touch $@
 
 .venv/.dev: .venv/.python pyproject.toml constraints.txt
-	$(INSTALL) --editable '.[peers,dev]'
+	$(INSTALL) --editable '.[all,dev]'
 	touch $@ .venv/.run
 
 clean:
