@@ -15,11 +15,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from stillpoint.datasets.archive.catalogue import FILE, Catalogue, Entry, put_labels, put_object
 from stillpoint.datasets.archive.describe import Description, describe_object
-from stillpoint.datasets.archive.incoming import Change, Incoming, finish_dead_changes
+from stillpoint.datasets.archive.incoming import Change, Given, Incoming, finish_dead_changes
 from stillpoint.datasets.archive.locks import hold_lock
 from stillpoint.datasets.archive.query import parse_query
 from stillpoint.datasets.archive.record import (
@@ -33,7 +35,7 @@ from stillpoint.datasets.archive.record import (
 )
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.remote import url_of
+from stillpoint.datasets.remote import open_binary, url_of
 
 MARK = "stillpoint-archive.txt"
 MARK_TEXT = """This folder is an archive of stillpoint, format 1.
@@ -84,58 +86,45 @@ class Archive:
 
         A file that cannot be read, or that claims to be MCAP and is damaged, is refused; the others are kept.
         """
-        batch: list[Path] = []
-        for file in files:
-            batch.append(file)
-            if len(batch) == BATCH:
-                yield from self._add_batch(batch, tags, metadata or {})
-                batch = []
-        if batch:
-            yield from self._add_batch(batch, tags, metadata or {})
+        given = (Given(file, partial(open_binary, file), file.name, tags, metadata or {}) for file in files)
+        yield from self.add_given(given)
 
-    def _add_batch(self, files: Sequence[Path], tags: Sequence[str], metadata: Mapping[str, str]) -> list[Added]:
-        with self._incoming() as incoming:
-            changes: list[Change] = []
-            descriptions: dict[str, Description] = {}
-            outcomes = []
-            for file in files:
-                try:
-                    copy, sha256, size = incoming.copy(file)
-                    outcome = self._stage_new(incoming, file, copy, sha256, size, tags, metadata, changes, descriptions)
-                except StillpointError as error:
-                    outcome = Added(file, "", "", "refused", str(error))
-                outcomes.append(outcome)
-            self._commit(changes, descriptions)
-        return outcomes
+    def add_given(self, files: Iterable[Given]) -> Iterator[Added]:
+        """As :meth:`add`, for files that say themselves what their records are to hold."""
+        files = iter(files)
+        while batch := list(islice(files, BATCH)):
+            with self._incoming() as incoming:
+                changes: dict[str, Change] = {}
+                descriptions: dict[str, Description] = {}
+                outcomes = [self._take(incoming, given, changes, descriptions) for given in batch]
+                self._commit(list(changes.values()), descriptions)
+            yield from outcomes
 
-    def _stage_new(
-        self,
-        incoming: Incoming,
-        file: Path,
-        copy: Path,
-        sha256: str,
-        size: int,
-        tags: Sequence[str],
-        metadata: Mapping[str, str],
-        changes: list[Change],
-        descriptions: dict[str, Description],
+    def _take(
+        self, incoming: Incoming, given: Given, changes: dict[str, Change], descriptions: dict[str, Description]
     ) -> Added:
-        """Decide what one copied file needs: nothing, a new object, or a record that is not removed any more."""
-        if sha256 in descriptions:
-            return Added(file, sha256, descriptions[sha256].kind, "present")
-        known = self.find_record(sha256)
-        if known is not None and not known.removed and self.storage.has(known.object_key):
-            return Added(file, sha256, self._kind(sha256), "present")
-        described = describe_object(copy, file.name)
-        if described.problem:
-            raise BadFile(f"{described.problem.replace(str(copy), str(file))}; it is not added")
+        """Copy a file and stage what it needs: nothing, a new object, or a record that is not removed any more."""
+        try:
+            copy, sha256, size = incoming.copy(given)
+            if sha256 in changes:
+                return Added(given.source, sha256, descriptions[sha256].kind, "present")
+            known = self.find_record(sha256)
+            if known is not None and not known.removed and self.storage.has(known.object_key):
+                return Added(given.source, sha256, self._kind(sha256), "present")
+            described = describe_object(copy, given.file_name)
+            if described.problem:
+                raise BadFile(f"{described.problem.replace(str(copy), str(given.source))}; it is not added")
+        except StillpointError as error:
+            return Added(given.source, "", "", "refused", str(error))
         descriptions[sha256] = described
         if known is not None:
-            changes.append(incoming.stage(replace(known, removed="", reason="", freed=""), copy, replaces=True))
-            return Added(file, sha256, described.kind, "restored")
-        record = Record(sha256, suffix_of(file.name), file.name, size, now(), tuple(tags), dict(metadata))
-        changes.append(incoming.stage(record, copy))
-        return Added(file, sha256, described.kind, "added")
+            back = replace(known, removed="", reason="", freed="")
+            changes[sha256] = incoming.stage(back, copy, replaces=True)
+            return Added(given.source, sha256, described.kind, "restored")
+        name, added = given.file_name, given.added or now()
+        record = Record(sha256, suffix_of(name), name, size, added, tuple(given.tags), dict(given.metadata))
+        changes[sha256] = incoming.stage(record, copy)
+        return Added(given.source, sha256, described.kind, "added")
 
     @contextmanager
     def _incoming(self) -> Iterator[Incoming]:

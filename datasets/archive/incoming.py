@@ -6,17 +6,18 @@ holds: the next command moves in what is complete and deletes the rest, so that 
 """
 
 import hashlib
+import math
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 from stillpoint.datasets.archive.locks import OwnLock, lock_of_dead_process
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_to_bytes
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.remote import open_binary
 
 BLOCK = 1 << 20  # bytes that are copied at once
 
@@ -29,6 +30,20 @@ class Change:
     record_file: Path
     object_file: Path | None  # None: the record alone changes
     replaces: bool  # False: a record that is there already wins
+
+
+@dataclass(frozen=True)
+class Given:
+    """A file to be kept, and what its record is to say."""
+
+    source: Path  # how messages name it
+    open: Callable[[], IO[bytes]]
+    file_name: str
+    tags: Sequence[str] = ()
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    added: str = ""  # when another archive took it in; "" for now
+    sha256: str = ""  # that it must have; "" for any
+    largest: float = math.inf  # bytes
 
 
 class Incoming:
@@ -47,16 +62,16 @@ class Incoming:
         shutil.rmtree(self.folder, ignore_errors=True)
         self._lock.release()
 
-    def copy(self, source: Path) -> tuple[Path, str, int]:
+    def copy(self, given: Given) -> tuple[Path, str, int]:
         """Copy a file here, durably, while its hash is computed; returns the copy, the SHA-256 and the size.
 
-        Raises :class:`BadFile` when the source cannot be read or the disk is full.
+        Raises :class:`BadFile` when it cannot be read, is not what was promised, or the disk is full.
         """
         target = self.folder / f"{secrets.token_hex(8)}.copy"
         digest, size = hashlib.sha256(), 0
         try:
-            with open_binary(source) as incoming, open(target, "xb") as kept:
-                while block := incoming.read(BLOCK):
+            with given.open() as source, open(target, "xb") as kept:
+                while (block := source.read(BLOCK)) and size <= given.largest:
                     digest.update(block)
                     kept.write(block)
                     size += len(block)
@@ -64,7 +79,12 @@ class Incoming:
                 os.fsync(kept.fileno())
         except OSError as error:
             target.unlink(missing_ok=True)
-            raise BadFile(f"{source}: cannot be copied ({error.strerror}); check the file and the disk") from error
+            raise BadFile(
+                f"{given.source}: cannot be copied ({error.strerror}); check the file and the disk"
+            ) from error
+        if given.sha256 not in ("", digest.hexdigest()):
+            target.unlink()
+            raise BadFile(f"{given.source}: is damaged: its hash is not {given.sha256[:12]}…, as was said of it")
         return target, digest.hexdigest(), size
 
     def stage(self, record: Record, copy: Path | None, replaces: bool = False) -> Change:

@@ -1,14 +1,16 @@
 """Mend an archive: damaged objects from a copy, damaged records from a copy or from the catalogue."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from stillpoint.datasets.archive.archive import Archive
-from stillpoint.datasets.archive.incoming import Incoming
+from stillpoint.datasets.archive.incoming import Given, Incoming
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_key
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
 from stillpoint.datasets.archive.verify import Fault, hash_file
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
+from stillpoint.datasets.remote import open_binary
 
 
 class Copies:
@@ -104,7 +106,7 @@ def _put(archive: Archive, record: Record, source: Path | None) -> None:
     incoming = Incoming(archive.home)
     try:
         if source is not None:
-            copy, sha256, _ = incoming.copy(source)
+            copy, sha256, _ = incoming.copy(Given(source, partial(open_binary, source), record.file_name))
             if sha256 != record.sha256:
                 raise BadFile(f"{source}: changed while it was read; run the repair again")
             archive.storage.move_in(copy, record.object_key)

@@ -1,0 +1,208 @@
+"""Write and read bundles as a folder, a zip or a tar; reading never leaves the folder and is bounded in size."""
+
+import io
+import json
+import os
+import re
+import shutil
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from stillpoint.datasets.archive.bundle import CHECKSUMS, FORMAT, MANIFEST
+from stillpoint.datasets.archive.incoming import Given
+from stillpoint.datasets.archive.record import SHA256
+from stillpoint.datasets.errors import BadFile, BadParameter
+from stillpoint.datasets.remote import open_binary
+
+BLOCK = 1 << 20
+LARGEST_MANIFEST = 256 << 20  # bytes: 600 bytes an object, so 400,000 objects
+LARGEST_BUNDLE = 1 << 40  # bytes, unpacked, unless the user says more
+LARGEST_RATIO = 200  # unpacked over packed of a zip's member: MCAP files are packed already, texts reach 20
+_FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # the first that zip knows: the same bundle gives the same bytes
+
+
+@dataclass(frozen=True)
+class Member:
+    """One object of a bundle as its manifest describes it."""
+
+    path: str
+    sha256: str
+    size: int
+    file_name: str
+    added: str
+    tags: tuple[str, ...]
+    metadata: Mapping[str, str]
+
+
+def write_bundle(files: Mapping[str, Path | bytes], target: Path) -> None:
+    """Write all files of a bundle to a new folder, or to ``x.zip`` or ``x.tar``, whole or not at all.
+
+    Raises :class:`BadParameter` when the target is there already, :class:`BadFile` when it cannot be written.
+    """
+    if target.exists():
+        raise BadParameter(f"{target}: is there already; name a new folder, .zip or .tar")
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.suffix == ".zip":
+            _write_zip(files, part)
+        elif target.suffix == ".tar":
+            _write_tar(files, part)
+        else:
+            _write_folder(files, part)
+        part.rename(target)
+    except OSError as error:
+        raise BadFile(f"{target}: cannot be written ({error.strerror}); check the disk and the folder") from error
+    finally:
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            part.unlink(missing_ok=True)
+
+
+def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        with open(folder / path, "xb") as out, _opened(content) as source:
+            shutil.copyfileobj(source, out, BLOCK)
+
+
+def _write_zip(files: Mapping[str, Path | bytes], target: Path) -> None:
+    with zipfile.ZipFile(target, "x") as out:
+        for path, content in files.items():
+            info = zipfile.ZipInfo(path, _FIXED_TIME)
+            is_packed = path.endswith(".mcap")
+            info.compress_type = zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            with _opened(content) as source, out.open(info, "w", force_zip64=True) as member:
+                shutil.copyfileobj(source, member, BLOCK)
+
+
+def _write_tar(files: Mapping[str, Path | bytes], target: Path) -> None:
+    with tarfile.open(target, "x", format=tarfile.PAX_FORMAT) as out:
+        for path, content in files.items():
+            info = tarfile.TarInfo(path)
+            info.mode = 0o644
+            with _opened(content) as source:
+                info.size = source.seek(0, os.SEEK_END)
+                source.seek(0)
+                out.addfile(info, source)
+
+
+@contextmanager
+def _opened(content: Path | bytes) -> Iterator[IO[bytes]]:
+    with io.BytesIO(content) if isinstance(content, bytes) else open_binary(content) as file:
+        yield file
+
+
+class Bundle:
+    """An open bundle; :func:`open_bundle` makes one."""
+
+    def __init__(self, place: Path, read_file: Callable[[str], IO[bytes]], largest: int) -> None:
+        self.place = place
+        self._open = read_file
+        self.members = self._read_manifest(largest)
+
+    def given(self) -> Iterator[Given]:
+        """The objects, for :meth:`~stillpoint.datasets.archive.archive.Archive.add_given`; hashes are checked there."""
+        for member in self.members:
+            yield Given(
+                source=self.place / member.path,
+                open=partial(self._open, member.path),
+                file_name=member.file_name,
+                tags=member.tags,
+                metadata=member.metadata,
+                added=member.added,
+                sha256=member.sha256,
+                largest=member.size,
+            )
+
+    def _read_manifest(self, largest: int) -> list[Member]:
+        with self._open(MANIFEST) as file:
+            data = file.read(LARGEST_MANIFEST + 1)
+        if len(data) > LARGEST_MANIFEST:
+            raise BadFile(f"{self.place}: its manifest has more than {LARGEST_MANIFEST} bytes")
+        try:
+            content = json.loads(data)
+            if content["format"] != FORMAT:
+                raise BadFile(f"{self.place}: is a bundle of format {content['format']}; install a newer stillpoint")
+            members = [_member(one) for one in content["objects"]]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise BadFile(f"{self.place}: its {MANIFEST} cannot be read ({error})") from error
+        total = sum(member.size for member in members)
+        if total > largest:
+            raise BadFile(f"{self.place}: claims {total} bytes, more than {largest}; give --max-bytes if this is right")
+        return members
+
+
+def _member(one: Mapping[str, Any]) -> Member:
+    path = str(one["path"])
+    if not is_inside(path):
+        raise ValueError(f"{path!r} leads out of the bundle")
+    if not SHA256.fullmatch(one["sha256"]) or not isinstance(one["size"], int) or one["size"] < 0:
+        raise ValueError(f"{path}: has no hash or no size")
+    name = PurePosixPath(str(one["file_name"]).replace("\\", "/")).name
+    metadata = {str(key): str(value) for key, value in one["metadata"].items()}
+    tags = tuple(str(tag) for tag in one["tags"])
+    return Member(path, one["sha256"], one["size"], name or one["sha256"], str(one["added"]), tags, metadata)
+
+
+def is_inside(path: str) -> bool:
+    """Whether a path of a bundle stays in the bundle: relative, with no ``..``, no drive and no other separator."""
+    parts = PurePosixPath(path).parts
+    plain = bool(parts) and not path.startswith("/") and "\\" not in path and not re.match("[A-Za-z]:", path)
+    return plain and ".." not in parts and "\0" not in path
+
+
+@contextmanager
+def open_bundle(place: Path, largest: int = LARGEST_BUNDLE) -> Iterator[Bundle]:
+    """Open a bundle in a folder, a zip or a tar; raises :class:`BadFile` for anything else.
+
+    Only members that the manifest lists are ever read, and no link is followed.
+    """
+    try:
+        if place.is_dir():
+            yield Bundle(place, lambda path: _open_in_folder(place, path), largest)
+        elif zipfile.is_zipfile(place):
+            with zipfile.ZipFile(place) as archive:
+                yield Bundle(place, lambda path: _open_in_zip(place, archive, path), largest)
+        elif place.is_file() and tarfile.is_tarfile(place):
+            with tarfile.open(place, "r:") as tar:
+                members = {member.name: member for member in tar if member.isreg() and is_inside(member.name)}
+                yield Bundle(place, lambda path: _open_in_tar(place, tar, members, path), largest)
+        else:
+            raise BadParameter(f"{place}: is no bundle; name a folder, a .zip or a .tar that archive export wrote")
+    except (zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
+        raise BadFile(f"{place}: is damaged ({error})") from error
+    except OSError as error:
+        raise BadFile(f"{place}: cannot be read ({error.strerror or error})") from error
+
+
+def _open_in_folder(place: Path, path: str) -> IO[bytes]:
+    file = place / path
+    if not file.is_file() or file.is_symlink() or not file.resolve().is_relative_to(place.resolve()):
+        raise BadFile(f"{place}: has no file {path}; it is no whole bundle (sha256sum -c {CHECKSUMS} lists what is)")
+    return open(file, "rb")
+
+
+def _open_in_zip(place: Path, archive: zipfile.ZipFile, path: str) -> IO[bytes]:
+    try:
+        info = archive.getinfo(path)
+    except KeyError:
+        raise BadFile(f"{place}: has no file {path}; it is no whole bundle") from None
+    if info.file_size > BLOCK and info.file_size > LARGEST_RATIO * max(info.compress_size, 1):
+        raise BadFile(f"{place}: {path} unpacks to {info.file_size} bytes from {info.compress_size}: refused")
+    return archive.open(info)
+
+
+def _open_in_tar(place: Path, tar: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], path: str) -> IO[bytes]:
+    file = tar.extractfile(members[path]) if path in members else None
+    if file is None:
+        raise BadFile(f"{place}: has no file {path}; it is no whole bundle")
+    return file
