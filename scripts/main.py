@@ -31,6 +31,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
     "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
     "archive": ("archive:app", "Keep, find, verify and publish datasets."),
+    "recover": ("recover:recover", "Rescue what is readable of a damaged MCAP file."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }

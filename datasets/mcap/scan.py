@@ -9,7 +9,7 @@ import bz2
 import io
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -20,19 +20,35 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.limits import largest_chunk
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.remote import open_binary
 
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
 _HEAD = struct.Struct("<BQ")
-Record = TypeVar("Record", Schema, Channel, Chunk, Metadata, Attachment, DataEnd, Footer, Statistics)
+Record = TypeVar(
+    "Record", Schema, Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Attachment, AttachmentIndex, DataEnd, Footer,
+    Statistics,
+)  # fmt: skip
 
 
-class _Damaged(Exception):
+class DamagedError(Exception):
     """What is wrong with the bytes; becomes a BadFile, or the end of what a cut file still gives."""
 
 
@@ -60,7 +76,7 @@ class Scan:
     def blocks(self) -> Iterator[Block]:
         """The messages of the file; raises :class:`BadFile`."""
         try:
-            with open(self.path, "rb") as file:
+            with open_binary(self.path) as file:
                 yield from self._read(file)
         except OSError as error:
             hint = "check the name" if isinstance(error, FileNotFoundError) else "check that it is a readable file"
@@ -78,7 +94,7 @@ class Scan:
         try:
             yield from self._data_section(records)
             self._summary(file.read())
-        except _Damaged as error:
+        except DamagedError as error:
             if whole or records.ended:
                 where = f"{self.path}: is damaged near byte {records.start}"
                 raise BadFile(f"{where}: {error}; restore it from a copy") from None
@@ -89,60 +105,61 @@ class Scan:
         chunk: bytes | None = None
         listed: list[NDArray[np.int64]] = []
         loose = bytearray()
-        damage: _Damaged | None = None
+        damage: DamagedError | None = None
         try:
             for opcode, body in records:
                 if chunk is not None and opcode != Opcode.MESSAGE_INDEX:
-                    yield self._block(chunk, listed)
+                    yield self.read_block(chunk, listed)
                     chunk, listed = None, []
                 if opcode == Opcode.MESSAGE:
                     loose += _HEAD.pack(opcode, len(body)) + body
                     if len(loose) > LOOSE_BYTES:
-                        yield self._block(bytes(loose), [])
+                        yield self.read_block(bytes(loose))
                         loose.clear()
                 elif opcode == Opcode.CHUNK:
-                    chunk = _unpack(_parse(Chunk, body))
+                    chunk = unpack_chunk(parse_record(Chunk, body))
                 elif opcode == Opcode.MESSAGE_INDEX:
-                    listed.append(_listed_offsets(body))
+                    listed.append(listed_offsets(body))
                 else:
-                    self._fact(opcode, body)
-        except _Damaged as error:
+                    self.take_fact(opcode, body)
+        except DamagedError as error:
             damage = error
         if chunk is not None:
-            yield self._block(chunk, listed)
+            yield self.read_block(chunk, listed)
         if loose:
-            yield self._block(bytes(loose), [])
+            yield self.read_block(bytes(loose))
         if damage is not None:
             raise damage
 
-    def _fact(self, opcode: int, body: bytes) -> None:
+    def take_fact(self, opcode: int, body: bytes) -> None:
         """Take in a record that is no message."""
         if opcode == Opcode.SCHEMA:
-            schema = _parse(Schema, body)
+            schema = parse_record(Schema, body)
             self.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            channel = _parse(Channel, body)
+            channel = parse_record(Channel, body)
             self.channels[channel.id] = channel
         elif opcode == Opcode.METADATA:
-            metadata = _parse(Metadata, body)
+            metadata = parse_record(Metadata, body)
             self.metadata[metadata.name] = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
-            attachment = _parse(Attachment, body)
+            attachment = parse_record(Attachment, body)
             crc = int.from_bytes(body[-4:], "little")
             if crc not in (0, zlib.crc32(body[:-4])):
-                raise _Damaged(f"the checksum of the attachment {attachment.name} differs")
+                raise DamagedError(f"the checksum of the attachment {attachment.name} differs")
             self.attachments[attachment.name] = attachment.data
 
-    def _block(self, data: bytes, listed: list[NDArray[np.int64]]) -> Block:
+    def read_block(self, data: bytes, listed: Sequence[NDArray[np.int64]] = ()) -> Block:
+        """Find the messages in the bytes of a chunk; ``listed`` are the offsets in its message indexes, a hint."""
         offsets, others = _records_of(data, np.concatenate(listed) if listed else np.empty(0, np.int64))
         for opcode, begin, end in others:
-            self._fact(opcode, data[begin:end])
+            self.take_fact(opcode, data[begin:end])
         block = Block(data, {}, {})
         heads = windows(data, MESSAGE_HEAD.itemsize)[offsets]
         channels = heads.view(MESSAGE_HEAD)["channel"]
         for channel in np.flatnonzero(np.bincount(channels)).tolist():
             if channel not in self.channels:
-                raise _Damaged(f"a message belongs to channel {channel}, which is not declared")
+                raise DamagedError(f"a message belongs to channel {channel}, which is not declared")
             own = np.flatnonzero(channels == channel)
             block.offsets[channel], block.heads[channel] = offsets[own], heads[own].view(MESSAGE_HEAD)
             self.counts[channel] = self.counts.get(channel, 0) + len(block.offsets[channel])
@@ -153,18 +170,18 @@ class Scan:
         body = rest[: -len(MAGIC)]
         sound = False
         if len(rest) >= FOOTER_SIZE and body[-FOOTER_SIZE + len(MAGIC) :][:9] == _HEAD.pack(Opcode.FOOTER, 20):
-            footer = _parse(Footer, body[-20:])
+            footer = parse_record(Footer, body[-20:])
             sound = footer.summary_crc in (0, zlib.crc32(body[:-4]))
         if not rest.endswith(MAGIC) and not sound:
             self.lost = "the end of the file is cut off; all of its messages are there"
             return
         if not rest.endswith(MAGIC) or not sound:
-            raise _Damaged("its summary or its last bytes are not as they were written")
+            raise DamagedError("its summary or its last bytes are not as they were written")
         for opcode, record in _Records(io.BytesIO(body), len(body)).until_footer():
             if opcode == Opcode.STATISTICS:
-                count, found = _parse(Statistics, record).message_count, sum(self.counts.values())
+                count, found = parse_record(Statistics, record).message_count, sum(self.counts.values())
                 if count != found:
-                    raise _Damaged(f"it should hold {count} messages and holds {found}")
+                    raise DamagedError(f"it should hold {count} messages and holds {found}")
 
 
 class _Records:
@@ -179,11 +196,11 @@ class _Records:
         self.start = self.file.tell()
         head = self.file.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            raise _Damaged("it ends within a record")
+            raise DamagedError("it ends within a record")
         opcode, length = _HEAD.unpack(head)
         left = self.size - self.start - _HEAD.size
         if opcode == 0 or length > left:
-            raise _Damaged(f"a record of kind {opcode} claims {length} bytes, {left} are left")
+            raise DamagedError(f"a record of kind {opcode} claims {length} bytes, {left} are left")
         return head, self.file.read(length)
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
@@ -192,11 +209,11 @@ class _Records:
             head, body = self._next()
             if head[0] == Opcode.DATA_END:
                 self.ended = True
-                if _parse(DataEnd, body).data_section_crc not in (0, crc):
-                    raise _Damaged("the checksum of its data differs")
+                if parse_record(DataEnd, body).data_section_crc not in (0, crc):
+                    raise DamagedError("the checksum of its data differs")
                 return
             if head[0] == Opcode.FOOTER:
-                raise _Damaged("the record that ends its data is missing")
+                raise DamagedError("the record that ends its data is missing")
             yield head[0], body
             crc = zlib.crc32(body, zlib.crc32(head, crc))
 
@@ -207,6 +224,20 @@ class _Records:
             if head[0] == Opcode.FOOTER:
                 return
             yield head[0], body
+
+
+def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """The records in some bytes, which end with a whole one or with a footer; raises :class:`DamagedError`."""
+    at = 0
+    while at < len(data):
+        if len(data) - at < _HEAD.size:
+            raise DamagedError("it ends within a record")
+        opcode, length = _HEAD.unpack_from(data, at)
+        stop = at + _HEAD.size + length
+        if stop > len(data):
+            raise DamagedError(f"a record of kind {opcode} claims {length} bytes, {len(data) - at} are left")
+        yield opcode, data[at + _HEAD.size : stop]
+        at = stop
 
 
 class _Bytes(ReadDataStream):
@@ -223,21 +254,22 @@ class _Bytes(ReadDataStream):
         return super().read(length)
 
 
-def _parse(kind: type[Record], body: bytes) -> Record:
+def parse_record(kind: type[Record], body: bytes) -> Record:
+    """Return the record of this kind; raises :class:`DamagedError` when the bytes make no sense."""
     try:
         return kind.read(_Bytes(body))
     except (McapError, struct.error, ValueError, OverflowError) as error:
-        raise _Damaged(f"a {kind.__name__} record makes no sense ({error})") from error
+        raise DamagedError(f"a {kind.__name__} record makes no sense ({error})") from error
 
 
-def _unpack(chunk: Chunk) -> bytes:
+def unpack_chunk(chunk: Chunk) -> bytes:
     """Return the bytes of a chunk, tested against its length and its checksum."""
     try:
         data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
     except ValueError as error:
-        raise _Damaged(str(error)) from error
+        raise DamagedError(str(error)) from error
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise _Damaged("the checksum of a chunk differs")
+        raise DamagedError("the checksum of a chunk differs")
     return data
 
 
@@ -271,7 +303,7 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
     return data
 
 
-def _listed_offsets(body: bytes) -> NDArray[np.int64]:
+def listed_offsets(body: bytes) -> NDArray[np.int64]:
     """The offsets of a message index."""
     usable = (len(body) - 6) // INDEX_ENTRY.itemsize * INDEX_ENTRY.itemsize
     if usable <= 0:
@@ -317,11 +349,11 @@ def _walk(data: bytes, begin: int, end: int) -> tuple[list[int], list[tuple[int,
     messages, others = [], []
     while begin < end:
         if end - begin < _HEAD.size:
-            raise _Damaged("a chunk ends within a record")
+            raise DamagedError("a chunk ends within a record")
         opcode, length = _HEAD.unpack_from(data, begin)
         stop = begin + _HEAD.size + length
         if stop > end or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.itemsize - RECORD_HEAD.itemsize):
-            raise _Damaged("a record in a chunk claims more bytes than there are, or too few")
+            raise DamagedError("a record in a chunk claims more bytes than there are, or too few")
         if opcode == Opcode.MESSAGE:
             messages.append(begin)
         else:

@@ -30,6 +30,7 @@ from stillpoint.datasets.mcap.reader import Log, read_log, survey
 from stillpoint.datasets.mcap.topics import MAG_REMAINDER, TOPICS, Topic, microtesla, tesla
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Spin, Truth
+from stillpoint.datasets.remote import open_binary
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
 
 OneKind = TypeVar("OneKind", Recording, Reference, RollReference, Estimate)
@@ -139,7 +140,7 @@ def provenance(path: Path | str) -> Provenance:
 def sha256(path: Path | str) -> str:
     """The SHA-256 of a file, in hex; raises :class:`BadFile` when it cannot be read."""
     try:
-        with open(path, "rb") as file:
+        with open_binary(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error

@@ -1,0 +1,197 @@
+"""A part of an MCAP file by its index: one topic, or a range of time, without reading the rest.
+
+Of a remote file only the summary and the chunks that hold what was asked for are fetched. Their checksums are tested,
+and that of the summary; those of the parts that are not read are not. :func:`~stillpoint.datasets.mcap.reader.read_log`
+reads and tests everything.
+"""
+
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex
+from numpy.typing import NDArray
+
+from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.mcap.file import FOOTER_SIZE, MAGIC, RECORD_HEAD
+from stillpoint.datasets.mcap.reader import Columns, Log, Part, Topic, read_columns
+from stillpoint.datasets.mcap.scan import (
+    Block,
+    DamagedError,
+    Scan,
+    iterate_records,
+    listed_offsets,
+    parse_record,
+    unpack_chunk,
+)
+from stillpoint.datasets.remote import RangedFile, is_url
+
+FIRST_FETCH = 64 << 10  # bytes of the end of the file: the summary of an hour's recording
+LARGEST_GAP = 32 << 10  # bytes between two chunks that are fetched with them, because a request costs as much
+_HEAD = RECORD_HEAD.itemsize
+
+
+class Source(Protocol):
+    """Bytes by their place."""
+
+    size: int
+
+    def fetch(self, start: int, end: int) -> bytes:
+        """The bytes from ``start`` to ``end``."""
+
+
+class LocalFile:
+    """A local file as a :class:`Source`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self.size = path.stat().st_size
+        except OSError as error:
+            raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
+
+    def fetch(self, start: int, end: int) -> bytes:
+        """The bytes from ``start`` to ``end``."""
+        with open(self._path, "rb") as file:
+            file.seek(start)
+            return file.read(max(end - start, 0))
+
+
+@dataclass(frozen=True)
+class Window:
+    """A range of log times, both ends included."""
+
+    start_ns: int
+    end_ns: int
+
+
+def read_part(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    window: Window | None = None,
+    columns: Mapping[str, Columns] | None = None,
+    source: Source | None = None,
+) -> Log:
+    """Read some topics, or the messages within a range of log times, through the index at the end of the file.
+
+    ``source`` is where the bytes come from (by default the path itself, local or a URL); a
+    :class:`~stillpoint.datasets.remote.RangedFile` counts what it fetched. Raises :class:`BadFile` when the file is
+    damaged or has no index.
+    """
+    source = source or (RangedFile(path) if is_url(path) else LocalFile(Path(path)))
+    log = read_columns(_Part(Path(path), source, topics, window), topics, columns)
+    if window is None:
+        return log
+    return replace(log, topics={name: _cut(topic, window) for name, topic in log.topics.items()})
+
+
+def _cut(topic: Topic, window: Window) -> Topic:
+    """The messages of a topic within a range of log times."""
+    first = int(np.searchsorted(topic.t_ns, window.start_ns, side="left"))
+    last = int(np.searchsorted(topic.t_ns, window.end_ns, side="right"))
+    parts = []
+    for part in topic.parts:
+        inside = (part.rows >= first) & (part.rows < last)
+        if inside.any():
+            cut = {name: values[inside] for name, values in part.columns.items()}
+            parts.append(Part(part.rows[inside] - first, cut))
+    return replace(topic, t_ns=topic.t_ns[first:last], parts=tuple(parts))
+
+
+class _Part(Scan):
+    """The chunks of a file that hold what is wanted; a container for :func:`read_columns`."""
+
+    def __init__(self, path: Path, source: Source, topics: Collection[str] | None, window: Window | None) -> None:
+        super().__init__(path)
+        self._source, self._topics, self._window = source, topics, window
+
+    def blocks(self) -> Iterator[Block]:
+        """The messages of the chunks that are needed; raises :class:`BadFile`."""
+        try:
+            for index, data in self._fetch_chunks(self._wanted(self._read_summary())):
+                yield self.read_block(*_unpack(data, index))
+        except DamagedError as error:
+            raise BadFile(f"{self.path}: is damaged: {error}; restore it from a copy") from None
+
+    def _read_summary(self) -> list[ChunkIndex]:
+        """Take in schemas, channels and metadata from the end of the file; returns the index of its chunks."""
+        size = self._source.size
+        tail_start = max(size - FIRST_FETCH, 0)
+        tail = self._source.fetch(tail_start, size)
+        at = len(tail) - FOOTER_SIZE
+        if at < 0 or not tail.endswith(MAGIC) or tail[at] != Opcode.FOOTER:
+            raise DamagedError("it has no end, and so no index; it was cut, or is no MCAP file")
+        footer = parse_record(Footer, tail[at + _HEAD : -len(MAGIC)])
+        start = footer.summary_start
+        if not 0 < start < size:
+            raise DamagedError("it has no summary")
+        if start < tail_start:
+            tail = self._source.fetch(start, tail_start) + tail
+            tail_start = start
+        summary = tail[start - tail_start : len(tail) - len(MAGIC)]
+        if footer.summary_crc not in (0, zlib.crc32(summary[:-4])):
+            raise DamagedError("the checksum of its summary differs")
+        chunks: list[ChunkIndex] = []
+        for opcode, body in iterate_records(summary):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.take_fact(opcode, body)
+            elif opcode == Opcode.CHUNK_INDEX:
+                chunks.append(parse_record(ChunkIndex, body))
+            elif opcode == Opcode.METADATA_INDEX:
+                index = parse_record(MetadataIndex, body)
+                record = self._source.fetch(index.offset, min(index.offset + index.length, size))
+                self.take_fact(Opcode.METADATA, record[_HEAD:])
+        if not chunks:
+            raise DamagedError("its summary lists no chunk")
+        return chunks
+
+    def _wanted(self, chunks: list[ChunkIndex]) -> list[ChunkIndex]:
+        numbers = {
+            number for number, channel in self.channels.items() if self._topics is None or channel.topic in self._topics
+        }
+        window = self._window
+        return [
+            chunk
+            for chunk in sorted(chunks, key=lambda each: each.chunk_start_offset)
+            if (not chunk.message_index_offsets or numbers & set(chunk.message_index_offsets))
+            and (window is None or chunk.message_start_time <= window.end_ns)
+            and (window is None or chunk.message_end_time >= window.start_ns)
+        ]
+
+    def _fetch_chunks(self, chunks: list[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
+        """Each chunk with its message indexes; those that lie close together come in one request."""
+        runs: list[list[ChunkIndex]] = []
+        for chunk in chunks:
+            if runs and chunk.chunk_start_offset - _end(runs[-1][-1]) <= LARGEST_GAP:
+                runs[-1].append(chunk)
+            else:
+                runs.append([chunk])
+        for run in runs:
+            start, end = run[0].chunk_start_offset, _end(run[-1])
+            if not 0 < start < end <= self._source.size:
+                raise DamagedError("the index of its chunks points beyond its end")
+            data = self._source.fetch(start, end)
+            for chunk in run:
+                yield chunk, data[chunk.chunk_start_offset - start : _end(chunk) - start]
+
+
+def _end(chunk: ChunkIndex) -> int:
+    return chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+
+
+def _unpack(data: bytes, index: ChunkIndex) -> tuple[bytes, list[NDArray[np.int64]]]:
+    """The bytes of a chunk, and the offsets in the message indexes behind it."""
+    unpacked = b""
+    listed = []
+    for opcode, body in iterate_records(data):
+        if opcode == Opcode.CHUNK:
+            unpacked = unpack_chunk(parse_record(Chunk, body))
+        elif opcode == Opcode.MESSAGE_INDEX:
+            listed.append(listed_offsets(body))
+    if len(unpacked) != index.uncompressed_size:
+        raise DamagedError("a chunk has another size than its index says")
+    return unpacked, listed

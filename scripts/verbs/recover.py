@@ -1,0 +1,60 @@
+"""``stillpoint recover``: rescue what is readable of a damaged MCAP file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.mcap.recover import Recovered, recover_file
+from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+
+
+def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
+    """Rescue what is readable of damaged MCAP files, chunk by chunk, and say what was lost.
+
+    Writes NAME.mcap for each file into another folder; the damaged file stays as it is. The exit code is 2 when there
+    is nothing to rescue in one of them.
+
+    Parameters
+    ----------
+    paths
+        MCAP files of stillpoint or of any other program.
+    out
+        Folder to write into; made when it is not there.
+    json
+        Also write what was kept and lost as JSON to this file; - is the standard output.
+    """
+    folder = output_dir(out)
+    rows: list[dict[str, Any]] = []
+    for path in paths:
+        target = folder / path.name
+        if target.resolve() == path.resolve():
+            raise BadParameter(f"--out {out}: is the folder of {path.name} itself; name another one")
+        try:
+            found = recover_file(path, target)
+        except StillpointError as error:
+            rows.append({"file": str(path), "error": str(error)})
+            continue
+        row = {"file": str(path), "recovered": str(target), "kept": dict(found.kept), "expected": dict(found.expected)}
+        rows.append({**row, "lost": list(found.lost), "error": None})
+        if json != STDOUT:
+            _print_recovered(target, found)
+    _print_failures(rows, len(paths))
+    write_json(json, rows)
+    return 2 if any(row["error"] for row in rows) else 0
+
+
+def _print_recovered(target: Path, found: Recovered) -> None:
+    print(f"{target}: {sum(found.kept.values())} messages")
+    for line in found.lost or ("nothing",):
+        print(f"    lost: {line}")
+
+
+def _print_failures(rows: Sequence[dict[str, Any]], count: int) -> None:
+    errors = [row["error"] for row in rows if row["error"]]
+    if errors and count == 1:
+        raise StillpointError(errors[0])
+    for error in errors:
+        print(f"not recovered: {error}")
