@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
 # verb -> (function, what it does); the order is the order of the data and of the help page.
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo:demo", "Simulate a phone in the hand and follow it the whole way to a report."),
-    "import": ("import_:import_", "Turn recordings of other formats into MCAP files."),
+    "import": ("import_:app", "Turn recordings of other formats into MCAP files."),
     "simulate": ("simulate:simulate", "Make recordings whose truth is known by construction."),
     "info": ("info:info", "Say what is in a file: streams, rates, gaps, rests, provenance."),
     "doctor": ("doctor:doctor", "Test recordings by physics and say what to do."),

@@ -9,7 +9,9 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets import write
-from stillpoint.datasets.mcap.store import sha256
+from stillpoint.datasets.calibration import SensorCalibration, apply_calibration, calibration_of, load_calibration
+from stillpoint.datasets.mcap.store import read_reference, sha256
+from stillpoint.datasets.recording import Recording
 from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
@@ -31,6 +33,7 @@ class _Job:
     source: Path
     target: Path
     run: Run
+    calibration: str  # none, reference or a file
 
 
 def estimate(
@@ -42,6 +45,7 @@ def estimate(
     set_: SetFlag = None,
     precision: Precision = "double",
     heading: Heading = "mag",
+    calibration: str = "none",
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
@@ -68,6 +72,10 @@ def estimate(
         single: compute in float32, as on a microcontroller (not for peers), and say how far off double that is.
     heading
         gps-course: from satellite fixes while they are valid, from the magnetometer, calibrated by them, otherwise.
+    calibration
+        none: samples as recorded. reference: first corrected by what the reference found about the sensor (hard iron,
+        matrices, biases); NAME.reference.mcap beside the recording or in the output folder, made where there is none.
+        Or a file with a calibration.
     jobs
         Processes; by default one per core.
     json
@@ -75,7 +83,7 @@ def estimate(
     """
     sources = inputs.recordings(paths)
     runs = _runs_by_source(sources, estimators, partial(runs_of, set_=set_, precision=precision, heading=heading))
-    work = _jobs(runs, inputs.output_dir(out))
+    work = _jobs(runs, inputs.output_dir(out), calibration)
     outcomes = run_jobs(_make, work, jobs, "estimate")
     rows = [
         made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
@@ -96,9 +104,9 @@ def _runs_by_source(
     return {source: [run for run in runs if (run.estimator in ROLLS) == spins[source]] for source in sources}
 
 
-def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path) -> list[_Job]:
+def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path, calibration: str) -> list[_Job]:
     work = [
-        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run)
+        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration)
         for source, wanted in runs.items()
         for run in wanted
     ]
@@ -108,7 +116,10 @@ def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path) -> list[_Job]:
 
 def _make(job: _Job) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
-    recording = open_recording(job.source)
+    recording, digest = open_recording(job.source), sha256(job.source)
+    known = _find_calibration(job, recording, digest)
+    if known is not None:
+        recording = apply_calibration(recording, known, digest)
     made = run(
         recording,
         job.run.estimator,
@@ -118,13 +129,32 @@ def _make(job: _Job) -> dict[str, Any]:
         heading_params=job.run.heading_params,
         ranges=job.run.ranges,
     )
-    write(job.target, replace(made, made_from={job.source.name: sha256(job.source)}))
+    made_from = {job.source.name: digest}
+    if known is not None:
+        made = replace(made, diagnostics={**made.diagnostics, "calibrated_by": known.name})
+        made_from |= {known.name: known.sha256} if known.sha256 else {}
+    write(job.target, replace(made, made_from=made_from))
     return {
         "samples": len(made.t_ns),
         "ns_per_sample": made.ns_per_sample,
         "params": dict(made.params),
         "diagnostics": dict(made.diagnostics),
     }
+
+
+def _find_calibration(job: _Job, recording: Recording, digest: str) -> SensorCalibration | None:
+    """Return the calibration to apply: of the file named, or of the recording's own reference, made if need be."""
+    if job.calibration == "none":
+        return None
+    if job.calibration != "reference":
+        return load_calibration(Path(job.calibration))
+    name = f"{job.source.stem}.reference.mcap"
+    for file in (job.source.with_name(name), job.target.with_name(name)):
+        if file.is_file() and digest in read_reference(file).made_from.values():
+            return load_calibration(file)
+    from stillpoint.smoother import attitude_reference
+
+    return calibration_of(replace(attitude_reference(recording), made_from={job.source.name: digest}))
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 from rich.console import Console
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
@@ -186,3 +186,12 @@ def _facts(one: Kept) -> dict[str, Any]:
         "notes": list(recording.info.notes),
         "sha256": dict(recording.info.sha256),
     }
+
+
+app = App(name="import", help="Turn recordings of other formats into MCAP files.")
+app.default(import_)
+app.command(
+    "stillpoint.scripts.verbs.import_trajectory:import_trajectory",
+    name="trajectory",
+    help="Put the attitude of another program beside its recording, to be scored.",
+)

@@ -18,7 +18,7 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.entrants import Entrant
-from stillpoint.studies.leaderboard.files import files_of_label
+from stillpoint.studies.leaderboard.files import find_file
 from stillpoint.studies.result_store import Result, ResultStore, key_of
 
 UPPER = np.triu_indices(3)
@@ -37,11 +37,10 @@ class EstimateJob:
 
 
 def plan_estimate(source: Source, entrant: Entrant, calibration_file: Path | None, store: ResultStore) -> EstimateJob:
-    """Return the job with the key of its result; raises :class:`BadFile` when a file cannot be read."""
+    """Return the job with the key of its result; raises :class:`StillpointError` for a file that is missing."""
     deciding: dict[str, Any] = {"what": "estimate", "input": source.sha256, "entrant": entrant.identity()}
     if entrant.kind == "file":
-        file = files_of_label(Path(source.file)).get(entrant.target)
-        deciding["file"] = "missing" if file is None else sha256(file)
+        deciding["file"] = sha256(find_file(Path(source.file), entrant.target))
     if calibration_file is not None:
         deciding["calibration"] = sha256(calibration_file)
     return EstimateJob(source, entrant, calibration_file, key_of(**deciding), store)

@@ -1,7 +1,7 @@
 """Trajectories of other programs beside a recording: ``NAME.LABEL.tum`` beside ``NAME.mcap``.
 
 The suffix may be .tum, .csv, .mcap or .bag; stillpoint's own ``NAME.LABEL.estimate.mcap`` is one of them. Estimates of
-estimators in the table are not read: a leaderboard makes those itself.
+estimators in the table are not read: a leaderboard makes those itself. Nor are the tables that ``export`` writes.
 """
 
 from dataclasses import replace
@@ -11,11 +11,12 @@ from pathlib import Path
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.mcap.store import read_estimate
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectories import read_poses
+from stillpoint.datasets.trajectories import read_trajectory
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters.table import ESTIMATORS
 
-ESTIMATE, REFERENCE = ".estimate.mcap", ".reference.mcap"
+ESTIMATE = ".estimate.mcap"
+EXPORTED = ("imu", "mag", "gps", "spin", "encoder", "truth", "roll_truth", "stream", "reference")  # by the verb export
 SUFFIXES = (ESTIMATE, ".tum", ".csv", ".mcap", ".bag")  # in the order of preference
 
 
@@ -25,9 +26,9 @@ def files_of_label(source: Path) -> dict[str, Path]:
     for suffix in SUFFIXES:
         for file in sorted(source.parent.glob(f"{escape(source.stem)}.*{suffix}")):
             label = file.name.removeprefix(f"{source.stem}.").removesuffix(suffix)
-            if label and "." not in label and file.is_file() and not file.name.endswith(REFERENCE):
+            if label and "." not in label and file.is_file():
                 found.setdefault(label, file)
-    return {label: file for label, file in found.items() if label not in ESTIMATORS}
+    return {label: file for label, file in found.items() if label not in (*ESTIMATORS, *EXPORTED)}
 
 
 def without_trajectories(sources: list[Path]) -> list[Path]:
@@ -36,17 +37,19 @@ def without_trajectories(sources: list[Path]) -> list[Path]:
     return [source for source in sources if source.resolve() not in taken]
 
 
+def find_file(source: Path, label: str) -> Path:
+    """Return the trajectory with this label beside a recording; raises :class:`BadRecording` when there is none."""
+    file = files_of_label(source).get(label)
+    if file is None:
+        raise BadRecording(f"no file {source.stem}.{label}.tum, .csv, .mcap or .bag beside {source.name}")
+    return file
+
+
 def read_estimate_of(source: Path, label: str, recording: Recording) -> Estimate:
     """Read the trajectory with this label beside a recording.
 
     Raises :class:`BadRecording` when there is none, :class:`BadSource` or :class:`BadFile` when it cannot be read.
     """
-    file = files_of_label(source).get(label)
-    if file is None:
-        raise BadRecording(f"no file {source.stem}.{label}.tum, .csv, .mcap or .bag beside {source.name}")
-    if file.name.endswith(ESTIMATE):
-        made = read_estimate(file)
-    else:
-        poses = read_poses(file)
-        made = Estimate(poses.t_ns, label, q_nb=poses.q_nb)
+    file = find_file(source, label)
+    made = read_estimate(file) if file.name.endswith(ESTIMATE) else read_trajectory(file, name=label)
     return replace(made, name=label, recording=recording.name)
