@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
-from stillpoint.datasets.recording import Floats, Times
-from stillpoint.scoring.clock import TIME_RANGE_S, clock_offset_ns
+from stillpoint.datasets.recording import Floats
+from stillpoint.scoring.clock import find_clock_offset_ns
 from stillpoint.scoring.errors import heading_offset
-from stillpoint.scoring.match import Track, attitude_at, match, require_some
+from stillpoint.scoring.match import Mask, Track, pair_up, require_common_motion
 
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
@@ -56,11 +56,6 @@ class Alignment:
         }
 
     @property
-    def time_at_limit(self) -> bool:
-        """Whether the clock was found at an end of the searched range, where no minimum is."""
-        return abs(self.time_offset_s) >= TIME_RANGE_S
-
-    @property
     def mounting(self) -> Rotation:
         """M: vectors of the estimate's body to the truth's."""
         return Rotation.from_rotvec(self.mounting_rotvec_rad)
@@ -75,32 +70,36 @@ class Alignment:
         return turn @ cov_b_rad2 @ turn.T
 
 
-def find_alignment(estimated: Track, truth_t_ns: Times, truth_q_nb: Floats, kind: AlignKind) -> Alignment:
-    """The alignment of this kind with the smallest error over the given truth samples (N,), (N, 4): the moving ones.
+def find_alignment(estimated: Track, truth: Track, moving: Mask, kind: AlignKind) -> Alignment:
+    """Find the alignment of this kind with the smallest error over the moving samples of the truth.
 
-    ``heading`` is the circular mean of the heading error. With ``time`` the clock is searched within +-0.5 s; samples
-    nearer than that to an end of the estimate are left out of the search.
-    Raises :class:`BadParameter` for another kind, :class:`Unobservable` when no sample has an estimate.
+    ``moving`` (N,) belongs to the truth's samples. ``heading`` is the circular mean of the heading error.
+    Raises :class:`BadParameter` for another kind, :class:`Unobservable` when no moving sample has an estimate, or when
+    the clock is to be found and the motion does not show it.
     """
     if kind not in ALIGN_KINDS:
         raise BadParameter(f"align: {kind!r} is not one of {', '.join(ALIGN_KINDS)}")
-    offset_ns = clock_offset_ns(estimated, truth_t_ns, truth_q_nb) if kind == "heading+mounting+time" else 0
-    at_ns = truth_t_ns + offset_ns
-    found = require_some(estimated, match(estimated, at_ns))
+    offset_ns = find_clock_offset_ns(estimated, truth, moving) if kind == "heading+mounting+time" else 0
+    pairs = pair_up(estimated, truth, moving, offset_ns)
+    require_common_motion(estimated, truth, moving, offset_ns, pairs)
+    return align_pairs(pairs.q_est[pairs.moving], pairs.q_true[pairs.moving], kind, offset_ns / 1e9)
+
+
+def align_pairs(q_est: Floats, q_true: Floats, kind: AlignKind, time_offset_s: float = 0.0) -> Alignment:
+    """Find heading and mounting, as far as ``kind`` has them, between pairs of attitudes (N, 4) at equal times."""
     if kind == "none":
         return Alignment(kind)
-    q_est, q_true = attitude_at(estimated, at_ns[found]), truth_q_nb[found]
     if kind == "heading":
         return Alignment(kind, heading_rad=_circular_mean(heading_offset(q_est, q_true)))
-    heading_rad, mounting = _fit(q_est, q_true)
-    return Alignment(kind, heading_rad, mounting.as_rotvec(), offset_ns / 1e9)
+    heading_rad, mounting = _fit_heading_and_mounting(q_est, q_true)
+    return Alignment(kind, heading_rad, mounting.as_rotvec(), time_offset_s)
 
 
 def _circular_mean(angle_rad: Floats) -> float:
     return float(np.angle(np.mean(np.exp(1j * angle_rad))))
 
 
-def _fit(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
+def _fit_heading_and_mounting(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
     """Return heading h and mounting M of ``R_est ~ Rz(h) R_true M`` with the smallest mean of 2 (1 - cos angle).
 
     For a given heading the best mounting is a polar decomposition of ``B(h) = sum R_true' Rz(-h) R_est``, which is

@@ -1,4 +1,4 @@
-"""An estimate laid on a truth: aligned, interpolated at the truth's stamps, with every sample accounted for."""
+"""Compare an estimate with a truth: align it, pair both at the sparser one's stamps, count what is left out."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import inside
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
-from stillpoint.scoring.match import Mask, attitude_at, covariance_at, match, track
+from stillpoint.scoring.match import Mask, match, pair_up, track
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """N samples of the truth, moving or not, at which there is an estimate; both in the truth's axes."""
+    """N times, moving or not, at which there are a truth and an estimate; both in the truth's axes."""
 
     estimated: str  # name of the estimator, or "reference (method)"
     against: str  # "truth" or "reference (method)"
     recording: str
     alignment: Alignment
-    t_ns: Times  # (N,) the truth's clock
+    t_ns: Times  # (N,) on the truth's clock; stamps of the truth, or of an estimate that is sparser
     q_est: Floats  # (N, 4) after alignment
     q_true: Floats  # (N, 4)
     cov_b_rad2: Floats | None  # (N, 3, 3) of the estimate, in the truth's body axes; all that was not aligned
@@ -39,37 +39,35 @@ def compare(
     align: AlignKind = "heading",
     moving: Mask | None = None,
 ) -> Comparison:
-    """Align on the moving samples, then read the estimate at every stamp of the truth where it can be read.
+    """Align on the moving samples, then pair both at the stamps of the sparser one.
 
     ``moving`` (N,) says which samples of the truth count; by default ``truth.moving``, or outside a reference's rests.
     Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps.
     """
-    source, counted = track(estimated), moving_samples(truth, moving)
+    source, judge, counted = track(estimated), track(truth), moving_samples(truth, moving)
     if not counted.any():
         raise Unobservable(f"{name_of(truth)}: no sample of it moves, so there is nothing to score")
-    alignment = find_alignment(source, truth.t_ns[counted], truth.q_nb[counted], align)
-    at_ns = truth.t_ns + alignment.time_offset_ns
-    matched = match(source, at_ns)
-    kept = matched.found
-    q_est = attitude_at(source, at_ns[kept])
-    cov = covariance_at(source, at_ns[kept])
+    alignment = find_alignment(source, judge, counted, align)
+    pairs = pair_up(source, judge, counted, alignment.time_offset_ns)
+    cov = pairs.cov_b_rad2
     if cov is not None and align == "none" and isinstance(estimated, Reference):
-        cov = cov + heading_covariance(q_est, estimated.heading_sd_rad)
+        cov = cov + heading_covariance(pairs.q_est, estimated.heading_sd_rad)
+    matched = match(source, truth.t_ns[counted] + alignment.time_offset_ns)
     return Comparison(
         estimated=name_of(estimated),
         against=name_of(truth),
         recording=estimated.recording if isinstance(estimated, Estimate) else estimated.name,
         alignment=alignment,
-        t_ns=truth.t_ns[kept],
-        q_est=alignment.attitude(q_est),
-        q_true=truth.q_nb[kept],
+        t_ns=pairs.t_ns,
+        q_est=alignment.attitude(pairs.q_est),
+        q_true=pairs.q_true,
         cov_b_rad2=None if cov is None else alignment.covariance(cov),
-        true_cov_b_rad2=truth.cov_b_rad2[kept] if isinstance(truth, Reference) else None,
-        moving=counted[kept],
+        true_cov_b_rad2=pairs.true_cov_b_rad2,
+        moving=pairs.moving,
         moving_share=float(counted.mean()),
-        samples_outside=int((matched.outside & counted).sum()),
-        samples_in_gap=int((matched.in_gap & counted).sum()),
-        samples_unready=int((matched.unready & counted).sum()),
+        samples_outside=int(matched.outside.sum()),
+        samples_in_gap=int(matched.in_gap.sum()),
+        samples_unready=int(matched.unready.sum()),
     )
 
 

@@ -1,4 +1,4 @@
-"""Which truth sample has an estimate, and what the estimate was there: interpolation that never crosses a gap."""
+"""Pair an estimate with a truth at the stamps of the sparser of the two. Interpolation never crosses a gap."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,8 @@ from stillpoint.datasets.trajectory import Estimate, Reference
 
 Mask = NDArray[np.bool_]
 
+SPARSER = 1.05  # ratio of median steps: rates that differ by jitter count as equal
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -23,6 +25,23 @@ class Track:
     q_nb: Floats  # (N, 4)
     cov_b_rad2: Floats | None  # (N, 3, 3)
     unready: Mask  # (N,)
+
+    @property
+    def step_ns(self) -> float:
+        """The median step between samples; 0 for a single one."""
+        return float(np.median(np.diff(self.t_ns))) if len(self.t_ns) > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """K times at which both an estimate and a truth can be read, and both attitudes there."""
+
+    t_ns: Times  # (K,) on the truth's clock
+    q_est: Floats  # (K, 4)
+    q_true: Floats  # (K, 4)
+    cov_b_rad2: Floats | None  # (K, 3, 3) of the estimate
+    true_cov_b_rad2: Floats | None  # (K, 3, 3) of the truth
+    moving: Mask  # (K,) the truth moves there
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +83,44 @@ def match(source: Track, at_ns: Times) -> Match:
     return Match(outside, in_gap, unready)
 
 
-def require_some(source: Track, matched: Match) -> Mask:
-    """``matched.found``; raises :class:`Unobservable` with the reasons when it is False everywhere."""
-    if not matched.found.any():
-        reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
-        counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any())
-        raise Unobservable(
-            f"{source.label}: covers none of the {len(matched.found)} moving samples of the truth ({counts}); "
-            "are both of one recording and on one clock?"
-        )
-    return matched.found
+def require_common_motion(estimated: Track, truth: Track, moving: Mask, offset_ns: int, pairs: Pairs) -> None:
+    """Raise :class:`Unobservable`, with the reasons, when no pair of the two trajectories moves."""
+    if pairs.moving.any():
+        return
+    matched = match(estimated, truth.t_ns[moving] + offset_ns)
+    reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
+    counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any()) or "none in common"
+    raise Unobservable(
+        f"{estimated.label}: covers none of the {moving.sum()} moving samples of the truth ({counts}); are both of one "
+        "recording and on one clock?"
+    )
+
+
+def is_sparser(estimated: Track, truth: Track) -> bool:
+    """Whether the estimate has clearly longer steps than the truth, so that the truth is the one to interpolate."""
+    return estimated.step_ns > SPARSER * truth.step_ns
+
+
+def pair_up(estimated: Track, truth: Track, moving: Mask, offset_ns: int = 0) -> Pairs:
+    """Read both trajectories at the stamps of the sparser one, where the other can be interpolated.
+
+    ``moving`` (N,) belongs to the truth's samples; ``offset_ns`` is how late the estimate's clock is. Interpolating
+    the sparser side would count the curvature of the path between its poses as an error of the estimate.
+    """
+    if not is_sparser(estimated, truth):
+        at_ns = truth.t_ns + offset_ns
+        kept = match(estimated, at_ns).found
+        at_ns = at_ns[kept]
+        true_cov = None if truth.cov_b_rad2 is None else truth.cov_b_rad2[kept]
+        q_est, cov = attitude_at(estimated, at_ns), covariance_at(estimated, at_ns)
+        return Pairs(truth.t_ns[kept], q_est, truth.q_nb[kept], cov, true_cov, moving[kept])
+    at_ns = estimated.t_ns - offset_ns
+    kept = match(truth, at_ns).found & ~estimated.unready
+    at_ns = at_ns[kept]
+    cov = None if estimated.cov_b_rad2 is None else estimated.cov_b_rad2[kept]
+    left, right = _neighbours(truth.t_ns, at_ns)
+    q_true, true_cov = attitude_at(truth, at_ns), covariance_at(truth, at_ns)
+    return Pairs(at_ns, estimated.q_nb[kept], q_true, cov, true_cov, moving[left] & moving[right])
 
 
 def attitude_at(source: Track, at_ns: Times) -> Floats:

@@ -1,4 +1,4 @@
-"""One function, one frozen result: how far an estimate is from a truth or a reference, over the moving samples."""
+"""Score an estimate against a truth or a reference over the moving samples: one function, one frozen result."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -9,21 +9,73 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from stillpoint.datasets.errors import BadParameter, BadRecording
-from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame
+from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame, heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
-from stillpoint.scoring.align import AlignKind, Alignment
+from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
 from stillpoint.scoring.compare import Comparison, compare
+from stillpoint.scoring.conversions import ABSURD_DEG, find_conversion
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
 from stillpoint.scoring.turns import TurnError, turn_errors
 
 CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
 
 
+@dataclass(frozen=True)
+class ErrorStats:
+    """Statistics of one kind of error over the scored samples, in deg.
+
+    ``max_deg`` and the percentiles are of the error's size; ``mean_deg`` and ``variance_deg2`` keep its sign.
+    """
+
+    rmse_deg: float
+    max_deg: float
+    mean_deg: float
+    variance_deg2: float
+    p50_deg: float
+    p95_deg: float
+    p99_deg: float
+
+    @classmethod
+    def of(cls, error_deg: Floats) -> "ErrorStats":
+        """Return the statistics of errors (N,)."""
+        size = np.abs(error_deg)
+        p50, p95, p99 = np.percentile(size, [50, 95, 99])
+        return cls(
+            rmse_deg=float(np.sqrt(np.mean(error_deg**2))),
+            max_deg=float(size.max()),
+            mean_deg=float(error_deg.mean()),
+            variance_deg2=float(error_deg.var()),
+            p50_deg=float(p50),
+            p95_deg=float(p95),
+            p99_deg=float(p99),
+        )
+
+
+SPLIT = ("total", "heading", "inclination")  # errors of the rotation, each >= 0
+EULER = ("roll", "pitch", "yaw")  # estimate minus truth, with a sign
+# The flat names of JSON and of the attributes: total_rmse_deg stands for total.rmse_deg. The papers call the largest
+# absolute error of an angle its MaxAE.
+FLAT: dict[str, tuple[str, str]] = {
+    f"{part}_{figure.name}": (part, figure.name) for part in SPLIT for figure in fields(ErrorStats)
+} | {
+    f"{part}_{name}": (part, figure)
+    for part in EULER
+    for name, figure in {
+        "rmse_deg": "rmse_deg",
+        "maxae_deg": "max_deg",
+        "mean_deg": "mean_deg",
+        "variance_deg2": "variance_deg2",
+    }.items()
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Errors over the moving samples after alignment. total, heading and inclination as in BROAD, each >= 0;
-    roll, pitch and yaw are estimate minus truth in ``frame``.
+    """Errors over the moving samples after alignment.
+
+    Every figure also has a flat name: ``score.total_rmse_deg`` is ``score.total.rmse_deg``, ``score.roll_maxae_deg``
+    is ``score.roll.max_deg``.
     """
 
     estimated: str  # name of the estimator, or "reference (method)"
@@ -32,46 +84,18 @@ class Score:
     alignment: Alignment
     frame: EulerFrame
 
-    samples: int  # moving samples of the truth that were scored
-    samples_outside: int  # moving, but before the estimate's first or after its last sample
-    samples_in_gap: int  # moving, but between two samples of the estimate more than 5 median steps apart
-    samples_unready: int  # moving, but the estimator said that it was still starting
+    samples: int  # moving samples that were compared, at the stamps of the sparser side
+    samples_outside: int  # moving samples of the truth before the estimate's first or after its last sample
+    samples_in_gap: int  # ... between two samples of the estimate more than 5 median steps apart
+    samples_unready: int  # ... while the estimator said that it was still starting
     moving_share: float  # of all samples of the truth
 
-    total_rmse_deg: float
-    total_max_deg: float
-    total_mean_deg: float
-    total_variance_deg2: float
-    total_p50_deg: float
-    total_p95_deg: float
-    total_p99_deg: float
-    heading_rmse_deg: float
-    heading_max_deg: float
-    heading_mean_deg: float
-    heading_variance_deg2: float
-    heading_p50_deg: float
-    heading_p95_deg: float
-    heading_p99_deg: float
-    inclination_rmse_deg: float
-    inclination_max_deg: float
-    inclination_mean_deg: float
-    inclination_variance_deg2: float
-    inclination_p50_deg: float
-    inclination_p95_deg: float
-    inclination_p99_deg: float
-
-    roll_rmse_deg: float
-    roll_maxae_deg: float
-    roll_mean_deg: float
-    roll_variance_deg2: float
-    pitch_rmse_deg: float
-    pitch_maxae_deg: float
-    pitch_mean_deg: float
-    pitch_variance_deg2: float
-    yaw_rmse_deg: float
-    yaw_maxae_deg: float
-    yaw_mean_deg: float
-    yaw_variance_deg2: float
+    total: ErrorStats  # total, heading and inclination as in BROAD
+    heading: ErrorStats
+    inclination: ErrorStats
+    roll: ErrorStats  # estimate minus truth in ``frame``
+    pitch: ErrorStats
+    yaw: ErrorStats
     near_gimbal_share: float  # scored samples whose true pitch is beyond +-80 deg: there roll and yaw say nothing
 
     reference_sd_deg: float | None  # median sqrt(trace of the reference's covariance); None against a truth
@@ -79,6 +103,13 @@ class Score:
     coverage95: float | None  # share with d' C^-1 d below the 95 % point of chi-square(3)
 
     turns: tuple[TurnError, ...] = ()  # errors of turns over the times that were asked for
+    conversion: str | None = None  # the fixed conversion that would explain an absurd error, in words
+
+    def __getattr__(self, name: str) -> float:
+        if name not in FLAT:
+            raise AttributeError(f"Score has no figure {name!r}")
+        part, figure = FLAT[name]
+        return float(getattr(getattr(self, part), figure))
 
 
 def score(
@@ -91,9 +122,9 @@ def score(
 ) -> Score:
     """Score an estimate (or a reference) against a truth (or a reference).
 
-    The estimate is interpolated at the truth's stamps, within its span and never across a gap. ``moving`` (N,) says
-    which samples of the truth count; by default ``truth.moving``, or outside a reference's rests. ``over_s`` are the
-    times over which turns are compared too (:func:`~stillpoint.scoring.turns.turn_errors`).
+    Both are compared at the stamps of the sparser one; the other is interpolated, never across a gap. ``moving`` (N,)
+    says which samples of the truth count; by default ``truth.moving``, or outside a reference's rests. ``over_s`` are
+    the times over which turns are compared too (:func:`~stillpoint.scoring.turns.turn_errors`).
     Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps,
     :class:`BadRecording` for a covariance that is none.
     """
@@ -101,17 +132,15 @@ def score(
 
 
 def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence[float] = ()) -> Score:
-    """The figures of a comparison that is there already."""
+    """Compute the figures of a comparison."""
     if frame not in EULER_FRAMES:
         raise BadParameter(f"frame: {frame!r} is not one of {', '.join(EULER_FRAMES)}")
     moving = comparison.moving
     q_est, q_true = comparison.q_est[moving], comparison.q_true[moving]
     error = attitude_error(q_est, q_true)
-    figures: dict[str, float] = {}
-    for name in ("total", "heading", "inclination"):
-        figures |= _spread(name, np.rad2deg(getattr(error, f"{name}_rad")))
-    for name, column_rad in zip(("roll", "pitch", "yaw"), euler_error(q_est, q_true, frame).T, strict=True):
-        figures |= _signed(name, np.rad2deg(column_rad))
+    parts = {name: ErrorStats.of(np.rad2deg(getattr(error, f"{name}_rad"))) for name in SPLIT}
+    euler_rad = euler_error(q_est, q_true, frame)
+    parts |= {name: ErrorStats.of(np.rad2deg(column)) for name, column in zip(EULER, euler_rad.T, strict=True)}
     nees, coverage = _consistency(comparison)
     return Score(
         estimated=comparison.estimated,
@@ -129,30 +158,21 @@ def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence
         nees_per_dof=nees,
         coverage95=coverage,
         turns=turn_errors(comparison, over_s),
-        **figures,
+        conversion=_find_conversion(comparison) if parts["total"].rmse_deg > ABSURD_DEG else None,
+        **parts,
     )
 
 
-def _spread(name: str, error_deg: Floats) -> dict[str, float]:
-    p50, p95, p99 = np.percentile(error_deg, [50, 95, 99])
-    return {
-        f"{name}_rmse_deg": float(np.sqrt(np.mean(error_deg**2))),
-        f"{name}_max_deg": float(error_deg.max()),
-        f"{name}_mean_deg": float(error_deg.mean()),
-        f"{name}_variance_deg2": float(error_deg.var()),
-        f"{name}_p50_deg": float(p50),
-        f"{name}_p95_deg": float(p95),
-        f"{name}_p99_deg": float(p99),
-    }
+def _find_conversion(comparison: Comparison) -> str | None:
+    """Look for a fixed conversion of the estimate as it was before the alignment."""
+    alignment, moving = comparison.alignment, comparison.moving
+    raw = heading_rotation(alignment.heading_rad) * rotation(comparison.q_est[moving]) * alignment.mounting
 
+    def rmse_after(q_est: Floats, q_true: Floats) -> float:
+        aligned = align_pairs(q_est, q_true, alignment.kind).attitude(q_est)
+        return float(np.rad2deg(np.sqrt(np.mean(attitude_error(aligned, q_true).total_rad ** 2))))
 
-def _signed(name: str, error_deg: Floats) -> dict[str, float]:
-    return {
-        f"{name}_rmse_deg": float(np.sqrt(np.mean(error_deg**2))),
-        f"{name}_maxae_deg": float(np.abs(error_deg).max()),
-        f"{name}_mean_deg": float(error_deg.mean()),
-        f"{name}_variance_deg2": float(error_deg.var()),
-    }
+    return find_conversion(quaternion(raw), comparison.q_true[moving], rmse_after)
 
 
 def _consistency(comparison: Comparison) -> tuple[float | None, float | None]:
@@ -177,10 +197,17 @@ def _reference_sd_deg(comparison: Comparison) -> float | None:
 
 
 def score_row(score: Score) -> dict[str, Any]:
-    """The score for machines: its fields, flat, with ``align`` and what was ``found`` in place of the alignment."""
+    """Return the score for machines: flat, with ``align`` and what was ``found`` in place of the alignment."""
     named = {"recording": score.recording, "method": score.estimated, "against": score.against}
-    skipped = ("recording", "estimated", "against", "alignment", "turns")
-    figures = {column.name: getattr(score, column.name) for column in fields(score) if column.name not in skipped}
-    turns = [asdict(turn) for turn in score.turns]
-    found = score.alignment.found()
-    return {**named, "align": score.alignment.kind, **figures, "turns": turns, "found": found, "error": None}
+    counts = ("samples", "samples_outside", "samples_in_gap", "samples_unready", "moving_share")
+    judged = ("near_gimbal_share", "reference_sd_deg", "nees_per_dof", "coverage95")
+    return {
+        **named,
+        "align": score.alignment.kind,
+        "frame": score.frame,
+        **{name: getattr(score, name) for name in (*counts, *FLAT, *judged)},
+        "conversion": score.conversion,
+        "turns": [asdict(turn) for turn in score.turns],
+        "found": score.alignment.found(),
+        "error": None,
+    }

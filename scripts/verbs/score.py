@@ -264,8 +264,8 @@ def _notes(scores: Sequence[Score]) -> list[str]:
         counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)
         if counts:
             notes.append(f"{s.recording} {s.estimated}: {s.samples} moving samples scored, left out: {counts}")
-        if s.alignment.time_at_limit:
-            notes.append(f"{s.recording} {s.estimated}: the clock lies at the end of the search; do not trust it")
+        if s.conversion is not None:
+            notes.append(f"{s.recording} {s.estimated}: {s.conversion}")
     sds = sorted({(s.recording, s.reference_sd_deg) for s in scores if s.reference_sd_deg is not None})
     notes += [f"{name}: the reference's own sd is {sd_deg:.2f} deg (median)" for name, sd_deg in sds]
     if any(s.reference_sd_deg is not None and s.total_rmse_deg < s.reference_sd_deg for s in scores):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from swings import as_truth, attitudes, broad, offline_vqf, swing
 
-from stillpoint.datasets import Estimate
+from stillpoint.datasets import Estimate, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.recording import rate_hz
@@ -91,12 +92,48 @@ def test_gaps_in_the_truth_do_not_pull_the_clock():
     assert found.alignment.time_offset_s == pytest.approx(-0.0083, abs=2e-5)
 
 
-def test_clock_beyond_the_range_is_marked():
-    t_ns, q_true = swing(3000)
-    _, q_late = swing(3000, late_s=0.7)
-    found = score(Estimate(t_ns, "e", q_nb=q_late), as_truth(t_ns, q_true), "heading+mounting+time").alignment
-    assert found.time_at_limit
-    assert not score(Estimate(t_ns, "e", q_nb=q_true), as_truth(t_ns, q_true)).alignment.time_at_limit
+@pytest.mark.parametrize("late_s", [0.7, -3.0, 12.0])
+def test_an_offset_beyond_half_a_second_is_found(late_s):
+    """No local minimum within half a second stands for it: the turns agree at one offset of the whole overlap."""
+    t_ns, q_true = swing(4000)
+    _, q_late = swing(4000, late_s=late_s)
+    found = score(Estimate(t_ns, "e", q_nb=q_late), as_truth(t_ns, q_true), "heading+mounting+time")
+    assert found.alignment.time_offset_s == pytest.approx(late_s, abs=1e-4)
+    assert found.total_max_deg < 0.1
+
+
+def test_clocks_with_different_zeros_are_aligned():
+    """A trajectory that counts from 1970 against one that counts from its first sample."""
+    t_ns, q_true = swing(4000)
+    estimate = Estimate(t_ns + 1_700_000_000 * 10**9, "e", q_nb=q_true)
+    found = score(estimate, as_truth(t_ns, q_true), "heading+mounting+time")
+    assert found.alignment.time_offset_ns == pytest.approx(1_700_000_000 * 10**9, abs=1000)
+    assert found.samples > 3900
+
+
+@pytest.mark.parametrize("other", [7, 8])
+def test_two_motions_that_have_nothing_in_common_have_no_offset(other):
+    """Random turns of two seeds: some offset always fits best, none fits well, and none is returned."""
+    t_ns = np.arange(4000) * 10_000_000
+    walks = [np.random.default_rng(seed).normal(size=(4000, 3)).cumsum(axis=0) * 0.02 for seed in (1, other)]
+    q_est, q_true = (quaternion(Rotation.from_rotvec(gaussian_filter1d(walk, 10, axis=0))) for walk in walks)
+    with pytest.raises(Unobservable, match="no clock offset fits clearly better"):
+        score(Estimate(t_ns, "e", q_nb=q_est), as_truth(t_ns, q_true), "heading+mounting+time")
+
+
+def test_a_periodic_motion_far_away_is_refused_rather_than_guessed():
+    """A swing of 2 s fits at every whole period; when the nearest is a second away, nothing says which is right."""
+    t_s = np.arange(6000) / 100.0
+    t_ns = np.round(t_s * 1e9).astype(np.int64)
+
+    def swung(late_s):
+        phase = np.pi * (t_s - late_s)
+        return quaternion(Rotation.from_euler("x", (np.sin(phase) + 0.5 * np.sin(2 * phase))[:, None]))
+
+    with pytest.raises(Unobservable, match="no clock offset"):
+        score(Estimate(t_ns, "e", q_nb=swung(1.0)), as_truth(t_ns, swung(0.0)), "heading+mounting+time")
+    near = score(Estimate(t_ns, "e", q_nb=swung(0.1)), as_truth(t_ns, swung(0.0)), "heading+mounting+time")
+    assert near.alignment.time_offset_s == pytest.approx(0.1, abs=1e-3)
 
 
 def test_more_freedom_never_fits_worse():

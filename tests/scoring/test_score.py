@@ -199,7 +199,7 @@ def test_nothing_moving_is_said():
 
 
 def test_too_little_overlap_for_the_clock_is_said():
-    t_ns, q_nb = swing(90)
+    t_ns, q_nb = swing(15)
     with pytest.raises(Unobservable, match="too little to align the clocks"):
         score(Estimate(t_ns, "e", q_nb=q_nb), as_truth(t_ns, q_nb), "heading+mounting+time")
 
