@@ -27,7 +27,7 @@ FEWEST_TURNS = 10
 COMMON_MOTION = 0.5  # share of the shorter trajectory's motion that must overlap at an offset
 CANDIDATES = 12  # valleys of the correlation of rates that are looked into
 CLEARLY_BETTER = 0.8  # an offset is clear when its misfit is below this share of every other's
-GOOD = 0.5  # a misfit below which an offset in the usual range needs no comparison
+GOOD = 0.75  # a misfit below which the best of all offsets needs no margin when it lies in the usual range
 TIE = 0.01  # misfits that differ by less are equal
 
 
