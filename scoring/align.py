@@ -18,12 +18,12 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.clock import find_clock_offset_ns
 from stillpoint.scoring.errors import heading_offset
-from stillpoint.scoring.match import Mask, Track, pair_up, require_common_motion
+from stillpoint.scoring.match import Mask, Track, match, pair_up, require_some
 
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
@@ -81,7 +81,9 @@ def find_alignment(estimated: Track, truth: Track, moving: Mask, kind: AlignKind
         raise BadParameter(f"align: {kind!r} is not one of {', '.join(ALIGN_KINDS)}")
     offset_ns = find_clock_offset_ns(estimated, truth, moving) if kind == "heading+mounting+time" else 0
     pairs = pair_up(estimated, truth, moving, offset_ns)
-    require_common_motion(estimated, truth, moving, offset_ns, pairs)
+    if not pairs.moving.any():
+        require_some(estimated, match(estimated, truth.t_ns[moving] + offset_ns))
+        raise Unobservable(f"{estimated.label}: none of its poses lies in a moving stretch of the truth")
     return align_pairs(pairs.q_est[pairs.moving], pairs.q_true[pairs.moving], kind, offset_ns / 1e9)
 
 

@@ -83,17 +83,16 @@ def match(source: Track, at_ns: Times) -> Match:
     return Match(outside, in_gap, unready)
 
 
-def require_common_motion(estimated: Track, truth: Track, moving: Mask, offset_ns: int, pairs: Pairs) -> None:
-    """Raise :class:`Unobservable`, with the reasons, when no pair of the two trajectories moves."""
-    if pairs.moving.any():
-        return
-    matched = match(estimated, truth.t_ns[moving] + offset_ns)
-    reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
-    counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any()) or "none in common"
-    raise Unobservable(
-        f"{estimated.label}: covers none of the {moving.sum()} moving samples of the truth ({counts}); are both of one "
-        "recording and on one clock?"
-    )
+def require_some(source: Track, matched: Match) -> Mask:
+    """Return ``matched.found``; raises :class:`Unobservable` with the reasons when it is False everywhere."""
+    if not matched.found.any():
+        reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
+        counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any())
+        raise Unobservable(
+            f"{source.label}: covers none of the {len(matched.found)} moving samples of the truth ({counts}); "
+            "are both of one recording and on one clock?"
+        )
+    return matched.found
 
 
 def is_sparser(estimated: Track, truth: Track) -> bool:
