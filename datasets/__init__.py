@@ -1,4 +1,4 @@
-"""Recordings and what is made from them: the vocabulary, files, importers, simulators.
+"""Define recordings and what is made from them: data types, files, importers, simulators.
 
 The data types are :class:`~stillpoint.datasets.recording.Recording` with its streams, and
 :class:`~stillpoint.datasets.trajectory.Reference` and :class:`~stillpoint.datasets.trajectory.Estimate`.

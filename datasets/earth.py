@@ -1,4 +1,4 @@
-"""The Earth where a recording was made: magnetic field, normal gravity, and local East-North-Up positions.
+"""Model the Earth at a recording's place: magnetic field, normal gravity, and local East-North-Up positions.
 
 A place is geodetic (WGS 84): latitude and longitude in deg, height above the ellipsoid in m. Dates are ISO 8601 in UTC.
 """
@@ -22,7 +22,9 @@ BLACKOUT_UT = 2.0  # a smaller horizontal field gives no usable declination (WMM
 
 
 def decimal_year(date: str) -> float:
-    """2022.5 for ``"2022-07-02T12:00"``; a date without a zone is UTC. Raises :class:`BadParameter`."""
+    """Return an ISO date as a decimal year: 2022.5 for ``"2022-07-02T12:00"``; a date without a zone is UTC. Raises
+    :class:`BadParameter`.
+    """
     try:
         when = datetime.fromisoformat(date)
     except ValueError as error:
@@ -33,7 +35,7 @@ def decimal_year(date: str) -> float:
 
 
 def magnetic_field_n_ut(place: Place, date: str) -> Floats:
-    """The field of the World Magnetic Model in East-North-Up, (3,) in uT.
+    """Return the field of the World Magnetic Model in East-North-Up, (3,) in uT.
 
     Raises :class:`BadParameter` for a date or place outside the models: the field is never extrapolated.
     """
@@ -53,7 +55,7 @@ def magnetic_field_n_ut(place: Place, date: str) -> Floats:
 
 
 def declination_rad(place: Place, date: str) -> float:
-    """The angle from true to magnetic north, east positive.
+    """Return the angle from true to magnetic north, east positive.
 
     Raises :class:`BadParameter` as :func:`magnetic_field_n_ut` does, and near the magnetic poles.
     """
@@ -67,7 +69,7 @@ def declination_rad(place: Place, date: str) -> float:
 
 
 def local_declination(info: Info) -> tuple[float, str]:
-    """The declination (rad) where and when a recording was made, and which north that gives.
+    """Return the declination (rad) where and when a recording was made, and which north that gives.
 
     0, and the reason, where place or date is not known or the model does not hold.
     """
@@ -82,7 +84,7 @@ def local_declination(info: Info) -> tuple[float, str]:
 
 
 def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:
-    """Size of normal gravity: Somigliana's formula on the ellipsoid, Taylor series in height above it.
+    """Return the size of normal gravity: Somigliana's formula on the ellipsoid, Taylor series in height above it.
 
     Source: NIMA TR8350.2 (WGS 84), third edition, eqs (4-1) and (4-3) with the constants of its chapter 3.
     Raises :class:`BadParameter` for a latitude beyond the poles or a height the series is not meant for (over 20 km).
@@ -98,13 +100,13 @@ def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:
 
 
 def enu_m(lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike, origin: Place) -> Floats:
-    """Positions East-North-Up of ``origin``, (N, 3) in m; NaN stays NaN."""
+    """Return positions (N, 3) in m, East-North-Up of ``origin``; NaN stays NaN."""
     lat0, lon0, height0 = _checked(origin)
     return np.stack(pymap3d.geodetic2enu(lat_deg, lon_deg, height_m, lat0, lon0, height0), axis=-1).astype(np.float64)
 
 
 def geodetic(position_n_m: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:
-    """Latitude and longitude (deg) and height (m) of positions (N, 3) in East-North-Up of ``origin``."""
+    """Return latitude and longitude (deg) and height (m) of positions (N, 3) in East-North-Up of ``origin``."""
     east, north, up = np.moveaxis(np.asarray(position_n_m, dtype=np.float64), -1, 0)
     lat_deg, lon_deg, height_m = pymap3d.enu2geodetic(east, north, up, *_checked(origin))
     return np.asarray(lat_deg), np.asarray(lon_deg), np.asarray(height_m)

@@ -1,4 +1,4 @@
-"""The one door for quaternion orders, local frames, Euler angles, wrapping and interpolation of attitude.
+"""Convert quaternion orders, local frames and Euler angles; wrap angles and interpolate attitudes.
 
 In memory a quaternion is Hamilton, ``w, x, y, z``, and ``q_nb`` takes body vectors to n = East-North-Up. ROS, scipy's
 default and the viewers write ``x, y, z, w``: only :func:`to_xyzw` and :func:`from_xyzw` convert.
@@ -23,38 +23,38 @@ EULER_FRAMES: tuple[EulerFrame, ...] = ("enu", "nwu", "ned")
 
 
 def to_xyzw(q_wxyz: Floats) -> Floats:
-    """Quaternions ``(..., 4)`` in the order of ROS and the viewers; the bits are kept."""
+    """Return quaternions ``(..., 4)`` in the order of ROS and the viewers; the bits are kept."""
     return np.ascontiguousarray(q_wxyz[..., [1, 2, 3, 0]])
 
 
 def from_xyzw(q_xyzw: Floats) -> Floats:
-    """Quaternions ``(..., 4)`` from the order of ROS and the viewers; the bits are kept."""
+    """Return wxyz quaternions ``(..., 4)`` from the order of ROS and the viewers; the bits are kept."""
     return np.ascontiguousarray(q_xyzw[..., [3, 0, 1, 2]])
 
 
 def rotation(q_wxyz: ArrayLike) -> Rotation:
-    """scipy's ``Rotation`` of wxyz quaternions ``(4,)`` or ``(N, 4)``."""
+    """Return scipy's ``Rotation`` of wxyz quaternions ``(4,)`` or ``(N, 4)``."""
     return Rotation.from_quat(np.asarray(q_wxyz, dtype=np.float64), scalar_first=True)
 
 
 def quaternion(rot: Rotation) -> Floats:
-    """Unit quaternions wxyz of a ``Rotation``, with w >= 0."""
+    """Return the unit quaternions wxyz of a ``Rotation``, with w >= 0."""
     return np.asarray(rot.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
 
 def wrap(angle_rad: ArrayLike) -> Floats:
-    """Angles in (-pi, pi]."""
+    """Wrap angles to (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2 * np.pi)
     return np.asarray(wrapped, dtype=np.float64)
 
 
 def local_from_enu(frame: EulerFrame) -> Rotation:
-    """The rotation that takes ENU vectors to the axes of ``frame``."""
+    """Return the rotation that takes ENU vectors to the axes of ``frame``."""
     return Rotation.from_matrix(_LOCAL_FROM_ENU[frame])
 
 
 def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
-    """Roll, pitch, yaw in rad, shape ``(..., 3)``, as the named frame's users define them.
+    """Return roll, pitch, yaw in rad, shape ``(..., 3)``, as users of the named frame define them.
 
     ``"nwu"``  paper 002, eqs (2)-(8): C = R3(yaw) R2(pitch) R1(roll) with the *passive* R_i of its eq (3), so that
     roll = atan2(-a2, a3), pitch = asin(a1 / |a|) and yaw is the azimuth of the body x axis, clockwise from north.
@@ -67,14 +67,14 @@ def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
 
 
 def from_euler(angles_rad: ArrayLike, frame: EulerFrame) -> Floats:
-    """Quaternions ``q_nb`` of roll, pitch, yaw ``(..., 3)`` in rad; the inverse of :func:`euler`."""
+    """Return quaternions ``q_nb`` from roll, pitch, yaw ``(..., 3)`` in rad; the inverse of :func:`euler`."""
     angles = np.asarray(angles_rad, dtype=np.float64)[..., ::-1]
     rot = Rotation.from_euler("ZYX", -angles if frame == "nwu" else angles)
     return quaternion(local_from_enu(frame).inv() * rot)
 
 
 def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> Floats:
-    """Attitude at other times: the great-circle path between neighbouring samples.
+    """Interpolate attitude at other times along the great-circle path between neighbouring samples.
 
     ``t_ns`` (N,) rising, ``q_wxyz`` (N, 4), ``at_ns`` (M,) within ``[t_ns[0], t_ns[-1]]``; returns (M, 4), w >= 0.
     Raises ``ValueError`` for a time outside: an attitude is never extrapolated.
@@ -92,5 +92,5 @@ def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> 
 
 
 def heading_rotation(angle_rad: float) -> Rotation:
-    """The rotation by ``angle_rad`` about up, counter-clockwise seen from above."""
+    """Return the rotation by ``angle_rad`` about up, counter-clockwise seen from above."""
     return Rotation.from_rotvec([0.0, 0.0, angle_rad])

@@ -1,4 +1,4 @@
-"""What a user may have meant by a name that is not there."""
+"""Suggest the name that a user may have meant."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -9,7 +9,7 @@ SIMILAR = 0.5  # share of common letters, in runs, above which a name counts as 
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """``"did you mean ...?"``, or the names there are; of dotted names the last part counts first."""
+    """Return ``"did you mean ...?"`` or the list of known names; for dotted names the last part counts first."""
     names = list(known)
     if not names:
         return "there are none"
@@ -19,7 +19,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def require_known(name: str, known: Iterable[str], what: str) -> None:
-    """Raise :class:`BadParameter` when ``name`` is not among the known ones, with the nearest; ``what`` they are."""
+    """Raise :class:`BadParameter` with the nearest known name when ``name`` is unknown; ``what`` names the kind of
+    thing.
+    """
     names = list(known)
     if name not in names:
         raise BadParameter(f"no {what} {name!r}; {nearest(name, names)}")

@@ -1,4 +1,4 @@
-"""Do the sizes of a recording fit its units? One second of rest is enough to tell m/s^2 from g, and uT from gauss."""
+"""Check that the sizes of a recording fit its units: one second of rest tells m/s^2 from g, and uT from gauss."""
 
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its 
 
 
 def check_units(recording: "Recording") -> None:
-    """Raise :class:`BadRecording` with the likely unit when a size does not fit; silent when nothing is still."""
+    """Raise :class:`BadRecording` with the likely unit when a size does not fit; do nothing when no second is still."""
     if recording.imu is not None:
         _check_imu(recording.name, recording.imu)
     if recording.mag is not None and not recording.info.mag_uncalibrated:
@@ -71,7 +71,7 @@ def describe_field_size(median_ut: float) -> str:
 
 
 def still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:
-    """Mean length over the calmest second that does not spin; None when there is none or the stream is shorter."""
+    """Return the mean length over the calmest second without spin; None when there is none or the stream is shorter."""
     seconds = (t_ns - t_ns[0]) // int(WINDOW_S * 1e9)
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
     counts = np.diff(starts, append=len(t_ns))

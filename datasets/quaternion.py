@@ -1,4 +1,4 @@
-"""Products, exponentials and logarithms of quaternions for hot loops: plain floats in tuples, compiled.
+"""Compiled quaternion products, exponentials and logarithms for hot loops, on plain floats in tuples.
 
 Quaternions are Hamilton, ``(w, x, y, z)``, of length 1; vectors are ``(x, y, z)``. Everything works in the precision of
 its arguments. Whole columns belong to scipy's ``Rotation`` (:mod:`stillpoint.datasets.frames`): here one product takes

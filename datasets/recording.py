@@ -1,4 +1,4 @@
-"""The vocabulary: what a recording of a moving sensor is.
+"""The data types of a recording of a moving sensor.
 
 Frozen dataclasses of arrays, checked once at construction; nothing later checks them again. Frames: b = sensor body,
 n = East-North-Up. Units are SI (field: microtesla) and stand in the names. Every stream has its own clock, ``t_ns``:
@@ -24,7 +24,7 @@ LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
 
 
 def check_times(owner: str, t_ns: ArrayLike) -> Times:
-    """Rising int64 stamps of shape (N,), N >= 1."""
+    """Return rising int64 stamps of shape (N,), N >= 1, or raise :class:`BadRecording`."""
     t = np.asarray(t_ns)
     if t.ndim != 1 or t.dtype.kind not in "iu":
         raise BadRecording(f"{owner}.t_ns: is {t.dtype} of shape {t.shape}; give int64 nanoseconds of shape (N,)")
@@ -44,7 +44,7 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
 
 
 def check_floats(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Floats:
-    """A float64 column of the given shape, finite unless its stream says otherwise."""
+    """Return a float64 column of the given shape, finite unless its stream allows NaN, or raise :class:`BadRecording`."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise BadRecording(f"{owner}.{name}: has shape {array.shape}; its times ask for {shape}")
@@ -57,7 +57,7 @@ def check_floats(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...
 
 
 def check_bools(owner: str, name: str, values: ArrayLike, n: int) -> NDArray[np.bool_]:
-    """A bool column."""
+    """Return a bool column of the given shape, or raise :class:`BadRecording`."""
     array = np.ascontiguousarray(values)
     if array.shape != (n,) or array.dtype != np.bool_:
         raise BadRecording(f"{owner}.{name}: is {array.dtype} of shape {array.shape}; give bool of shape ({n},)")
@@ -65,7 +65,7 @@ def check_bools(owner: str, name: str, values: ArrayLike, n: int) -> NDArray[np.
 
 
 def check_quaternions(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    """Finite wxyz columns of length 1 within 1e-6."""
+    """Return finite wxyz columns of length 1 within 1e-6, or raise :class:`BadRecording`."""
     array = check_floats(owner, name, values, shape)
     off = np.abs(np.linalg.norm(array, axis=-1) - 1.0)
     if off.size and off.max() > 1e-6:
@@ -138,7 +138,7 @@ class Gps:
 
 @dataclass(frozen=True, eq=False)
 class SpinGeometry:
-    """Where the single-axis sensors of a spinning body sit (paper 000, eq (1)): k accelerometers, m gyros.
+    """Positions and axes of the k accelerometers and m gyros of a spinning body (Asghari et al. 2018, eq (1)).
 
     The body spins about its x axis, through the centre of rotation.
     """
@@ -169,7 +169,7 @@ class SpinGeometry:
 
 @dataclass(frozen=True, eq=False)
 class Spin:
-    """Single-axis accelerometers and gyros of a fast-spinning body on one clock; NaN where one of them gave nothing."""
+    """Single-axis accelerometers and gyros of a fast-spinning body on one clock; NaN where a sensor gave no value."""
 
     t_ns: Times
     accel_mps2: Floats  # (N, k) one column per accelerometer of the geometry
@@ -188,7 +188,7 @@ class Spin:
 
 @dataclass(frozen=True, eq=False)
 class Encoder:
-    """Angle and rate about the spin axis on their own clock: a shaft encoder's, or the truth of a simulation."""
+    """Angle and rate about the spin axis on their own clock: of a shaft encoder, or the truth of a simulation."""
 
     t_ns: Times
     angle_rad: Floats  # (N,) unwrapped
@@ -244,7 +244,7 @@ class Info:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One run of one sensor. Streams keep their own clocks; those of one recording share their zero.
+    """One run of one sensor. Streams keep their own clocks; all clocks of one recording share their zero.
 
     Raises :class:`BadRecording` when there is neither ``imu`` nor ``spin``, or when sizes are implausible: a still
     stretch whose specific force is far from 9.8 m/s^2, or a field outside 20-70 uT without
@@ -281,7 +281,7 @@ class Recording:
         truth_q_nb: ArrayLike | None = None,
         **info: Any,
     ) -> "Recording":
-        """A recording from arrays on one clock: ``t_s`` (N,) seconds, vectors (N, 3), ``truth_q_nb`` (N, 4) wxyz.
+        """Make a recording from arrays on one clock: ``t_s`` (N,) seconds, vectors (N, 3), ``truth_q_nb`` (N, 4) wxyz.
 
         Rows of ``truth_q_nb`` with NaN become missing samples; every other sample of the truth counts as moving.
         Further keywords are fields of :class:`Info`. Raises :class:`BadRecording`.
@@ -300,13 +300,13 @@ class Recording:
         return cls(name, imu=imu, mag=mag, truth=truth, info=Info(**info))
 
     def require_imu(self) -> Imu:
-        """The IMU stream; raises :class:`BadRecording` when this recording has none."""
+        """Return the IMU stream; raises :class:`BadRecording` when this recording has none."""
         if self.imu is None:
             raise BadRecording(f"{self.name}: has no gyro and accelerometer (imu); this needs them")
         return self.imu
 
     def streams(self) -> Iterator[tuple[str, Times]]:
-        """Names and clocks of the streams that are there."""
+        """Return the streams that the recording has, by name."""
         for name in ("imu", "mag", "gps", "spin", "encoder", *TRUTHS):
             stream = getattr(self, name)
             if stream is not None:
@@ -314,11 +314,11 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """From the first sample of any stream but the truths to the last, in s."""
+        """Return the time in s from the first sample of any stream but the truths to the last."""
         clocks = [t_ns for name, t_ns in self.streams() if name not in TRUTHS]
         return float(max(t[-1] for t in clocks) - min(t[0] for t in clocks)) / 1e9
 
 
 def rate_hz(t_ns: Times) -> float:
-    """Samples per second by the median step; 0 for a single sample."""
+    """Return samples per second by the median step; 0 for a single sample."""
     return 0.0 if len(t_ns) < 2 else 1e9 / float(np.median(np.diff(t_ns)))

@@ -1,4 +1,4 @@
-"""Settings: dataclasses of physical values with meaning and range beside each field, changed by dotted names."""
+"""Settings: dataclasses of physical values with their meaning and range, changed by dotted names."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
@@ -15,24 +15,24 @@ UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_
 
 
 def number(default: float, low: float, high: float, meaning: str) -> Any:
-    """A field of :class:`Settings` in the unit of its name, within ``[low, high]``."""
+    """Declare a field of :class:`Settings` in the unit of its name, within ``[low, high]``."""
     return field(default=default, metadata={"low": low, "high": high, "meaning": meaning})
 
 
 def degrees(default_deg: float, low_deg: float, high_deg: float, meaning: str) -> Any:
-    """A field in rad, rad/s or rad/sqrt(s), by its name, whose numbers are easier to read in degrees."""
+    """Declare a field in rad, rad/s or rad/sqrt(s), by its name, that tables show in degrees."""
     limits = {"low": radians(low_deg), "high": radians(high_deg)}
     return field(default=radians(default_deg), metadata={**limits, "meaning": meaning, "in_degrees": True})
 
 
 def choice(default: Any, meaning: str) -> Any:
-    """A field that is one of the words of its ``Literal``, or a ``bool``."""
+    """Declare a field that is one of the words of its ``Literal``, or a ``bool``."""
     return field(default=default, metadata={"meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of settings dataclasses, which may hold others. Raises :class:`BadParameter` for a value out of its range.
+    """Base of settings dataclasses, which may nest. Raises :class:`BadParameter` for a value out of its range.
 
     Every field is made by :func:`number`, :func:`degrees` or :func:`choice`, or is itself a :class:`Settings`.
     """
@@ -47,8 +47,9 @@ class Settings:
 Kind = TypeVar("Kind", bound=Settings)
 
 
-def chosen(defaults: Kind, given: Settings | Mapping[str, Any] | None, owner: str) -> Kind:
-    """The settings of ``owner`` to go by: those given, or the defaults with ``{"rest.window_s": 2.0}`` put in.
+def choose_settings(defaults: Kind, given: Settings | Mapping[str, Any] | None, owner: str) -> Kind:
+    """Return the settings given, or the defaults with changes such as ``{"rest.window_s": 2.0}`` applied; errors name
+    ``owner``.
 
     Values may be text, as from a command line. Raises :class:`BadParameter` for settings of another owner, a name that
     is not there (with the nearest one), and a value of another kind or out of range.
@@ -69,7 +70,7 @@ def chosen(defaults: Kind, given: Settings | Mapping[str, Any] | None, owner: st
 
 
 class Description(NamedTuple):
-    """One setting in words, for tables; angles in degrees."""
+    """One setting as a row of a table, with angles in degrees."""
 
     name: str  # dotted
     default: str
@@ -78,12 +79,12 @@ class Description(NamedTuple):
 
 
 def names_of(settings: Settings) -> list[str]:
-    """All dotted names of a settings object, in order."""
+    """Return all dotted names of a settings object, in order."""
     return [name for name, _, _ in _leaves(settings)]
 
 
 def describe(settings: Settings) -> list[Description]:
-    """All settings of a settings object, with its values as defaults."""
+    """Describe all settings of a settings object, with its values as defaults."""
     return [
         Description(
             name,
@@ -96,7 +97,7 @@ def describe(settings: Settings) -> list[Description]:
 
 
 def _leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Field[Any], Settings]]:
-    """Dotted name, field, and the object that has it."""
+    """Yield the dotted name and field of each setting, and the object that has it."""
     for each in fields(settings):
         value = getattr(settings, each.name)
         if is_dataclass(value):
@@ -106,7 +107,9 @@ def _leaves(settings: Settings, prefix: str = "") -> Iterator[tuple[str, Field[A
 
 
 def _with_one(settings: Kind, path: list[str], value: Any) -> Kind:
-    """Raises ``KeyError`` for a name that is not there, :class:`BadParameter` for a value that is not allowed."""
+    """Return the settings with one value replaced. Raises ``KeyError`` for an unknown name, :class:`BadParameter` for
+    a value that is not allowed.
+    """
     first, *rest = path
     inner = {each.name: getattr(settings, each.name) for each in fields(settings)}[first]
     if is_dataclass(inner) != bool(rest):
@@ -116,7 +119,7 @@ def _with_one(settings: Kind, path: list[str], value: Any) -> Kind:
 
 
 def _from_text(settings: Settings, name: str, value: Any) -> Any:
-    """What text stands for in the field of this name; the value itself where it is no text, or stands for nothing."""
+    """Return the value that a text means for this field; other values are returned unchanged."""
     hint = get_type_hints(type(settings))[name]
     if not isinstance(value, str) or get_origin(hint) is Literal:
         return value
@@ -165,7 +168,7 @@ def _readable(each: Field[Any], value: Any) -> str:
 
 
 def _unit(each: Field[Any]) -> str:
-    """That of an angle which is shown in degrees; others stand in the name of the field."""
+    """Return the unit of an angle that tables show in degrees; other units stand in the name of the field."""
     if not each.metadata.get("in_degrees"):
         return ""
     return next(unit for suffix, unit in UNITS_IN_DEGREES.items() if each.name.endswith(suffix))

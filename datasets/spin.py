@@ -1,4 +1,5 @@
-"""What accelerometers on a spinning body feel, and what they say about the spin (paper 000, section 2).
+"""Model what accelerometers on a spinning body measure, and derive the spin from them (Asghari et al. 2018, section
+2).
 
 The body spins about its x axis. :func:`specific_force` is eq (1). :func:`channels` turns any :class:`SpinGeometry` into
 the observations of the angular acceleration and of the squared rate about x, the paper's eqs (4), (5), (25)-(27) for
@@ -33,7 +34,9 @@ X, Y, Z = np.eye(3)
 def five_accelerometers(
     d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * STANDARD_GRAVITY_MPS2
 ) -> SpinGeometry:
-    """F1, F2, F3 along x, y, z at the centre, F4 radial at d1, F5 tangential at d2, gyros g1, g2 about y and z."""
+    """Return the geometry with F1, F2, F3 along x, y, z at the centre, F4 radial at d1, F5 tangential at d2, and gyros
+    g1, g2 about y and z.
+    """
     return SpinGeometry(
         accel_r_b_m=np.array([0 * X, 0 * X, 0 * X, d1_m * Z, d2_m * Y]),
         accel_axis_b=np.array([X, Y, Z, Z, Z]),
@@ -43,7 +46,9 @@ def five_accelerometers(
 
 
 def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 * STANDARD_GRAVITY_MPS2) -> SpinGeometry:
-    """F4 and F5 alone on the shaft of a motor, whose centre does not accelerate (paper 000, eq (26))."""
+    """Return the geometry of F4 and F5 on the shaft of a motor, whose centre does not accelerate (Asghari et al. 2018,
+    eq (26)).
+    """
     return SpinGeometry(
         accel_r_b_m=np.array([d1_m * Z, d2_m * Y]),
         accel_axis_b=np.array([Z, Z]),
@@ -58,7 +63,7 @@ BENCH = bench()
 
 
 def specific_force(r_b_m: Floats, centre_b_mps2: Floats, rate_radps: Floats, accel_radps2: Floats) -> Floats:
-    """Specific force (..., 3) in m/s^2 at a point of the body, eq (1) in full: A + w' x r + w x (w x r).
+    """Return the specific force (..., 3) in m/s^2 at a point of the body, eq (1) in full: A + w' x r + w x (w x r).
 
     ``r_b_m`` is the point's lever arm from the centre, ``centre_b_mps2`` the specific force A there, ``rate_radps`` and
     ``accel_radps2`` the body's angular rate w and its derivative w', all in b; they broadcast against each other.
@@ -68,7 +73,9 @@ def specific_force(r_b_m: Floats, centre_b_mps2: Floats, rate_radps: Floats, acc
 
 
 def coefficients(geometry: SpinGeometry) -> Floats:
-    """How much of each of :data:`TERMS` each accelerometer sees, (k, 12): eq (1) along its axis, with its signs."""
+    """Return how much of each of :data:`TERMS` each accelerometer measures, (k, 12): eq (1) along its axis, with its
+    signs.
+    """
     r, s = geometry.accel_r_b_m, geometry.accel_axis_b
     turning = np.cross(r, s)  # s . (w' x r) = w' . (r x s)
     squares = s * r - np.sum(s * r, axis=1, keepdims=True)  # s . (w (w . r) - r |w|^2)
@@ -76,8 +83,10 @@ def coefficients(geometry: SpinGeometry) -> Floats:
     return np.column_stack([s, turning, squares, *mixed])
 
 
-def misplaced(geometry: SpinGeometry) -> tuple[str, ...]:
-    """A sentence for each accelerometer that breaks eq (2), that is, sees a term which no gyro gives; () when none."""
+def find_misplaced(geometry: SpinGeometry) -> tuple[str, ...]:
+    """Return a sentence for each accelerometer that breaks eq (2), that is, measures a term that no gyro gives; ()
+    when none does.
+    """
     if geometry.fixed_axis:
         return ()
     seen = np.abs(coefficients(geometry)[:, [TERMS.index(term) for term in UNWANTED]]) > NEGLIGIBLE
@@ -105,7 +114,7 @@ class Channel:
     variance: float  # by the variances of the accelerometers; (1/s^2)^2 for rates and accelerations
 
     def value(self, accel_mps2: Floats, transverse_radps: Floats) -> Floats:
-        """The quantity (N,) from accelerometers (N, k) and the rates about y and z (N, 2); each row by itself.
+        """Return the quantity (N,) from accelerometers (N, k) and the rates about y and z (N, 2), row by row.
 
         Column by column, not as a matrix product: that would round a row by how many rows there are.
         """
@@ -120,7 +129,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class SpinChannels:
-    """The observations that a geometry gives of the spin: weights of its columns, and their variances."""
+    """The two observations of the spin that a geometry gives: weights of its columns, and their variances."""
 
     geometry: SpinGeometry
     omega_dot: Channel  # angular acceleration about x, rad/s^2; its variance is the paper's Q
@@ -134,18 +143,18 @@ class SpinChannels:
 
     @property
     def q_rad2ps4(self) -> float:
-        """The paper's Q: the variance of the angular acceleration, eq (25)."""
+        """Return Q of eq (25): the variance of the angular acceleration."""
         return self.omega_dot.variance
 
     @property
     def r_rad2ps4(self) -> float:
-        """The paper's R: the variance of the squared rate, eq (25)."""
+        """Return R of eq (25): the variance of the squared rate."""
         return self.omega_squared.variance
 
 
 @dataclass(frozen=True, eq=False)
 class SpinSamples:
-    """The two observations at every sample of a :class:`Spin`; NaN or saturated input leaves ``valid`` False."""
+    """The two observations at every sample of a :class:`Spin`; ``valid`` is False where an input is NaN or saturated."""
 
     omega_dot_radps2: Floats  # (N,)
     omega_squared_radps2: Floats  # (N,) rad^2/s^2, negative where noise is larger than the rate
@@ -154,7 +163,8 @@ class SpinSamples:
 
 
 def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> SpinChannels:
-    """The observations of the spin by the accelerometers' noise variances D (k,), or one for all, in (m/s^2)^2.
+    """Return the observations of the spin for the accelerometers' noise variances D (k,), or one for all, in
+    (m/s^2)^2.
 
     Weights are those of least variance among all that are free of every other term of eq (1). The products of omega_y
     and omega_z are known where the gyros give both rates, and their noise counts as none, as in the paper. On a fixed
@@ -198,12 +208,12 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
         spare_dot=spares("omega_x dot"),
         spare_squared=spares("omega_x^2"),
         transverse=transverse,
-        misplaced=misplaced(geometry),
+        misplaced=find_misplaced(geometry),
     )
 
 
 def measure(spin: Spin, by: SpinChannels) -> SpinSamples:
-    """Both observations at every sample, and whether each may be used."""
+    """Return both observations at every sample, and whether each may be used."""
     gyro = np.where(np.isfinite(spin.gyro_radps), spin.gyro_radps, 0.0)
     rates = (gyro[:, None, :] * by.transverse).sum(axis=2)
     return SpinSamples(
@@ -214,8 +224,8 @@ def measure(spin: Spin, by: SpinChannels) -> SpinSamples:
     )
 
 
-def saturated(spin: Spin) -> NDArray[np.bool_]:
-    """Which values (N, k) lie at the range of their accelerometer, where the geometry states it."""
+def find_saturated(spin: Spin) -> NDArray[np.bool_]:
+    """Return which values (N, k) lie at the range of their accelerometer, where the geometry states it."""
     limits = spin.geometry.accel_range_mps2
     if limits is None:
         return np.zeros(spin.accel_mps2.shape, dtype=np.bool_)
@@ -224,7 +234,7 @@ def saturated(spin: Spin) -> NDArray[np.bool_]:
 
 def _valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
     used = channel.accel != 0
-    good = np.isfinite(spin.accel_mps2[:, used]).all(axis=1) & ~saturated(spin)[:, used].any(axis=1)
+    good = np.isfinite(spin.accel_mps2[:, used]).all(axis=1) & ~find_saturated(spin)[:, used].any(axis=1)
     if channel.products.any():
         needed = by.transverse.any(axis=0)
         good &= np.isfinite(spin.gyro_radps[:, needed]).all(axis=1)
@@ -232,7 +242,7 @@ def _valid(spin: Spin, by: SpinChannels, channel: Channel) -> NDArray[np.bool_]:
 
 
 def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
-    """Weights (2, m) of the gyros for omega_y and omega_z, and which of PRODUCTS they make known."""
+    """Return weights (2, m) of the gyros for omega_y and omega_z, and which of PRODUCTS they determine."""
     axes = geometry.gyro_axis_b
     if geometry.fixed_axis or not len(axes):
         return np.zeros((2, len(axes))), ()
@@ -246,7 +256,7 @@ def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
 def _channel(
     geometry: SpinGeometry, variance: Floats, term: str, free: Sequence[str], known: Sequence[str]
 ) -> Channel | None:
-    """The best linear unbiased estimate of a term; None where the accelerometers do not fix it.
+    """Return the best linear unbiased estimate of a term; None where the accelerometers do not determine it.
 
     F = X b + K p + noise, with X for the free terms b and K for the known products p: with whitened Xw = D^-1/2 X the
     weights of F are w = D^-1/2 (Xw^+)^T c for b's element c, its variance is |(Xw^+)^T c|^2, those of p are -K^T w.
@@ -267,15 +277,15 @@ def _channel(
 
 
 def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str], terms: Sequence[str]) -> str:
-    """The sentence of :class:`Unobservable`: what the accelerometers cannot tell, and what to change."""
+    """Return the sentence of :class:`Unobservable`: what the accelerometers cannot determine, and what to change."""
     seen = np.abs(coefficients(geometry)) > NEGLIGIBLE
     missing = f"the accelerometers do not fix {' and '.join(terms)}"
     for term in terms:
         if not seen[:, TERMS.index(term)].any():
             where = "radially" if term == "omega_x^2" else "tangentially"
             return f"{missing}: none sees {term}; put one off the axis, {where}"
-    if misplaced(geometry):
-        return f"{missing}: {'; '.join(misplaced(geometry))}"
+    if find_misplaced(geometry):
+        return f"{missing}: {'; '.join(find_misplaced(geometry))}"
     unknown = [one for one in PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
     remedy = "or set fixed_axis for a motor's shaft"
     others = [one for one in free if one not in PRODUCTS]

@@ -1,4 +1,4 @@
-"""What a file holds as tables of named columns, for programs that read CSV: one table per clock."""
+"""Turn recordings, references and estimates into tables of named columns for CSV: one table per clock."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,8 @@ Table = dict[str, np.ndarray]  # column -> (N,); t_ns comes first
 
 
 def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mapping[str, Table]:
-    """Stream -> table of a recording; of what was made from it one table, named "". SI units, as the names say.
+    """Return stream -> table for a recording, and one table named "" for anything made from it. SI units, as the names
+    say.
 
     The sensors' columns are called as ``stillpoint stream`` reads them.
     """
@@ -34,7 +35,7 @@ def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mappin
 
 
 def csv_text(table: Table) -> str:
-    """A header and a line per sample; every number in as many digits as it takes to be read back as the same."""
+    """Return a header and a line per sample; every number has as many digits as reading it back exactly takes."""
     columns = [column.astype(int) if column.dtype == np.bool_ else column for column in table.values()]
     rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
     return "\n".join([",".join(table), *map(",".join, rows), ""])

@@ -1,4 +1,4 @@
-"""Questions about stamps: where a clock has gaps, and which stamps lie in given spans."""
+"""Find gaps in a clock, and the stamps that lie in given spans."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,17 +9,17 @@ GAP_STEPS = 5.0  # an interval longer than this many median steps is a gap: 5 lo
 
 
 def longest_step_ns(t_ns: Times) -> float:
-    """The longest interval that is no gap; 0 for a single stamp."""
+    """Return the longest interval that is not a gap; 0 for a single stamp."""
     return GAP_STEPS * float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
 
 
-def gaps(t_ns: Times) -> NDArray[np.bool_]:
-    """Which of the N - 1 intervals between stamps are gaps."""
+def find_gaps(t_ns: Times) -> NDArray[np.bool_]:
+    """Return which of the N - 1 intervals between stamps are gaps."""
     return np.asarray(np.diff(t_ns) > longest_step_ns(t_ns))
 
 
-def inside(t_ns: Times, spans_ns: Times) -> NDArray[np.bool_]:
-    """Which stamps (N,) lie in one of the spans (R, 2), ends included."""
+def is_inside(t_ns: Times, spans_ns: Times) -> NDArray[np.bool_]:
+    """Return which stamps (N,) lie in one of the spans (R, 2), ends included."""
     mask = np.zeros(len(t_ns), dtype=np.bool_)
     for first, last in spans_ns:
         mask[np.searchsorted(t_ns, first) : np.searchsorted(t_ns, last, side="right")] = True

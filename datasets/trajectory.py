@@ -1,4 +1,4 @@
-"""What comes out of a recording: a :class:`Reference` (smoother), a :class:`RollReference`, an :class:`Estimate`.
+"""The results made from a recording: :class:`Reference` (smoother), :class:`RollReference`, :class:`Estimate`.
 
 Frames, units and clocks as in :mod:`stillpoint.datasets.recording`.
 """
@@ -26,7 +26,7 @@ CONVENTION = "n = East-North-Up, b = sensor body, q_nb takes b to n, Hamilton; c
 
 @dataclass(frozen=True)
 class BasePoseReturn:
-    """One rest that was compared with the base pose, and what came of it."""
+    """One rest that was compared with the base pose, and the outcome."""
 
     start_ns: int
     end_ns: int
@@ -37,7 +37,7 @@ class BasePoseReturn:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What the smoother found about the sensor; None where it was not estimated.
+    """The sensor errors that the smoother found; None where one was not estimated.
 
     Corrected rate = gyro_matrix @ (measured - bias), specific force likewise, field = mag_matrix @ (measured - iron).
     """
@@ -55,7 +55,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Attitude at every IMU sample with its covariance, and how it came about."""
+    """Attitude at every IMU sample with its covariance, and how it was made."""
 
     t_ns: Times
     q_nb: Floats  # (N, 4) wxyz
@@ -83,12 +83,12 @@ class Reference:
 
 
 def _has_variances(cov_b_rad2: Floats) -> bool:
-    """Whether the diagonals of covariances (N, 3, 3) are positive."""
+    """Return whether the diagonals of covariances (N, 3, 3) are positive."""
     return bool((np.diagonal(cov_b_rad2, axis1=1, axis2=2) > 0).all())
 
 
 def total_sd_rad(cov_b_rad2: Floats) -> Floats:
-    """Standard deviation (N,) of the size of the attitude error that has the covariances (N, 3, 3)."""
+    """Return the standard deviation (N,) of the total attitude error with the covariances (N, 3, 3)."""
     return np.asarray(np.sqrt(np.trace(cov_b_rad2, axis1=-2, axis2=-1)), dtype=np.float64)
 
 
@@ -116,7 +116,7 @@ class RollReference:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What one streaming estimator said at every sample: an attitude, or an angle and a rate about one axis."""
+    """The output of one streaming estimator at every sample: an attitude, or an angle and a rate about one axis."""
 
     t_ns: Times
     name: str  # the estimator's, as in the table ESTIMATORS

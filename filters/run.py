@@ -11,7 +11,7 @@ import numpy as np
 from stillpoint.datasets import BadParameter, Estimate, Imu, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters import peers
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.front.sources import Sources, passed, sources_of
@@ -67,7 +67,7 @@ def estimate(
         No IMU; or no satellite fixes, when the heading is to come from them.
     """
     entry = find(name)
-    settings = chosen(entry.params(), params, name)
+    settings = choose_settings(entry.params(), params, name)
     if isinstance(entry, RollEstimator):
         if heading != "mag" or heading_params or ranges:
             raise BadParameter(f"{name}: follows a spin, which has no heading; leave heading and ranges out")

@@ -6,7 +6,7 @@ from copy import deepcopy
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.advance import beginning, entry_point, filled, look
 from stillpoint.filters.front.front import State as FrontState
 from stillpoint.filters.front.heading_source import Heading
@@ -68,7 +68,7 @@ class Stream:
         if saved is not None and tuple(saved[:3]) != kind:
             raise BadParameter(f"the saved state is of {' '.join(saved[:3])}, not of {' '.join(kind)}; go on with that")
         front_c = front_of(heading, heading_params, ranges, declination_rad)
-        c = entry.coefficients(chosen(entry.params(), params, name), declination_rad or 0.0)
+        c = entry.coefficients(choose_settings(entry.params(), params, name), declination_rad or 0.0)
         both = in_precision(front_c, precision), in_precision(c, precision)
         estimator = sys.modules[entry.step.__module__]
         if saved is None:

@@ -7,7 +7,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times, Truth
-from stillpoint.datasets.times import inside
+from stillpoint.datasets.times import is_inside
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
 from stillpoint.scoring.match import Mask, match, pair_up, track
@@ -95,4 +95,4 @@ def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask
         return moving
     if isinstance(truth, Truth):
         return truth.moving
-    return ~inside(truth.t_ns, truth.rests_ns)
+    return ~is_inside(truth.t_ns, truth.rests_ns)

@@ -26,7 +26,7 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.base_pose import BasePose, ReturnParams, Returns, closure, find_base_pose, find_returns
 from stillpoint.smoother.rest import RestParams, find_rests
@@ -183,7 +183,7 @@ def _no_return(recording: Recording, returns: Returns) -> str:
 
 def _diagnostics(imu: Imu, base: BasePose, returns: Returns, scale: float) -> dict[str, Any]:
     """What a reader of the reference should know; degrees, as it is shown to people."""
-    missing = gaps(imu.t_ns)
+    missing = find_gaps(imu.t_ns)
     last = returns.spans[-1][1]
     return {
         "heading": base.heading,

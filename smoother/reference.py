@@ -7,7 +7,7 @@ from typing import Any
 from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
@@ -93,7 +93,7 @@ def default_method(recording: Recording) -> str:
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
     """The method's settings with what the user gave; raises :class:`BadParameter`."""
-    return chosen(method_of(method).defaults, params, method)
+    return choose_settings(method_of(method).defaults, params, method)
 
 
 def reference(

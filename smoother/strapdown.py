@@ -20,7 +20,7 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.quaternion import exp, multiply
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.settings import Settings, degrees, number
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.times import find_gaps
 
 CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
 
@@ -49,7 +49,7 @@ class Swing:
 def walk_steps(t_ns: Times, errors: GyroErrors) -> Floats:
     """Variance (N - 1,) by which the random walk grows over each interval between stamps; a gap widens it."""
     step_s = np.diff(t_ns) / 1e9
-    hidden = np.where(gaps(t_ns), (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
+    hidden = np.where(find_gaps(t_ns), (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
     return np.asarray(errors.walk_rad_rts**2 * step_s + hidden)
 
 

@@ -16,7 +16,7 @@ from stillpoint.datasets.mcap.store import RECORD
 from stillpoint.datasets.mcap.topics import TOPICS
 from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.remote import open_binary
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import total_sd_rad
 
 LARGEST_JSON = 64 << 20  # bytes: score tables take kilobytes; a larger JSON file is kept as a source
@@ -149,7 +149,7 @@ def _streams(log: Log, kind: str) -> list[Stream]:
 
 
 def _describe_stream(name: str, t_ns: Times) -> Stream:
-    gaps_s = (np.diff(t_ns) / 1e9)[gaps(t_ns)]
+    gaps_s = (np.diff(t_ns) / 1e9)[find_gaps(t_ns)]
     return Stream(
         stream=name,
         samples=len(t_ns),

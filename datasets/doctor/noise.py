@@ -9,7 +9,7 @@ from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.doctor.witness import Witness
 from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
-from stillpoint.datasets.times import inside
+from stillpoint.datasets.times import is_inside
 
 BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
 # White noise per sqrt(Hz) above which a MEMS sensor is not at its best: ten times what data sheets promise.
@@ -29,7 +29,7 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
         columns.append(("mag", recording.mag.t_ns, recording.mag.mag_b_ut))
     findings = []
     for name, t_ns, values in columns:
-        still = inside(t_ns, spans)
+        still = is_inside(t_ns, spans)
         if still.sum() >= FEWEST_SAMPLES:
             findings.append(_noise(name, values, still, rate_hz(t_ns), where))
     if not findings:
@@ -67,7 +67,7 @@ def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str
 
 def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
     imu = recording.require_imu()
-    still = inside(imu.t_ns, rests_ns)
+    still = is_inside(imu.t_ns, rests_ns)
     how, bias = "at rest", None
     sure = any(one.name == "mag" and one.choice is not None and one.choice.gain > MAG_GAIN for one in witnesses)
     if still.sum() >= FEWEST_SAMPLES:

@@ -9,7 +9,7 @@ from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.doctor.finding import Finding, Severity
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
-from stillpoint.datasets.spin import SpinChannels, channels, measure, saturated
+from stillpoint.datasets.spin import SpinChannels, channels, measure, find_saturated
 
 LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
 SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm
@@ -23,7 +23,9 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
     if spin is None:
         return
     yield from _values(spin, ~np.isfinite(spin.accel_mps2), "missing", "hold no value")
-    yield from _values(spin, saturated(spin), "saturated", "lie at the end of the stated range; they are never used")
+    yield from _values(
+        spin, find_saturated(spin), "saturated", "lie at the end of the stated range; they are never used"
+    )
     try:
         by = channels(spin.geometry)
     except Unobservable as error:

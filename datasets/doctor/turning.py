@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.times import find_gaps
 
 GRID_HZ = 100.0  # fast enough for a hand: at 1000 deg/s the midpoint rule over 10 ms errs by 0.25 %
 WINDOW_S = 0.25
@@ -71,7 +71,7 @@ def _series(t_ns: Times, values: Floats, origin_ns: int, over_step: Floats) -> S
     t_s = (t_ns - origin_ns) / 1e9
     steps = np.diff(t_s)
     median = float(np.median(steps))
-    gap = np.flatnonzero(gaps(t_ns))  # over which nothing is integrated
+    gap = np.flatnonzero(find_gaps(t_ns))  # over which nothing is integrated
     total = np.vstack([np.zeros(3), np.cumsum(over_step * steps[:, None], axis=0)])
     return Series(t_s, total, values, median, np.stack([t_s[gap], t_s[gap + 1]], axis=1))
 

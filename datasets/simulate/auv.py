@@ -19,9 +19,9 @@ from scipy.special import ndtr
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.measure import sample
-from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
+from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.measure import draw_sample_times
+from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
 from stillpoint.datasets.simulate.satellites import GpsModel, measure_gps
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
@@ -184,19 +184,19 @@ class Voyage:
         return self.velocity_n_mps.derivative()
 
 
-def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+def simulate_mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one mission. Raises :class:`BadParameter` when ``minutes`` leave no room for a cruise."""
-    path = sail(sea, phases(minutes * 60, kind), seed)
+    path = sail(sea, plan_phases(minutes * 60, kind), seed)
     drift = draw_drift(sensor.drift, seed)
     facts = {"sea": asdict(sea), "phases_s": asdict(path.phases), "body_axes": "forward, right, down"}
     drawn = {"drift": {"sign": drift.sign.tolist(), "phase_rad": drift.phase_rad.tolist()}}
-    recording = recorded(path, sensor, CASPIAN, Order(kind, seed, minutes, rate_hz), facts, drawn)
+    recording = record_path(path, sensor, CASPIAN, Order(kind, seed, minutes, rate_hz), facts, drawn)
     imu, mag, truth = recording.imu, recording.mag, recording.truth
     assert imu is not None
     assert mag is not None
     assert truth is not None
     drift_b_radps = drift.bias_b_radps((truth.t_ns - CASPIAN.start_ns) / 1e9)
-    gps_at = sample(path, ClockModel(), GPS_HZ, CASPIAN.world, seed, "gps")
+    gps_at = draw_sample_times(path, ClockModel(), GPS_HZ, CASPIAN.world, seed, "gps")
     return replace(
         recording,
         imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_b_radps),
@@ -205,7 +205,7 @@ def mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, r
     )
 
 
-def phases(total_s: float, kind: str) -> Phases:
+def plan_phases(total_s: float, kind: str) -> Phases:
     """The mission of this length: all but the cruise always takes as long. Raises :class:`BadParameter`."""
     cruise_s = total_s - 2 * (SURFACE_S + DIVE_S)
     if cruise_s < SHORTEST_CRUISE_S:
@@ -220,7 +220,7 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
     t = np.arange(-MARGIN_S, when.end_s + MARGIN_S, 1 / KNOTS_HZ)
 
     def voyage(ascent_pitch_deg: float) -> Voyage:
-        euler = courses_rad(sea, when, t, ascent_pitch_deg, seed)
+        euler = euler_ned_rad(sea, when, t, ascent_pitch_deg, seed)
         return Voyage(
             make_interp_spline(t, euler, k=5), make_interp_spline(t, velocities(sea, when, t, euler, seed), k=5), when
         )
@@ -231,29 +231,29 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
     return voyage(brentq(left_m, 0.5 * DIVE_PITCH_DEG, 2.0 * DIVE_PITCH_DEG, xtol=1e-3))
 
 
-def courses_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
+def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
     """Roll, pitch, heading (N, 3) in North-East-Down."""
     rough = roughness(sea, when, t_s)
-    roll = rough * sea.roll_deg * waves(ROLLING, t_s, seed, "roll")
-    pitch = rough * sea.pitch_deg * waves(PITCHING, t_s, seed, "pitch")
-    pitch += -DIVE_PITCH_DEG * during(when.dive_s, when.cruise_s, t_s, 2.5)
-    pitch += ascent_pitch_deg * during(when.ascent_s, when.surfaced_s, t_s, 2.5)
-    heading = HEADING_DEG + SLALOM_DEG * during(*SLALOM_S, t_s, 6.0)
-    heading += SNAKING_DEG * waves(((1.0, 1 / SNAKING_PERIOD_S),), t_s, seed, "snaking")
-    heading += rough * sea.yaw_deg * waves(YAWING, t_s, seed, "yaw")
+    roll = rough * sea.roll_deg * sum_waves(ROLLING, t_s, seed, "roll")
+    pitch = rough * sea.pitch_deg * sum_waves(PITCHING, t_s, seed, "pitch")
+    pitch += -DIVE_PITCH_DEG * smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
+    pitch += ascent_pitch_deg * smooth_window(when.ascent_s, when.surfaced_s, t_s, 2.5)
+    heading = HEADING_DEG + SLALOM_DEG * smooth_window(*SLALOM_S, t_s, 6.0)
+    heading += SNAKING_DEG * sum_waves(((1.0, 1 / SNAKING_PERIOD_S),), t_s, seed, "snaking")
+    heading += rough * sea.yaw_deg * sum_waves(YAWING, t_s, seed, "yaw")
     return np.deg2rad(np.column_stack([roll, pitch, heading]))
 
 
 def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
     """Velocity in n (N, 3): along the body's x axis, and what the waves add across the heading and upwards."""
     _, pitch, heading = euler_rad.T
-    below = during(when.dive_s, when.surfaced_s, t_s, 6.0)
+    below = smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
     speed = SPEED_MPS[0] + (SPEED_MPS[1] - SPEED_MPS[0]) * below
     forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
     right = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros_like(heading)])
     rough = roughness(sea, when, t_s)
-    sway = rough * sea.sway_mps2 * waves(SWAYING, t_s, seed, "sway") / (2 * np.pi * SWAYING[0][1])
-    heave = rough * sea.heave_mps2 * waves(HEAVING, t_s, seed, "heave") / (2 * np.pi * HEAVING[0][1])
+    sway = rough * sea.sway_mps2 * sum_waves(SWAYING, t_s, seed, "sway") / (2 * np.pi * SWAYING[0][1])
+    heave = rough * sea.heave_mps2 * sum_waves(HEAVING, t_s, seed, "heave") / (2 * np.pi * HEAVING[0][1])
     moved = speed[:, None] * forward + sway[:, None] * right
     moved[:, 2] += heave
     return moved
@@ -261,17 +261,17 @@ def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int
 
 def roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
     """How much of the waves is felt: 1 on the surface."""
-    return 1 - (1 - sea.share_below) * during(when.dive_s, when.surfaced_s, t_s, 5.0)
+    return 1 - (1 - sea.share_below) * smooth_window(when.dive_s, when.surfaced_s, t_s, 5.0)
 
 
-def during(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
+def smooth_window(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
     """1 between two times, 0 outside, with the edges of a normal distribution of this sd."""
     return np.asarray(ndtr((t_s - start_s) / soft_s) - ndtr((t_s - end_s) / soft_s))
 
 
-def waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, name: str) -> Floats:
+def sum_waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, name: str) -> Floats:
     """The sum of sines with these shares and frequencies (Hz), each with its own phase."""
-    angles = draws(seed, f"auv/{name}").uniform(0, 2 * np.pi, len(components))
+    angles = make_generator(seed, f"auv/{name}").uniform(0, 2 * np.pi, len(components))
     parts = [
         share * np.sin(2 * np.pi * hz * t_s + angle) for (share, hz), angle in zip(components, angles, strict=True)
     ]
@@ -280,5 +280,5 @@ def waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, n
 
 def draw_drift(model: DriftModel, seed: int) -> Drift:
     """The drift of one unit."""
-    rng = draws(seed, "gyro/drift")
+    rng = make_generator(seed, "gyro/drift")
     return Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))

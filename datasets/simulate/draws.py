@@ -3,6 +3,6 @@
 import numpy as np
 
 
-def draws(seed: int, name: str) -> np.random.Generator:
+def make_generator(seed: int, name: str) -> np.random.Generator:
     """The generator of the part ``name`` (``"gyro/noise"``) in the simulation of that seed."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(name.encode())))

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Floats, Imu, Mag, Times, Truth
-from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.draws import make_generator
 from stillpoint.datasets.simulate.path import Motion
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel
 
@@ -60,16 +60,16 @@ class Axes:
     warming_s: float = 1.0
 
 
-def sample(path: Motion, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
+def draw_sample_times(path: Motion, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
     """Sampling instants from one step after the start of the path to its end."""
-    true_rate_hz = rate_hz * (1 + clock.rate_error * draws(seed, f"{name}/rate").standard_normal())
+    true_rate_hz = rate_hz * (1 + clock.rate_error * make_generator(seed, f"{name}/rate").standard_normal())
     step_ns = round(1e9 / true_rate_hz)
-    first_ns = step_ns + int(step_ns * draws(seed, f"{name}/phase").random())
+    first_ns = step_ns + int(step_ns * make_generator(seed, f"{name}/phase").random())
     count = int((path.duration_s * 1e9 - first_ns) / step_ns) + 1
     true_ns = first_ns + step_ns * np.arange(count, dtype=np.int64)
     step_s = step_ns / 1e9
     # Stamps keep their order however bad the jitter.
-    jitter_s = draws(seed, f"{name}/jitter").standard_normal(count) * clock.jitter_s
+    jitter_s = make_generator(seed, f"{name}/jitter").standard_normal(count) * clock.jitter_s
     jitter_s = np.clip(jitter_s, -0.45 * step_s, 0.45 * step_s)
     late_ns = np.round(jitter_s * 1e9 + true_ns * clock.skew_ppm * 1e-6).astype(np.int64)
     return Samples(true_ns, world.start_ns + true_ns + late_ns, step_ns)
@@ -81,7 +81,9 @@ def measure_imu(
     """Gyro and accelerometer samples, and what was drawn for this unit. The IMU sits at the origin of the body."""
     instants = np.concatenate([[at.true_ns[0] - at.step_ns], at.true_ns]) / 1e9 - gyro.lag_s
     rate = path.steps_b_rad(instants) / at.step_s
-    response = draws(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(gyro.g_sensitivity_degps_g)
+    response = make_generator(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(
+        gyro.g_sensitivity_degps_g
+    )
     rate += specific_force_b(path, instants[1:], world) / STANDARD_GRAVITY_MPS2 @ response.T
     force = specific_force_b(path, at.t_s - accel.lag_s, world)
     gyro_axes = Axes(
@@ -108,8 +110,8 @@ def measure_imu(
         warming=accel.warming_mg * 1e-3 * STANDARD_GRAVITY_MPS2,
         warming_s=accel.warming_s,
     )
-    gyro_b, gyro_drawn = with_errors(rate, gyro_axes, at.step_s, seed, "gyro")
-    accel_b, accel_drawn = with_errors(force, accel_axes, at.step_s, seed, "accel")
+    gyro_b, gyro_drawn = add_sensor_errors(rate, gyro_axes, at.step_s, seed, "gyro")
+    accel_b, accel_drawn = add_sensor_errors(force, accel_axes, at.step_s, seed, "accel")
     gyro_drawn |= {"g_sensitivity": (response / STANDARD_GRAVITY_MPS2).tolist()}
     return Imu(at.stamp_ns, gyro_b, accel_b), {"gyro": gyro_drawn, "accel": accel_drawn}
 
@@ -123,8 +125,8 @@ def specific_force_b(path: Motion, t_s: Floats, world: World) -> Floats:
 def measure_mag(path: Motion, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
     """Magnetometer samples, and what was drawn for this unit."""
     t = at.t_s - mag.lag_s
-    field_b = path.attitude(t).inv().apply(world.field_n_ut + passings_n_ut(path, mag, t, seed))
-    elements = draws(seed, "mag/soft-iron").standard_normal((3, 3)) * mag.soft_iron
+    field_b = path.attitude(t).inv().apply(world.field_n_ut + draw_field_disturbances_n_ut(path, mag, t, seed))
+    elements = make_generator(seed, "mag/soft-iron").standard_normal((3, 3)) * mag.soft_iron
     soft = np.triu(elements) + np.triu(elements, 1).T
     axes = Axes(
         noise_density=mag.noise_density_ut_rthz,
@@ -134,15 +136,15 @@ def measure_mag(path: Motion, mag: MagModel, at: Samples, world: World, seed: in
         limit=mag.range_ut,
         bits=mag.bits,
     )
-    mag_b, drawn = with_errors(field_b + field_b @ soft.T, axes, at.step_s, seed, "mag")
+    mag_b, drawn = add_sensor_errors(field_b + field_b @ soft.T, axes, at.step_s, seed, "mag")
     return Mag(at.stamp_ns, mag_b), {"mag": drawn | {"soft_iron": soft.tolist()}}
 
 
-def passings_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats:
+def draw_field_disturbances_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats:
     """Disturbances of the field in n (N, 3): bell curves in time, while the phone moves and passes what makes them."""
     disturbance = np.zeros((len(t_s), 3))
     for swing, (start, end) in enumerate(zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True)):
-        rng = draws(seed, f"mag/passings/{swing}")
+        rng = make_generator(seed, f"mag/passings/{swing}")
         for _ in range(rng.poisson(mag.passings_per_min * (end - start) / 60)):
             peak_n, when = rng.standard_normal(3) * mag.passing_ut, rng.uniform(start, end)
             near = slice(*np.searchsorted(t_s, [when - 6 * mag.passing_s, when + 6 * mag.passing_s]))
@@ -151,23 +153,23 @@ def passings_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats
     return disturbance
 
 
-def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
+def add_sensor_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
     """Scale, misalignment, bias, noise, its wandering and warming, range and steps of the converter, in this order.
 
     ``ideal`` are the samples (N, 3) of a perfect sensor. Returns what is recorded and the drawn constants in SI units,
     with the number of samples at the limit of the range.
     """
-    scale = draws(seed, f"{name}/scale").standard_normal(3) * axes.scale_error
-    misalignment = draws(seed, f"{name}/misalignment").standard_normal((3, 3)) * axes.misalignment_rad
+    scale = make_generator(seed, f"{name}/scale").standard_normal(3) * axes.scale_error
+    misalignment = make_generator(seed, f"{name}/misalignment").standard_normal((3, 3)) * axes.misalignment_rad
     response = np.eye(3) + np.diag(scale) + misalignment - np.diag(np.diag(misalignment))
-    bias = draws(seed, f"{name}/bias").standard_normal(3) * axes.bias
+    bias = make_generator(seed, f"{name}/bias").standard_normal(3) * axes.bias
     out = ideal @ response.T + bias
-    out += draws(seed, f"{name}/noise").standard_normal(out.shape) * (axes.noise_density / np.sqrt(step_s))
+    out += make_generator(seed, f"{name}/noise").standard_normal(out.shape) * (axes.noise_density / np.sqrt(step_s))
     if axes.instability > 0:
-        out += wandering(axes.instability / ALLAN_TOP, axes.instability_time_s, step_s, len(out), seed, name)
+        out += draw_gauss_markov(axes.instability / ALLAN_TOP, axes.instability_time_s, step_s, len(out), seed, name)
     drawn = {"bias": bias.tolist(), "response": response.tolist()}
     if axes.warming > 0:
-        warming = draws(seed, f"{name}/warming").standard_normal(3) * axes.warming
+        warming = make_generator(seed, f"{name}/warming").standard_normal(3) * axes.warming
         out -= np.expm1(-step_s / axes.warming_s * np.arange(len(out)))[:, None] * warming
         drawn["warming"] = warming.tolist()
     clipped = 0
@@ -180,9 +182,9 @@ def with_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) 
     return out, drawn | {"samples_at_range": clipped}
 
 
-def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, name: str) -> Floats:
+def draw_gauss_markov(sd: float, time_s: float, step_s: float, count: int, seed: int, name: str) -> Floats:
     """A first-order Gauss-Markov process (count, 3), stationary from its first sample."""
-    rng = draws(seed, f"{name}/wandering")
+    rng = make_generator(seed, f"{name}/wandering")
     keep = np.exp(-step_s / time_s)
     first = rng.standard_normal(3) * sd
     kicks = rng.standard_normal((count, 3)) * (sd * np.sqrt(1 - keep**2))
@@ -190,7 +192,7 @@ def wandering(sd: float, time_s: float, step_s: float, count: int, seed: int, na
     return np.asarray(lfilter([1.0], [1.0, -keep], kicks, axis=0))
 
 
-def truth(path: Motion, at: Samples, world: World) -> Truth:
+def sample_truth(path: Motion, at: Samples, world: World) -> Truth:
     """The truth at the true instants of a sensor's samples."""
     return Truth(
         world.start_ns + at.true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s)

@@ -45,7 +45,7 @@ class Motion(Protocol):
         """Whether a time lies outside all rests."""
 
 
-def strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:
+def join_strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:
     """The chain of strokes through ``values`` (K, d) at rising ``times_s`` (K,)."""
     points = np.asarray(values, dtype=np.float64)
     start, end = points[:-1], points[1:]

@@ -10,9 +10,9 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.path import Path, strokes
-from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
+from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.path import Path, join_strokes
+from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
 from stillpoint.datasets.simulate.sensor import Sensor
 
 # The north of Tehran, where the paper was written, on the day on which the journal received it.
@@ -91,17 +91,17 @@ SHAKEN = replace(
 LEVEL = replace(SHAKEN, jolt_m=(0.015, 0.015, 0.0))
 
 
-def experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+def simulate_experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one experiment. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
-    path = move(hand, minutes * 60, seed, kind)
+    path = draw_path(hand, minutes * 60, seed, kind)
     facts = {"motion": asdict(hand), "rests_s": path.rests_s.tolist()}
-    recording = recorded(path, sensor, TEHRAN, Order(kind, seed, minutes, rate_hz), facts)
+    recording = record_path(path, sensor, TEHRAN, Order(kind, seed, minutes, rate_hz), facts)
     return replace(recording, base_pose=path.base_q_nb)
 
 
-def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
+def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     """The path of one experiment: rest, then swings that end in the base pose."""
-    rests = protocol(hand.initial_rest_s, total_s, seed, kind)
+    rests = plan_rests(hand.initial_rest_s, total_s, seed, kind)
     turn_box, reach_box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
     turn_s = partial(_turn_s, np.deg2rad(hand.peak_rate_degps))
     reach_s, jolt_s = partial(_reach_s, hand.peak_accel_mps2), partial(_reach_s, hand.jolt_accel_mps2)
@@ -109,7 +109,7 @@ def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     turns, places, jolts = [start], [start], [start]
     for swing, (rest, following) in enumerate(pairwise(rests)):
         span_s = float(rest[1]), float(following[0])
-        rng = draws(seed, f"{kind}/swing/{swing}")
+        rng = make_generator(seed, f"{kind}/swing/{swing}")
         home_turn = np.deg2rad(rng.standard_normal(3) * hand.return_turn_deg)
         home_place = rng.standard_normal(3) * hand.return_reach_m * (reach_box > 0)
         turns += _swing(span_s, turns[-1][1], home_turn, turn_box, turn_s, rng)
@@ -119,13 +119,13 @@ def move(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
         chain.append((total_s, chain[-1][1]))
     base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
     base = rotation(base_q_nb)
-    in_n = tuple(strokes([t for t, _ in chain], base.apply([at for _, at in chain])) for chain in (places, jolts))
-    return Path(base_q_nb, strokes(*zip(*turns, strict=True)), in_n, rests)
+    in_n = tuple(join_strokes([t for t, _ in chain], base.apply([at for _, at in chain])) for chain in (places, jolts))
+    return Path(base_q_nb, join_strokes(*zip(*turns, strict=True)), in_n, rests)
 
 
-def protocol(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
+def plan_rests(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
     """Rests (R, 2) in s: the first, and one after each swing of 20-30 s; what fills no swing lengthens the last."""
-    rng = draws(seed, f"{kind}/protocol")
+    rng = make_generator(seed, f"{kind}/protocol")
     rests = [[0.0, initial_rest_s]]
     while total_s - rests[-1][1] >= SWING_S[0] + RETURN_S[0]:
         left = total_s - rests[-1][1]

@@ -8,7 +8,7 @@ from typing import Any
 
 from stillpoint.datasets.earth import Place, magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.recording import Info, Recording
-from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, sample, truth
+from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, draw_sample_times, sample_truth
 from stillpoint.datasets.simulate.path import Motion
 from stillpoint.datasets.simulate.sensor import Sensor
 
@@ -48,7 +48,7 @@ class Order:
         return f"stillpoint simulate {self.kind} {words}"
 
 
-def recorded(
+def record_path(
     path: Motion,
     sensor: Sensor,
     scene: Scene,
@@ -61,8 +61,8 @@ def recorded(
     ``facts`` go into ``info.extra``, as JSON unless they are text; ``drawn`` beside what is drawn here.
     """
     world, seed = scene.world, order.seed
-    imu_at = sample(path, sensor.imu_clock, order.rate_hz, world, seed, "imu")
-    mag_at = sample(path, sensor.mag_clock, min(order.rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
+    imu_at = draw_sample_times(path, sensor.imu_clock, order.rate_hz, world, seed, "imu")
+    mag_at = draw_sample_times(path, sensor.mag_clock, min(order.rate_hz, sensor.mag.max_rate_hz), world, seed, "mag")
     imu, imu_drawn = measure_imu(path, sensor.gyro, sensor.accel, imu_at, world, seed)
     mag, mag_drawn = measure_mag(path, sensor.mag, mag_at, world, seed)
     measured = imu_drawn | mag_drawn
@@ -81,4 +81,4 @@ def recorded(
         ),
         extra={name: fact if isinstance(fact, str) else json.dumps(fact) for name, fact in extra.items()},
     )
-    return Recording(f"{order.kind}-seed{seed}", imu=imu, mag=mag, truth=truth(path, imu_at, world), info=info)
+    return Recording(f"{order.kind}-seed{seed}", imu=imu, mag=mag, truth=sample_truth(path, imu_at, world), info=info)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.earth import Place, geodetic
 from stillpoint.datasets.recording import Floats, Gps
-from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.measure import Samples, wandering
+from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.measure import Samples, draw_gauss_markov
 from stillpoint.datasets.simulate.path import Motion
 
 
@@ -26,9 +26,9 @@ class GpsModel:
 def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: int) -> Gps:
     """Fixes of a path whose n has its zero at ``origin``; under water they are not valid and hold NaN."""
     place_n, velocity_n = path.position(at.t_s), velocity_n_mps(path, at.t_s)
-    rng = draws(seed, "gps/velocity")
+    rng = make_generator(seed, "gps/velocity")
     velocity_n[:, :2] += rng.standard_normal((len(place_n), 2)) * gps.velocity_sd_mps
-    wander = wandering(gps.position_sd_m, gps.position_time_s, at.step_s, len(place_n), seed, "gps")
+    wander = draw_gauss_markov(gps.position_sd_m, gps.position_time_s, at.step_s, len(place_n), seed, "gps")
     valid = receives(place_n[:, 2], gps, at.step_s)
     lat_deg, lon_deg, alt_m = (np.where(valid, column, np.nan) for column in geodetic(place_n + wander, origin))
     course = np.mod(np.arctan2(velocity_n[:, 0], velocity_n[:, 1]), 2 * np.pi)

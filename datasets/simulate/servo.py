@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import draws
-from stillpoint.datasets.simulate.path import strokes
-from stillpoint.datasets.simulate.recorded import Order, Scene, recorded
+from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.path import join_strokes
+from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
 from stillpoint.datasets.simulate.sensor import PERFECT, AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
 # Where the paper was written; it has no date.
@@ -114,11 +114,11 @@ class Swings:
         start, end = self.rests_s[swing, 1], self.rests_s[swing + 1, 0]
         since = np.where(t > self.rests_s[rest, 1], t - start, 0.0)
         period, w = 1 / self.rates_hz[swing], 2 * np.pi * self.rates_hz[swing]
-        size, size_1, size_2 = minimum_jerk(np.minimum(since, end - start - since) / period)
+        size, size_1, size_2 = evaluate_minimum_jerk(np.minimum(since, end - start - since) / period)
         falls = np.where(since > (end - start) / 2, -1.0, 1.0)
         size_1, size_2 = falls * size_1 / period, size_2 / period**2
         sine, cosine = np.sin(w * since), np.cos(w * since)
-        moved, moved_1, moved_2 = minimum_jerk(since / (end - start))
+        moved, moved_1, moved_2 = evaluate_minimum_jerk(since / (end - start))
         way = np.where(since > 0, self.homes_rad[swing + 1] - self.homes_rad[swing], 0.0)
         angle = self.homes_rad[rest] + way * moved + self.amplitude_rad * size * sine
         rate = way * moved_1 / (end - start) + self.amplitude_rad * (size_1 * sine + size * w * cosine)
@@ -155,22 +155,24 @@ class Swings:
         return np.asarray(t > self.rests_s[rest, 1])
 
 
-def minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
+def evaluate_minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
     """The stroke from 0 to 1 and its first two derivatives; still before 0 and after 1."""
     u = np.clip(share, 0.0, 1.0)
     value = u**3 * (10 + u * (6 * u - 15))
     return value, 30 * (u * (1 - u)) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
-def experiment(kind: str, bench: Bench, sensor: Sensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+def simulate_experiment(
+    kind: str, bench: Bench, sensor: Sensor, seed: int, minutes: float, rate_hz: float
+) -> Recording:
     """Simulate the bench. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
-    path = swings(bench, minutes * 60, seed, kind)
+    path = plan_swings(bench, minutes * 60, seed, kind)
     facts = {"motion": asdict(bench), "rests_s": path.rests_s.tolist(), "swings_hz": path.rates_hz.tolist()}
-    recording = recorded(path, sensor, ULAANBAATAR, Order(kind, seed, minutes, rate_hz), facts)
+    recording = record_path(path, sensor, ULAANBAATAR, Order(kind, seed, minutes, rate_hz), facts)
     return replace(recording, base_pose=path.home_q_nb)
 
 
-def swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
+def plan_swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
     """A rest, then swings and rests; what fills no swing lengthens the last rest."""
     rests, rates = [[0.0, bench.first_rest_s]], []
     for rate_hz in cycle((bench.low_hz, bench.high_hz)):
@@ -183,7 +185,9 @@ def swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
         shortest = (bench.first_rest_s + bench.swing_s(bench.low_hz) + bench.rest_s) / 60
         raise BadParameter(f"minutes {total_s / 60:g}: {kind} needs at least {shortest:.2f}, a rest and one swing")
     rests[-1][1] = total_s
-    homes = np.array([draws(seed, f"{kind}/home/{k}").standard_normal() * bench.home_deg for k in range(len(rests))])
+    homes = np.array(
+        [make_generator(seed, f"{kind}/home/{k}").standard_normal() * bench.home_deg for k in range(len(rests))]
+    )
     still = Swings(
         from_euler(np.deg2rad(HOME_EULER_ENU_DEG), "enu"),
         np.array(rests),
@@ -191,14 +195,17 @@ def swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
         np.deg2rad(np.concatenate([[0.0], homes[1:]])),
         np.deg2rad(bench.swing_deg),
         np.array(bench.lever_b_m),
-        strokes([0.0, total_s], np.zeros((2, 3))),
+        join_strokes([0.0, total_s], np.zeros((2, 3))),
     )
-    return replace(still, shake_n_m=shake(bench, still, seed, kind))
+    return replace(still, shake_n_m=add_servo_steps(bench, still, seed, kind))
 
 
-def shake(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:
+def add_servo_steps(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:
     """Small strokes at every step of the servo's controller, the larger the faster it turns; none at rest."""
     times = np.arange(0.0, path.duration_s, bench.step_s)
     rate_degps = np.rad2deg(np.abs(path.angle(times)[1]))
-    size = draws(seed, f"{kind}/shake").standard_normal((len(times), 3)) * (bench.shake_m_degps * rate_degps)[:, None]
-    return strokes(np.append(times, path.duration_s), np.vstack([size, np.zeros(3)]))
+    size = (
+        make_generator(seed, f"{kind}/shake").standard_normal((len(times), 3))
+        * (bench.shake_m_degps * rate_degps)[:, None]
+    )
+    return join_strokes(np.append(times, path.duration_s), np.vstack([size, np.zeros(3)]))

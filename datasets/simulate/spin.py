@@ -8,20 +8,20 @@ import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Encoder, Floats, Info, Recording, Spin, SpinGeometry, Times
-from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.draws import make_generator
 from stillpoint.datasets.simulate.spin_path import (
     Flight,
     Motor,
     SpinPath,
     braking_b_mps2,
     coning_radps,
-    constant,
-    decaying,
-    turn,
-    variable,
+    constant_motor,
+    decaying_spin,
+    make_path,
+    variable_motor,
 )
 from stillpoint.datasets.simulate.spin_sensor import EncoderModel, SpinAccel, SpinSensor
-from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, saturated, specific_force
+from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, find_saturated, specific_force
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Scenario:
     flight: Flight | None = None  # None: on a motor's shaft
 
 
-CONSTANT = Scenario(Motor(constant, ripple_degps=5.0), BENCH)
-VARIABLE = Scenario(Motor(variable, ripple_degps=1.5), BENCH)
-FLIGHT = Scenario(Motor(decaying, ripple_degps=0.0, once_per_turn_degps=0.0), FIVE_ACCELEROMETERS, Flight())
+CONSTANT = Scenario(Motor(constant_motor, ripple_degps=5.0), BENCH)
+VARIABLE = Scenario(Motor(variable_motor, ripple_degps=1.5), BENCH)
+FLIGHT = Scenario(Motor(decaying_spin, ripple_degps=0.0, once_per_turn_degps=0.0), FIVE_ACCELEROMETERS, Flight())
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,11 @@ class Motion:
     centre_b_mps2: Floats  # (N, 3) specific force at the centre
 
 
-def spinning(kind: str, scenario: Scenario, sensor: SpinSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
+def simulate_trial(
+    kind: str, scenario: Scenario, sensor: SpinSensor, seed: int, minutes: float, rate_hz: float
+) -> Recording:
     """Simulate one trial. The geometry of the recording is the stated one; the true arms are in ``info.extra``."""
-    path = turn(scenario.motor, minutes * 60, seed)
+    path = make_path(scenario.motor, minutes * 60, seed)
     step_ns = round(1e9 / rate_hz)
     t_ns = np.arange(max(int(round(minutes * 60e9) // step_ns), 2), dtype=np.int64) * step_ns
     motion = _motion(scenario, path, sensor.tilt_deg, t_ns / 1e9)
@@ -107,11 +109,11 @@ def _spin(
         for k, part in enumerate(parts)
     ]
     gyro, gyro_bias = _gyros(geometry.gyro_axis_b, motion, sensor, seed)
-    came = draws(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
+    came = make_generator(seed, "spin/lost").random(len(t_ns)) >= sensor.lost_share
     came[0] = True
     ranged = replace(geometry, accel_range_mps2=np.full(count, sensor.range_g * STANDARD_GRAVITY_MPS2))
     spin = Spin(t_ns[came], np.column_stack([one for one, _ in made])[came], gyro[came], ranged)
-    full = saturated(spin).sum(axis=0)
+    full = find_saturated(spin).sum(axis=0)
     notes = [f"accelerometer {k + 1}: {n} samples at its range" for k, n in enumerate(full) if n]
     if not came.all():
         notes.append(f"{int((~came).sum())} samples lost on the way")
@@ -123,11 +125,11 @@ def _accelerometer(
 ) -> tuple[Floats, dict[str, float]]:
     """Samples (N,) with all their errors, and what was drawn."""
     sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * STANDARD_GRAVITY_MPS2 / 1e3}
-    error = {what: draws(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
+    error = {what: make_generator(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
     arm = stated_arm_m * (1 + error["arm"])
     ideal = specific_force(arm, motion.centre_b_mps2, motion.rate_radps, motion.accel_radps2) @ axis
     felt = (ideal + _shaking(part, motion, seed, name)) * (1 + error["scale"]) + error["bias"] + part.offset_mps2
-    felt += part.noise_mps2 * draws(seed, f"spin/{name}/noise").standard_normal(len(felt))
+    felt += part.noise_mps2 * make_generator(seed, f"spin/{name}/noise").standard_normal(len(felt))
     spoilt, glitches = _glitches(part, motion.t_s, seed, f"spin/{name}")
     felt += glitches
     limit = sensor.range_g * STANDARD_GRAVITY_MPS2
@@ -140,7 +142,7 @@ def _accelerometer(
 
 def _shaking(part: SpinAccel, motion: Motion, seed: int, name: str) -> Floats:
     """What the motor shakes it with (N,), with a phase of its own."""
-    phases = draws(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
+    phases = make_generator(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
     once, twice = np.sqrt(2) * part.vibration_1x_mps2, np.sqrt(2) * part.vibration_2x_mps2
     return np.asarray(once * np.sin(motion.angle_rad + phases[0]) + twice * np.sin(2 * motion.angle_rad + phases[1]))
 
@@ -153,17 +155,19 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
     spoilt = np.zeros(len(t_s), dtype=np.bool_)
     if part.glitches_per_s > 0:
         stretches = np.arange(np.ceil(part.glitches_per_s * (t_s[-1] - t_s[0])))
-        at_s = t_s[0] + (stretches + draws(seed, f"{name}/glitches").random(len(stretches))) / part.glitches_per_s
+        at_s = (
+            t_s[0] + (stretches + make_generator(seed, f"{name}/glitches").random(len(stretches))) / part.glitches_per_s
+        )
         spoilt[np.searchsorted(t_s, at_s[at_s < t_s[-1]])] = True
-    kinds = draws(seed, f"{name}/glitch-sizes").random((len(t_s), 2))
+    kinds = make_generator(seed, f"{name}/glitch-sizes").random((len(t_s), 2))
     size = part.glitch_low_g + (part.glitch_high_g - part.glitch_low_g) * kinds[:, 0]
     return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * STANDARD_GRAVITY_MPS2)
 
 
 def _gyros(axes: Floats, motion: Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
     """Samples (N, m) of the gyros at the instants of the stamps, and their biases."""
-    bias = np.deg2rad(sensor.gyro_bias_degps) * draws(seed, "spin/gyro/bias").standard_normal(len(axes))
-    noise = draws(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))
+    bias = np.deg2rad(sensor.gyro_bias_degps) * make_generator(seed, "spin/gyro/bias").standard_normal(len(axes))
+    noise = make_generator(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))
     return motion.rate_radps @ axes.T + bias + np.deg2rad(sensor.gyro_noise_degps) * noise, bias.tolist()
 
 

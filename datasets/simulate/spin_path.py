@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 from scipy.signal import lfilter
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.simulate.draws import draws
+from stillpoint.datasets.simulate.draws import make_generator
 
 KNOT_S = 0.02  # between the knots of the drive's rate
 RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its stated size
@@ -63,23 +63,23 @@ class SpinPath:
         return np.asarray(changing - drive_radps**2 * self.ripple * np.sin(at))
 
 
-def constant(t_s: Floats) -> Floats:
+def constant_motor(t_s: Floats) -> Floats:
     """Paper 000, section 4.1: 2020 deg/s."""
     return np.full(len(t_s), 2020.0)
 
 
-def variable(t_s: Floats) -> Floats:
+def variable_motor(t_s: Floats) -> Floats:
     """Slow changes between 1500 and 2100 deg/s, as in figure 18; after 60 s the profile runs back, and so on."""
     known = PchipInterpolator([0, 8, 18, 26, 38, 48, 60], [1550, 1550, 2080, 2080, 1520, 1900, 1900])
     return np.asarray(known(60 - np.abs(np.mod(t_s, 120) - 60)))
 
 
-def decaying(t_s: Floats) -> Floats:
+def decaying_spin(t_s: Floats) -> Floats:
     """A projectile whose spin air slows: 2050 deg/s, half of it lost in 90 s."""
     return np.asarray(2050 * 0.5 ** (t_s / 90))
 
 
-def turn(motor: Motor, length_s: float, seed: int) -> SpinPath:
+def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
     """The path of a motor, or of a body that air slows."""
     knots_s = np.arange(int(np.ceil(length_s / KNOT_S)) + 5) * KNOT_S - 2 * KNOT_S
     speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
@@ -87,7 +87,7 @@ def turn(motor: Motor, length_s: float, seed: int) -> SpinPath:
     )
     drive = CubicSpline(knots_s, np.deg2rad(speed_degps)).antiderivative()
     drive.c[-1] -= drive(0.0)
-    phase = draws(seed, "spin/phase").uniform(0, 2 * np.pi)
+    phase = make_generator(seed, "spin/phase").uniform(0, 2 * np.pi)
     return SpinPath(drive, motor.once_per_turn_degps / RIPPLE_AT_DEGPS, phase)
 
 
@@ -95,7 +95,7 @@ def _wandering(time_s: float, count: int, seed: int) -> Floats:
     """White noise through two first-order lags, of unit standard deviation in the long run."""
     keep = np.exp(-KNOT_S / time_s)
     settle = int(10 * time_s / KNOT_S)
-    noise = draws(seed, "spin/ripple").standard_normal(settle + count)
+    noise = make_generator(seed, "spin/ripple").standard_normal(settle + count)
     twice = lfilter([1.0], [1.0, -2 * keep, keep**2], noise)[settle:]
     return np.asarray(twice * np.sqrt((1 - keep**2) ** 3 / (1 + keep**2)))
 

@@ -76,23 +76,23 @@ def _numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
             yield "", each.name, value
 
 
-def noisy(name: str, centre_mps2: float, radial_mps2: float, tangential_mps2: float) -> SpinSensor:
+def make_white_noise(name: str, centre_mps2: float, radial_mps2: float, tangential_mps2: float) -> SpinSensor:
     """White noise of these standard deviations and nothing else."""
     centre, radial, tangential = (SpinAccel(noise_mps2=one) for one in (centre_mps2, radial_mps2, tangential_mps2))
     return SpinSensor(name, centre, radial, tangential, gyro_noise_degps=0.1)
 
 
-def with_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
+def add_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
     """The sensor with glitches of the slip rings on F4, 4 to 8 g."""
     return replace(sensor, radial=replace(sensor.radial, glitches_per_s=per_s))
 
 
-def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
+def make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     """The presets of a scenario by name; ``white`` has the paper's variances, ``quiet`` is the noise under glitches."""
     shaken_mps2 = (white.tangential.noise_mps2**2 - ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
     shaken = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
     vibration = replace(white, name="vibration", tangential=shaken)
-    glitch = replace(with_glitches(quiet, GLITCHES_PER_S), name="glitch")
+    glitch = replace(add_glitches(quiet, GLITCHES_PER_S), name="glitch")
     noise = REPLICA_NOISE * glitch.radial.noise_mps2
     fitted = {"offset_mps2": RESIDUAL_F4_MPS2, "noise_mps2": noise, "glitch_low_g": REPLICA_GLITCH_LOW_G}
     replica = replace(glitch, name="replica", radial=replace(glitch.radial, **fitted))
@@ -102,7 +102,7 @@ def presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     return {one.name: one for one in (white, vibration, glitch, replica, loose, perfect)}
 
 
-def tilted(white: SpinSensor) -> Mapping[str, SpinSensor]:
+def make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
     """Presets of a shaft that is not vertical, with unknown biases and errors of the arms: gravity shows the angle."""
     radial, tangential = (replace(one, offset_mps2=0.1, arm_error=0.001) for one in (white.radial, white.tangential))
     unknown = replace(white, radial=radial, tangential=tangential)
@@ -115,8 +115,14 @@ RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s
 REPLICA_NOISE = 1.05  # of the quiet sensor's
 REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out
 # D4 = 0.8 and D5 = 0.12 (m/s^2)^2 in the constant scenario (eqs (29), (31)), 0.4 and 3 in the variable one.
-WHITE_CONSTANT = noisy("white", 0.3, 0.8**0.5, 0.12**0.5)
-WHITE_VARIABLE = noisy("white", 0.3, 0.4**0.5, 3.0**0.5)
-CONSTANT = {**presets(WHITE_CONSTANT, noisy("quiet", 0.06, 0.13, 0.08)), **tilted(WHITE_CONSTANT)}
-VARIABLE = {**presets(WHITE_VARIABLE, noisy("quiet", 0.06, 0.3, 3.0**0.5)), **tilted(WHITE_VARIABLE)}
-FLIGHT = presets(noisy("white", 0.3, 0.3, 0.3), noisy("quiet", 0.1, 0.1, 0.1))
+WHITE_CONSTANT = make_white_noise("white", 0.3, 0.8**0.5, 0.12**0.5)
+WHITE_VARIABLE = make_white_noise("white", 0.3, 0.4**0.5, 3.0**0.5)
+CONSTANT = {
+    **make_presets(WHITE_CONSTANT, make_white_noise("quiet", 0.06, 0.13, 0.08)),
+    **make_tilted_presets(WHITE_CONSTANT),
+}
+VARIABLE = {
+    **make_presets(WHITE_VARIABLE, make_white_noise("quiet", 0.06, 0.3, 3.0**0.5)),
+    **make_tilted_presets(WHITE_VARIABLE),
+}
+FLIGHT = make_presets(make_white_noise("white", 0.3, 0.3, 0.3), make_white_noise("quiet", 0.1, 0.1, 0.1))

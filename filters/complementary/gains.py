@@ -8,7 +8,7 @@ import numpy as np
 
 from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.complementary import least_squares
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.front.sources import passed, sources_of
@@ -39,7 +39,7 @@ def gains(
     entry = ESTIMATORS.get(name)
     if not isinstance(entry, Estimator) or entry.step is not least_squares.step:
         raise BadParameter(f"{name}: has no adaptive gains; cf-lse and cf-lse-literal have")
-    settings = chosen(entry.params(), params, name)
+    settings = choose_settings(entry.params(), params, name)
     sources = sources_of(recording, heading, None, None)
     imu = recording.require_imu()
     log, _ = passed(imu, sources, precision)

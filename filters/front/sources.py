@@ -11,7 +11,7 @@ from stillpoint.datasets import BadParameter, BadRecording, Gps, Imu, Mag, Recor
 from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Times
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.front import front, guard, heading_source
 from stillpoint.filters.front.front import RawLog
 from stillpoint.filters.front.heading_source import HEADINGS, Heading
@@ -41,10 +41,10 @@ def front_of(
         raise BadParameter(f"declination {degrees(declination_rad):g} deg: give an angle within +-180 deg")
     if heading == "mag" and heading_params:
         raise BadParameter("heading mag has no settings; they are those of heading gps-course")
-    full_scales = guard.coefficients(chosen(guard.Ranges(), ranges, "range"))
+    full_scales = guard.coefficients(choose_settings(guard.Ranges(), ranges, "range"))
     if heading == "mag":
         return front.Coefficients(full_scales, None)
-    by_course = chosen(heading_source.Params(), heading_params, "heading")
+    by_course = choose_settings(heading_source.Params(), heading_params, "heading")
     return front.Coefficients(full_scales, heading_source.coefficients(by_course, declination_rad))
 
 

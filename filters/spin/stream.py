@@ -10,7 +10,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.advance import look
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import counts
@@ -62,7 +62,7 @@ class RollStream:
         kind = (name, precision)
         if saved is not None and tuple(saved[:2]) != kind:
             raise BadParameter(f"the saved state is of {' '.join(saved[:2])}, not of {' '.join(kind)}; go on with that")
-        settings = chosen(entry.params(), params, name)
+        settings = choose_settings(entry.params(), params, name)
         assert isinstance(settings, RollParams)
         front_c = roll_front.coefficients(spin_channels(settings, geometry), settings, precision)
         c = in_precision(entry.coefficients(settings, geometry), precision)

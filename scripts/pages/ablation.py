@@ -13,7 +13,7 @@ from statistics import mean, median
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.settings import chosen
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
@@ -100,7 +100,7 @@ def _scored(source: Path, variant: Variant) -> dict[AlignKind, Score]:
 
 def solved(recording: Recording, variant: Variant) -> Reference | Estimate:
     """The recording by this variant of the graph; raises what the graph raises."""
-    params = chosen(HANDHELD, variant.settings, "graph")
+    params = choose_settings(HANDHELD, variant.settings, "graph")
     evidence = gather_evidence(recording, params)
     if not variant.returns:
         evidence = replace(evidence, base=None, returns=None)

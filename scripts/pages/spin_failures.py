@@ -11,14 +11,14 @@ import numpy as np
 
 from stillpoint.datasets.recording import Floats, Recording, Spin
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.spin_sensor import noisy
+from stillpoint.datasets.simulate.spin_sensor import make_white_noise
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import score_roll
 from stillpoint.smoother import reference
 from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, settings_of
 
-QUIET = noisy("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
+QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
 AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.settings import chosen
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.front.sources import front_of
 from stillpoint.filters.precision import Precision
@@ -46,7 +46,7 @@ def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, h
     settings = _settings(set_, names)
     front_of(heading, settings[HEADING], settings[RANGE], None)
     for name, entry in entries.items():
-        chosen(entry.params(), settings[name], name)
+        choose_settings(entry.params(), settings[name], name)
     return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]
 
 

@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, to_xyzw, wrap
 from stillpoint.datasets.mcap.facts import Kept
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
-from stillpoint.datasets.times import inside
+from stillpoint.datasets.times import is_inside
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 
 TIMELINE = "time"
@@ -75,7 +75,7 @@ def show(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     if thing.gyro_bias_b_radps is not None:
         _lines(scene, BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
     if isinstance(thing, Reference):
-        at_rest = inside(thing.t_ns, thing.rests_ns)
+        at_rest = is_inside(thing.t_ns, thing.rests_ns)
         _lines(scene, REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
         _log_returns(scene, name, thing)
 

@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_hz
-from stillpoint.datasets.spin import saturated
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.spin import find_saturated
+from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import each_read, mcap_files
@@ -113,7 +113,11 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
 
 def _spin_lines(spin: Spin) -> list[str]:
     """Where the single-axis sensors sit, and how many of their values tell nothing; x is the spin axis."""
-    geometry, full, missing = spin.geometry, saturated(spin).sum(axis=0), (~np.isfinite(spin.accel_mps2)).sum(axis=0)
+    geometry, full, missing = (
+        spin.geometry,
+        find_saturated(spin).sum(axis=0),
+        (~np.isfinite(spin.accel_mps2)).sum(axis=0),
+    )
     lines = ["on a fixed axis (a motor's shaft)" if geometry.fixed_axis else "free to turn about all axes"]
     for k, (arm, axis) in enumerate(zip(geometry.accel_r_b_m, geometry.accel_axis_b, strict=True)):
         limit = (
@@ -133,7 +137,7 @@ def _vector(values: Floats) -> str:
 
 def _clock(name: str, t_ns: Times) -> dict[str, Any]:
     steps_s = np.diff(t_ns) / 1e9
-    gaps_s = steps_s[gaps(t_ns)]
+    gaps_s = steps_s[find_gaps(t_ns)]
     return {
         "stream": name,
         "samples": len(t_ns),

@@ -13,7 +13,7 @@ from stillpoint.datasets import Reference, RollReference, write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.nearest import require_known
-from stillpoint.datasets.settings import Settings, chosen
+from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
@@ -145,7 +145,7 @@ def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str
     others = [name for name in methods if name != "graph"]
     if others:
         raise BadParameter(f"--preset {preset}: is for the method graph, not {', '.join(others)}; leave one out")
-    return {"graph": chosen(PRESETS[preset], changes, "graph")}
+    return {"graph": choose_settings(PRESETS[preset], changes, "graph")}
 
 
 def _by_streams(sources: Sequence[Path], changed: bool) -> dict[Path, list[str]]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.times import gaps
+from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
 from stillpoint.smoother.attitude.covariance import covariance_factor
 from stillpoint.smoother.attitude.every_sample import Piece, join_pieces
@@ -61,7 +61,7 @@ def _select_closing_squares(
 
 
 def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, whole: Piece) -> dict[str, Any]:
-    gap = gaps(recording.require_imu().t_ns)
+    gap = find_gaps(recording.require_imu().t_ns)
     inertial = solved.params.inertial
     return {
         "heading": evidence.heading,

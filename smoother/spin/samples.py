@@ -9,7 +9,7 @@ from scipy.special import binom
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
-from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, saturated
+from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, find_saturated
 from stillpoint.smoother.spin.params import RollCalibration, RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
@@ -106,7 +106,7 @@ def sign_by_products(spin: Spin, params: RollCalibration) -> float | None:
     """
     by = channels(spin.geometry)
     rates = np.stack([spin.gyro_radps[:, one != 0] @ one[one != 0] for one in by.transverse])  # (2, N)
-    full = saturated(spin)
+    full = find_saturated(spin)
     total, noise_var = 0.0, 0.0
     by_bias, by_scale = np.zeros((2, spin.accel_mps2.shape[1]))  # of the total, by what is one number all along
     for channel, weights, rate in zip((by.omega_xy, by.omega_xz), by.transverse, rates, strict=True):

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import nearest
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.settings import chosen, names_of
+from stillpoint.datasets.settings import choose_settings, names_of
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES, ESTIMATORS, ROLLS, Peer
@@ -122,7 +122,7 @@ def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origi
     if known in ROLLS:
         raise BadParameter(f"{known}: follows a spin about one axis; a leaderboard compares attitudes")
     entry = ESTIMATORS[known]
-    chosen(entry.params(), settings, known)
+    choose_settings(entry.params(), settings, known)
     code = ""
     if isinstance(entry, Peer):
         package = PEER_PACKAGES.get(known, "ahrs")

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
-from stillpoint.datasets.spin import TERMS, channels, coefficients, saturated
+from stillpoint.datasets.spin import TERMS, channels, coefficients, find_saturated
 
 GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
 FEWEST = 100  # samples below which a variance says little
@@ -148,7 +148,7 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
         rate, turning, inside = _smoothed(spin, reference, window_s)
     else:
         rate, turning, inside = _of_encoder(spin, reference)
-    use = inside & np.isfinite(spin.accel_mps2).all(axis=1) & ~saturated(spin).any(axis=1)
+    use = inside & np.isfinite(spin.accel_mps2).all(axis=1) & ~find_saturated(spin).any(axis=1)
     if use.sum() < FEWEST:
         raise BadRecording(
             f"{recording.name}: {int(use.sum())} samples can be used and {FEWEST} are needed; check ranges and the "

@@ -9,7 +9,7 @@ import pytest
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.nearest import nearest, require_known
-from stillpoint.datasets.settings import Settings, choice, chosen, degrees, describe, names_of, number
+from stillpoint.datasets.settings import Settings, choice, choose_settings, degrees, describe, names_of, number
 from stillpoint.filters import ESTIMATORS
 from stillpoint.smoother import METHODS
 
@@ -43,7 +43,7 @@ EVERYTHING = [entry.params() for entry in ESTIMATORS.values()] + [method.default
     ],
 )
 def test_what_is_given_takes_the_place_of_the_default(given, made):
-    found = chosen(Outer(), given, "method")
+    found = choose_settings(Outer(), given, "method")
     assert found == made
     assert isinstance(found.inner.window_s, float)
 
@@ -71,7 +71,7 @@ def test_what_is_given_takes_the_place_of_the_default(given, made):
 )
 def test_what_cannot_be_is_refused_in_one_line(given, says):
     with pytest.raises(BadParameter) as caught:
-        chosen(Outer(), given, "method")
+        choose_settings(Outer(), given, "method")
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -101,7 +101,7 @@ def test_every_setting_of_the_program_has_a_meaning_a_range_and_survives_as_text
         value = settings
         for part in row.name.split("."):
             value = getattr(value, part)
-        assert chosen(settings, {row.name: str(value)}, "x") == settings
+        assert choose_settings(settings, {row.name: str(value)}, "x") == settings
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from stillpoint.datasets.spin import (
     coefficients,
     five_accelerometers,
     measure,
-    misplaced,
-    saturated,
+    find_misplaced,
+    find_saturated,
     specific_force,
 )
 
@@ -147,11 +147,11 @@ def test_eq_2_names_the_accelerometer_and_what_it_sees():
     arms = FIVE_ACCELEROMETERS.accel_r_b_m.copy()
     arms[3] += 0.02 * X
     moved = replace(FIVE_ACCELEROMETERS, accel_r_b_m=arms)
-    (sentence,) = misplaced(moved)
+    (sentence,) = find_misplaced(moved)
     assert sentence == "accelerometer 4 sees omega_y dot, omega_x omega_z: move it into the y-z plane (r_x = 0)"
     with pytest.raises(Unobservable, match=r"do not fix omega_x\^2: accelerometer 4 sees omega_y dot.*y-z plane"):
         channels(moved)
-    assert misplaced(FIVE_ACCELEROMETERS) == ()
+    assert find_misplaced(FIVE_ACCELEROMETERS) == ()
 
 
 def test_what_the_centre_or_the_gyros_would_be_needed_for_is_said():
@@ -195,7 +195,7 @@ def test_values_at_the_range_and_lost_ones_make_only_their_channel_invalid():
     assert samples.omega_dot_valid.tolist() == [True, True, False, True, False, False]
     assert np.isfinite(samples.omega_squared_radps2[[0, 1, 2, 4, 5]]).all()
     unknown = replace(BENCH, accel_range_mps2=None)
-    assert not saturated(spin_of(unknown, [[-1e6, 1e6]])).any()
+    assert not find_saturated(spin_of(unknown, [[-1e6, 1e6]])).any()
 
 
 def test_a_lost_gyro_value_spoils_what_needs_it():

@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillpoint.datasets.times import GAP_STEPS, gaps, inside, longest_step_ns
+from stillpoint.datasets.times import GAP_STEPS, find_gaps, is_inside, longest_step_ns
 
 
 def test_an_interval_is_a_gap_from_more_than_five_median_steps_on():
     t_ns = np.array([0, 10, 20, 30, 80, 90, 141, 151], dtype=np.int64)
     assert longest_step_ns(t_ns) == GAP_STEPS * 10
-    assert gaps(t_ns).tolist() == [False, False, False, False, False, True, False]
+    assert find_gaps(t_ns).tolist() == [False, False, False, False, False, True, False]
 
 
 @pytest.mark.parametrize("t_ns", [[7], [7, 9]])
 def test_one_or_two_stamps_have_no_gap(t_ns):
-    assert not gaps(np.array(t_ns, dtype=np.int64)).any()
-    assert len(gaps(np.array(t_ns))) == len(t_ns) - 1
+    assert not find_gaps(np.array(t_ns, dtype=np.int64)).any()
+    assert len(find_gaps(np.array(t_ns))) == len(t_ns) - 1
 
 
 stamps = st.lists(st.integers(0, 200), min_size=1, max_size=30, unique=True).map(sorted)
@@ -28,4 +28,4 @@ spans = st.lists(st.tuples(st.integers(-10, 210), st.integers(0, 50)), max_size=
 def test_inside_is_what_it_says(t_ns, starts):
     spans_ns = np.array([(first, first + length) for first, length in starts], dtype=np.int64).reshape(-1, 2)
     expected = [any(first <= t <= last for first, last in spans_ns) for t in t_ns]
-    assert inside(np.array(t_ns), spans_ns).tolist() == expected
+    assert is_inside(np.array(t_ns), spans_ns).tolist() == expected

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.settings import chosen
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.precision import Precision, in_precision
 from stillpoint.filters.sample import Log, Track
@@ -77,7 +77,7 @@ def run(name: str, log: Log, params: dict[str, Any], state: Any = None, precisio
     """From the start, or on from a state."""
     entry = ESTIMATORS[name]
     assert isinstance(entry, Estimator)
-    c = in_precision(entry.coefficients(chosen(entry.params(), params, name), 0.0), precision)
+    c = in_precision(entry.coefficients(choose_settings(entry.params(), params, name), 0.0), precision)
     n = len(log.dt_s)
     track = Track(np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 9)), np.empty((n, 3)), np.empty(n, dtype=np.bool_))
     begin = in_precision(entry.start(c) if state is None else state, precision)

@@ -10,14 +10,14 @@ from stillpoint.datasets.recording import Encoder, Recording, Spin, SpinGeometry
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate import spin as simulated
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
-from stillpoint.datasets.simulate.spin_sensor import SpinSensor, noisy
+from stillpoint.datasets.simulate.spin_sensor import SpinSensor, make_white_noise
 from stillpoint.datasets.spin import BENCH
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.spin.params import RollCalibration, RollGraphParams, RollNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
 VARIABLE = {"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0}  # R = 40, Q = 12
-QUIET = noisy("quiet", 0.06, 0.13, 0.08)
+QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)
 RIG = RollGraphParams(calibration=RollCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
 GIVEN = RollNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
 X, Y, Z = np.eye(3)
@@ -59,7 +59,7 @@ def tilted(tilt_deg: float, seed: int, geometry: SpinGeometry = BENCH, wrong: bo
     errors = {"bias_mg": 0.1 / 9.80665e-3, "arm_error": 1e-3} if wrong else {}
     radial, tangential = replace(white.radial, **errors), replace(white.tangential, **errors)
     sensor: SpinSensor = replace(white, name="tilted", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
-    return simulated.spinning("tilted", replace(simulated.CONSTANT, geometry=geometry), sensor, seed, 0.5, 250.0)
+    return simulated.simulate_trial("tilted", replace(simulated.CONSTANT, geometry=geometry), sensor, seed, 0.5, 250.0)
 
 
 def absolute_error(made: RollReference, recording: Recording) -> Floats:

@@ -11,7 +11,7 @@ from stillpoint.datasets.earth import enu_m, magnetic_field_n_ut, normal_gravity
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, slerp, wrap
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.auv import AUV, CALM, WAVES, courses_rad, phases, sail, waves
+from stillpoint.datasets.simulate.auv import AUV, CALM, WAVES, euler_ned_rad, plan_phases, sail, sum_waves
 from stillpoint.datasets.simulate.satellites import GpsModel, receives
 
 
@@ -158,7 +158,7 @@ def test_the_iron_of_the_hull_is_worth_two_degrees_on_the_missions_heading(perfe
 
 
 def test_waves_throw_the_vehicle_and_a_calm_sea_does_not():
-    when = phases(420.0, "auv-dolphin")
+    when = plan_phases(420.0, "auv-dolphin")
     t = np.arange(5, when.dive_s - 20, 0.1)
     thrown = sail(WAVES, when, 0).acceleration_n_mps2(t)
     calm = sail(CALM, when, 0).acceleration_n_mps2(t)
@@ -166,7 +166,7 @@ def test_waves_throw_the_vehicle_and_a_calm_sea_does_not():
     assert np.sqrt((thrown[:, 2] ** 2).mean()) == pytest.approx(0.4 / np.sqrt(2), rel=0.15)
     # What is left are turns at 1.5 m/s: slalom, yawing by 3 deg at 0.08 Hz, pitching by 2 deg.
     assert np.sqrt((calm**2).mean(axis=0)).max() < 0.08
-    np.testing.assert_array_equal(courses_rad(WAVES, when, t, 20.0, 0), courses_rad(CALM, when, t, 20.0, 0))
+    np.testing.assert_array_equal(euler_ned_rad(WAVES, when, t, 20.0, 0), euler_ned_rad(CALM, when, t, 20.0, 0))
 
 
 def test_roll_is_larger_on_the_surface(recorded):
@@ -212,7 +212,7 @@ def test_too_short_a_mission_is_refused_in_one_line():
 
 def test_a_wave_has_its_components():
     t = np.arange(0, 100, 0.05)
-    spectrum = np.abs(np.fft.rfft(waves(((0.5, 0.1), (0.25, 0.4)), t, 3, "roll"))) / len(t) * 2
+    spectrum = np.abs(np.fft.rfft(sum_waves(((0.5, 0.1), (0.25, 0.4)), t, 3, "roll"))) / len(t) * 2
     assert spectrum[10] == pytest.approx(0.5, abs=1e-9)
     assert spectrum[40] == pytest.approx(0.25, abs=1e-9)
     assert spectrum[20] < 1e-9

@@ -8,8 +8,14 @@ import pytest
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.simulate import PERFECT, PHONE, Sensor, simulate
-from stillpoint.datasets.simulate.measure import ALLAN_TOP, Axes, passings_n_ut, wandering, with_errors
-from stillpoint.datasets.simulate.phone import IN_HAND, move
+from stillpoint.datasets.simulate.measure import (
+    ALLAN_TOP,
+    Axes,
+    draw_field_disturbances_n_ut,
+    draw_gauss_markov,
+    add_sensor_errors,
+)
+from stillpoint.datasets.simulate.phone import IN_HAND, draw_path
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel
 
 QUIET = Axes(noise_density=0, bias=0, scale_error=0, misalignment_rad=0, limit=None, bits=None)
@@ -24,14 +30,14 @@ def allan_deviation(values, step_s, time_s):
 
 @pytest.mark.parametrize("step_s", [0.01, 0.0025])
 def test_white_noise_has_the_density_of_the_data_sheet(step_s):
-    noise, _ = with_errors(np.zeros((200_000, 3)), replace(QUIET, noise_density=0.007), step_s, 0, "gyro")
+    noise, _ = add_sensor_errors(np.zeros((200_000, 3)), replace(QUIET, noise_density=0.007), step_s, 0, "gyro")
     # Allan deviation of white noise is density / sqrt(time); 2000 clusters of 1 s (500 at 400 Hz) know it to 2-4 %.
     np.testing.assert_allclose(allan_deviation(noise, step_s, 1.0), 0.007, rtol=0.12)
     np.testing.assert_allclose(noise.std(axis=0), 0.007 / np.sqrt(step_s), rtol=0.01)
 
 
 def test_bias_instability_is_the_top_of_the_allan_deviation():
-    process = wandering(1.0 / ALLAN_TOP, 10.0, 0.1, 400_000, 3, "gyro")
+    process = draw_gauss_markov(1.0 / ALLAN_TOP, 10.0, 0.1, 400_000, 3, "gyro")
     times = 10.0 * np.array([0.5, 1.0, 1.89, 4.0, 8.0])
     deviations = np.array([allan_deviation(process, 0.1, time).mean() for time in times])
     assert deviations.argmax() == 2
@@ -43,13 +49,13 @@ def test_bias_instability_is_the_top_of_the_allan_deviation():
 
 
 def test_wandering_bias_is_stationary_from_its_first_sample():
-    firsts = np.array([wandering(2.0, 200.0, 0.01, 2, seed, "gyro")[0] for seed in range(300)])
+    firsts = np.array([draw_gauss_markov(2.0, 200.0, 0.01, 2, seed, "gyro")[0] for seed in range(300)])
     assert firsts.std() == pytest.approx(2.0, rel=0.1)
 
 
 def test_converter_steps_and_range():
     ideal = np.linspace(-3, 3, 9000).reshape(-1, 3)
-    out, drawn = with_errors(ideal, replace(QUIET, limit=2.0, bits=8), 0.01, 0, "accel")
+    out, drawn = add_sensor_errors(ideal, replace(QUIET, limit=2.0, bits=8), 0.01, 0, "accel")
     step = 4.0 / 256
     assert np.abs(out).max() == 2.0
     assert drawn["samples_at_range"] == int((np.abs(ideal) > 2).any(axis=1).sum())
@@ -60,7 +66,7 @@ def test_converter_steps_and_range():
 
 def test_constants_have_the_stated_spread():
     axes = replace(QUIET, bias=0.1, scale_error=0.005, misalignment_rad=0.003)
-    drawn = [with_errors(np.zeros((1, 3)), axes, 0.01, seed, "gyro")[1] for seed in range(400)]
+    drawn = [add_sensor_errors(np.zeros((1, 3)), axes, 0.01, seed, "gyro")[1] for seed in range(400)]
     response = np.array([unit["response"] for unit in drawn])
     off = ~np.eye(3, dtype=bool)
     assert np.std([unit["bias"] for unit in drawn]) == pytest.approx(0.1, rel=0.1)
@@ -134,10 +140,10 @@ def test_stamps_rise_however_bad_the_jitter():
 
 
 def test_disturbances_pass_and_come_as_often_as_stated():
-    path = move(IN_HAND, 3600.0, seed=0, kind="phone-3")
+    path = draw_path(IN_HAND, 3600.0, seed=0, kind="phone-3")
     t = np.arange(0, path.duration_s, 0.1)
     mag = MagModel(passings_per_min=1.0, passing_ut=5.0, passing_s=0.3)
-    size = np.linalg.norm(passings_n_ut(path, mag, t, seed=0), axis=1)
+    size = np.linalg.norm(draw_field_disturbances_n_ut(path, mag, t, seed=0), axis=1)
     assert (size[t < 50] == 0).all()  # the first rest is undisturbed
     # Bells 0.3 s wide hardly overlap: count the stretches above a hundredth of their peak.
     count = np.count_nonzero(np.diff((size > 0.05).astype(int)) == 1)

@@ -10,15 +10,15 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
-from stillpoint.datasets.simulate.path import Path, strokes
-from stillpoint.datasets.simulate.phone import IN_HAND, SLIDING, TRIPOD, move
+from stillpoint.datasets.simulate.path import Path, join_strokes
+from stillpoint.datasets.simulate.phone import IN_HAND, SLIDING, TRIPOD, draw_path
 
 HANDS = {"phone-1": SLIDING, "phone-2": TRIPOD, "phone-3": IN_HAND}
 
 
 @pytest.fixture(params=HANDS)
 def path(request):
-    return move(HANDS[request.param], 100.0, seed=5, kind=request.param)
+    return draw_path(HANDS[request.param], 100.0, seed=5, kind=request.param)
 
 
 def test_acceleration_integrates_back_to_the_position(path):
@@ -89,7 +89,7 @@ def test_neither_rate_nor_acceleration_jumps(path):
 )
 def test_rate_is_the_derivative_of_any_turn(turn, further, share):
     times = [0.0, 1.0, 2.0, 3.0]
-    turns = strokes(times, [np.zeros(3), turn, further, further])
+    turns = join_strokes(times, [np.zeros(3), turn, further, further])
     path = Path(np.array([1.0, 0, 0, 0]), turns, (), np.array([[0.0, 0.0], [2.0, 3.0]]))
     t, h = 1 + share, 1e-4
     step = path.steps_b_rad(np.array([t - h, t + h]))[0] / (2 * h)
@@ -98,7 +98,7 @@ def test_rate_is_the_derivative_of_any_turn(turn, further, share):
 
 
 def test_a_stroke_is_the_minimum_jerk_polynomial():
-    stroke = strokes([2.0, 4.0], [[1.0], [3.0]])
+    stroke = join_strokes([2.0, 4.0], [[1.0], [3.0]])
     tau = np.linspace(0, 1, 11)
     expected = 1 + 2 * (10 * tau**3 - 15 * tau**4 + 6 * tau**5)
     np.testing.assert_allclose(stroke(2 + 2 * tau)[:, 0], expected, atol=1e-14)
@@ -106,7 +106,7 @@ def test_a_stroke_is_the_minimum_jerk_polynomial():
 
 def test_steps_keep_coning():
     """A cone: the body axis circles, and the mean rate differs from the rate at the middle; the product closes."""
-    path = move(IN_HAND, 90.0, seed=1, kind="phone-3")
+    path = draw_path(IN_HAND, 90.0, seed=1, kind="phone-3")
     t = np.arange(60.0, 62.0, 0.01)
     product = Rotation.identity()
     for step in path.steps_b_rad(t):

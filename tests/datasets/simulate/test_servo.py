@@ -10,7 +10,7 @@ from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.earth import normal_gravity_mps2
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.servo import BENCH, MPU6050, swings
+from stillpoint.datasets.simulate.servo import BENCH, MPU6050, plan_swings
 from stillpoint.filters import estimate
 
 MINUTES = 5.0
@@ -39,7 +39,7 @@ def during(recording: Recording, rate_hz: float) -> np.ndarray:
 
 
 def test_rate_and_acceleration_are_the_derivatives_of_the_motion() -> None:
-    path = swings(BENCH, 300.0, 0, "servo-bench")
+    path = plan_swings(BENCH, 300.0, 0, "servo-bench")
     t_s, h = np.linspace(55.0, 215.0, 40_001), 1e-5
     angle, rate, accel = path.angle(t_s)
     before, after = path.angle(t_s - h), path.angle(t_s + h)

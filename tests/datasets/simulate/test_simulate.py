@@ -13,7 +13,7 @@ from stillpoint.datasets.earth import declination_rad, magnetic_field_n_ut, norm
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import euler, rotation, slerp, wrap
 from stillpoint.datasets.simulate import PERFECT, PHONE, SIMULATIONS, simulate
-from stillpoint.datasets.simulate.phone import IN_HAND, LEVEL, SHAKEN, SLIDING, SLOW, TRIPOD, move, protocol
+from stillpoint.datasets.simulate.phone import IN_HAND, LEVEL, SHAKEN, SLIDING, SLOW, TRIPOD, draw_path, plan_rests
 
 HANDS = {
     "phone-1": SLIDING,
@@ -138,9 +138,9 @@ def test_the_moving_mask_is_the_time_outside_rests(kind, phones):
 def test_protocol_of_the_paper(minutes, seed, initial_s):
     if minutes * 60 < initial_s + 23:
         with pytest.raises(BadParameter, match="one swing"):
-            protocol(initial_s, minutes * 60, seed, "phone-3")
+            plan_rests(initial_s, minutes * 60, seed, "phone-3")
         return
-    rests = protocol(initial_s, minutes * 60, seed, "phone-3")
+    rests = plan_rests(initial_s, minutes * 60, seed, "phone-3")
     swings = rests[1:, 0] - rests[:-1, 1]
     lengths = rests[:, 1] - rests[:, 0]
     assert rests[0].tolist() == [0.0, initial_s]
@@ -156,7 +156,7 @@ def test_protocol_of_the_paper(minutes, seed, initial_s):
 def test_returns_are_as_good_as_a_hand(kind, hand):
     errors = []
     for seed in range(10):
-        path = move(hand, 600.0, seed, kind)
+        path = draw_path(hand, 600.0, seed, kind)
         at_rest = path.attitude(path.rests_s[:, 0] + 1.0)
         turns = (rotation(path.base_q_nb).inv() * at_rest).as_rotvec(degrees=True)
         assert np.abs(turns[0]).max() < 1e-12
@@ -178,7 +178,7 @@ def test_sliding_stays_flat_on_the_table(phones):
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(KINDS))
 def test_motion_stays_within_its_box(seed, kind):
     hand = HANDS[kind]
-    path = move(hand, 120.0, seed, kind)
+    path = draw_path(hand, 120.0, seed, kind)
     t = np.arange(0, 120, 0.01)
     assert (np.abs(np.rad2deg(path.turn_b_rad(t))) <= np.array(hand.turn_deg) + 1.2).all()
     place = rotation(path.base_q_nb).inv().apply(path.position(t))
@@ -203,7 +203,7 @@ def test_base_pose_is_to_true_north(phones):
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(KINDS))
 def test_every_swing_is_motion(seed, kind):
     """No swing may pass with the phone left in the base pose: half of it is some way off."""
-    path, far = move(HANDS[kind], 180.0, seed, kind), max(HANDS[kind].turn_deg)
+    path, far = draw_path(HANDS[kind], 180.0, seed, kind), max(HANDS[kind].turn_deg)
     for start, end in zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True):
         turn = np.rad2deg(np.linalg.norm(path.turn_b_rad(np.linspace(start, end, 500)), axis=1))
         assert np.median(turn) > min(10, far / 8)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stillpoint.datasets.settings import chosen
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.scripts.pages.ablation import VARIANTS, solved
@@ -18,7 +18,7 @@ def recording():
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
 def test_every_variant_differs_from_the_whole_in_settings_that_are_there(variant):
-    changed = chosen(HANDHELD, variant.settings, "graph") != HANDHELD
+    changed = choose_settings(HANDHELD, variant.settings, "graph") != HANDHELD
     others = not (variant.magnetometer and variant.returns and variant.optimised)
     assert (changed or others) == (variant.name != "everything")
 

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from stillpoint.datasets import SpinGeometry
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate import spin as simulated
-from stillpoint.datasets.simulate.spin_sensor import CONSTANT, noisy
+from stillpoint.datasets.simulate.spin_sensor import CONSTANT, make_white_noise
 from stillpoint.filters import estimate
 from stillpoint.smoother import reference
 from stillpoint.smoother.spin.once_per_turn import judged
@@ -21,7 +21,7 @@ from stillpoint.studies.papers.spin.study import settings_of
 KNOWN = RollGraphParams(
     calibration=RollCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
 )  # the simulated sensor has neither bias nor wrong arms: what is left is noise and vibration
-QUIET = noisy("quiet", 0.06, 0.06, 0.06)
+QUIET = make_white_noise("quiet", 0.06, 0.06, 0.06)
 K_S, K_A = -10 + 0j, 2 + 0j  # of the bench: -1/d1, 1/d2
 RATE = np.deg2rad(2020.0)
 
@@ -35,7 +35,7 @@ def shaken(seed, radial=0.0, tangential=0.0, tilt_deg=0.0, white=CONSTANT["white
         radial=replace(white.radial, vibration_1x_mps2=radial),
         tangential=replace(white.tangential, vibration_1x_mps2=tangential),
     )
-    return simulated.spinning("shaken", simulated.CONSTANT, sensor, seed, seconds / 60, 250.0)
+    return simulated.simulate_trial("shaken", simulated.CONSTANT, sensor, seed, seconds / 60, 250.0)
 
 
 def rate_errors(made, recording):
@@ -107,7 +107,7 @@ def test_scales_of_a_part_as_it_comes_count_in_the_angle():
     for tilt_deg in (30.0, 90.0):
         sensor = replace(CONSTANT["adxl345"], tilt_deg=tilt_deg)
         for seed in range(4):
-            recording = simulated.spinning("adxl345", simulated.CONSTANT, sensor, seed, 0.5, 250.0)
+            recording = simulated.simulate_trial("adxl345", simulated.CONSTANT, sensor, seed, 0.5, 250.0)
             made, truth = reference(recording), recording.roll_truth
             error = made.angle_rad - np.interp(made.t_ns, truth.t_ns, truth.angle_rad)
             error -= 2 * np.pi * np.round(np.median(error) / (2 * np.pi))
@@ -143,7 +143,7 @@ def test_where_one_channel_feels_gravity_it_is_not_tested():
     arms, axes = np.array([0.1 * y, 0.5 * y, -0.5 * y]), np.array([y, z, -z])
     scenario = replace(simulated.CONSTANT, geometry=SpinGeometry(arms, axes, np.empty((0, 3)), None, fixed_axis=True))
     sensor = replace(QUIET, name="level", tilt_deg=90.0)
-    recording = simulated.spinning("level", scenario, sensor, 1, 0.5, 250.0)
+    recording = simulated.simulate_trial("level", scenario, sensor, 1, 0.5, 250.0)
     found = reference(recording).diagnostics
     assert "cannot be tested" in found["once_per_turn_why"]
     assert "the angle drifts" in found["angle"]
