@@ -44,7 +44,7 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
 
 
 def check_floats(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Floats:
-    """Return a float64 column of the given shape, finite unless its stream allows NaN, or raise :class:`BadRecording`."""
+    """Return a float64 column of this shape, finite unless its stream allows NaN; raises :class:`BadRecording`."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise BadRecording(f"{owner}.{name}: has shape {array.shape}; its times ask for {shape}")

@@ -154,7 +154,7 @@ class SpinChannels:
 
 @dataclass(frozen=True, eq=False)
 class SpinSamples:
-    """The two observations at every sample of a :class:`Spin`; ``valid`` is False where an input is NaN or saturated."""
+    """Both observations at every sample of a :class:`Spin`; ``valid`` is False where an input is NaN or saturated."""
 
     omega_dot_radps2: Floats  # (N,)
     omega_squared_radps2: Floats  # (N,) rad^2/s^2, negative where noise is larger than the rate

@@ -9,7 +9,7 @@ from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.doctor.finding import Finding, Severity
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
-from stillpoint.datasets.spin import SpinChannels, channels, measure, find_saturated
+from stillpoint.datasets.spin import SpinChannels, channels, find_saturated, measure
 
 LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
 SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm

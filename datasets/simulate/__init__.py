@@ -1,4 +1,4 @@
-"""Recordings whose truth is known by construction: the path first, then what a sensor makes of it."""
+"""Simulate recordings whose truth is known by construction: first the path, then the sensors on it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -115,7 +115,7 @@ def simulate(
     rate_hz: float | None = None,
     sensor: Any | str | None = None,
 ) -> Recording:
-    """A recording of the simulation ``kind`` with its truth; the same arguments give the same bytes.
+    """Return a recording of the simulation ``kind`` with its truth; the same arguments give the same bytes.
 
     ``minutes``, ``rate_hz`` and ``sensor`` (a preset's name, such as ``"perfect"``, or an object of the presets' class)
     default to those of the simulation's table entry. Raises :class:`BadParameter`.

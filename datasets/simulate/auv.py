@@ -1,4 +1,4 @@
-"""The mission of paper 003: an underwater vehicle on the surface, then 600 s submerged, then on the surface again.
+"""Simulate the mission of Zia (2022): an underwater vehicle on the surface, 600 s submerged, and on the surface again.
 
 The body is forward-right-down. The vehicle sails along its x axis; waves roll, pitch and turn it, and throw it sideways
 and up, as strong on the surface as :class:`Sea` says and a share of that below. Attitude (roll, pitch, heading) and
@@ -19,9 +19,9 @@ from scipy.special import ndtr
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.measure import draw_sample_times
-from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
+from stillpoint.datasets.simulate.record import Order, Scene, record_path
 from stillpoint.datasets.simulate.satellites import GpsModel, measure_gps
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
@@ -49,7 +49,7 @@ SWAYING = ((1.0, 0.25),)
 
 @dataclass(frozen=True)
 class Sea:
-    """What waves do to the vehicle on the surface, and which share of it below."""
+    """The waves that move the vehicle on the surface, and the share of them that it feels below."""
 
     roll_deg: float = 6.0
     pitch_deg: float = 2.0
@@ -65,7 +65,7 @@ CALM = Sea(heave_mps2=0.0, sway_mps2=0.0)  # a long, low swell: it rolls the veh
 
 @dataclass(frozen=True)
 class DriftModel:
-    """A bias of the gyro that swings slowly, with the temperature of the unit: the same size on each axis."""
+    """A gyro bias that swings slowly with the temperature of the unit, of the same size on each axis."""
 
     bias_degph: float = 0.0  # plain value; its sign is drawn per axis
     swing: float = 0.0  # amplitude as a share of it
@@ -74,21 +74,21 @@ class DriftModel:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """That of one unit."""
+    """The drift drawn for one unit."""
 
     model: DriftModel
     sign: Floats  # (3,)
     phase_rad: Floats  # (3,)
 
     def bias_b_radps(self, t_s: Floats) -> Floats:
-        """The swinging bias at times (N,), (N, 3)."""
+        """Return the swinging bias (N, 3) at times (N,)."""
         swing = 1 + self.model.swing * np.sin(2 * np.pi * t_s[:, None] / self.model.period_s + self.phase_rad)
         return np.asarray(np.deg2rad(self.model.bias_degph / 3600) * self.sign * swing)
 
 
 @dataclass(frozen=True)
 class IronModel:
-    """Hard iron of the hull in body axes, uT: plain values, what no calibration of the sensor alone removes."""
+    """Hard iron of the hull in body axes, uT; no calibration of the sensor alone removes it."""
 
     x_ut: float = 0.0
     y_ut: float = 0.0
@@ -96,13 +96,13 @@ class IronModel:
 
     @property
     def hard_iron_b_ut(self) -> Floats:
-        """As a vector (3,)."""
+        """Return the hard iron as a vector (3,)."""
         return np.array([self.x_ut, self.y_ut, self.z_ut])
 
 
 @dataclass(frozen=True)
 class AuvSensor(Sensor):
-    """The sensors of a vehicle: those of any body, a drift of the gyro, the iron of the hull, a receiver."""
+    """The sensors of a vehicle: an IMU and a magnetometer with a gyro drift, the iron of the hull, and a receiver."""
 
     drift: DriftModel = field(default_factory=DriftModel)
     iron: IronModel = field(default_factory=IronModel)
@@ -127,7 +127,7 @@ AUV_SENSORS: dict[str, AuvSensor] = {sensor.name: sensor for sensor in (AUV, PER
 
 @dataclass(frozen=True)
 class Phases:
-    """When the vehicle leaves the surface, is down, comes up and is back, s from the start."""
+    """The times, in s from the start, at which the vehicle leaves the surface, is down, comes up and is back."""
 
     dive_s: float
     cruise_s: float
@@ -138,7 +138,7 @@ class Phases:
 
 @dataclass(frozen=True, eq=False)
 class Voyage:
-    """The true motion: splines of time with exact derivatives; :class:`stillpoint.datasets.simulate.path.Motion`."""
+    """The true motion as splines with exact derivatives; a :class:`stillpoint.datasets.simulate.path.Motion`."""
 
     euler_ned_rad: BSpline  # roll, pitch, heading
     velocity_n_mps: BSpline
@@ -151,7 +151,7 @@ class Voyage:
 
     @property
     def rests_s(self) -> Floats:
-        """None: the sea is never still."""
+        """Return no rest: the sea is never still."""
         return np.empty((0, 2))
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
@@ -159,16 +159,16 @@ class Voyage:
         return rotation(from_euler(self.euler_ned_rad(np.asarray(t_s)), "ned"))
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
-        """Rotation vectors (N - 1, 3) that take the attitude at each of the times (N,) to that at the next, exactly."""
+        """Return the exact rotation vectors (N - 1, 3) from the attitude at each time to that at the next."""
         attitude = self.attitude(t_s)
         return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec())
 
     def position(self, t_s: ArrayLike) -> Floats:
-        """Position in n (N, 3) in m, from where the mission begins."""
+        """Return the position in n (N, 3) in m, from the start of the mission."""
         return np.asarray(self._position(np.asarray(t_s)) - self._position(0.0))
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
-        """Derivative of the velocity in n, (N, 3)."""
+        """Return the derivative of the velocity in n, (N, 3)."""
         return np.asarray(self._acceleration(np.asarray(t_s)))
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
@@ -206,7 +206,7 @@ def simulate_mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes:
 
 
 def plan_phases(total_s: float, kind: str) -> Phases:
-    """The mission of this length: all but the cruise always takes as long. Raises :class:`BadParameter`."""
+    """Return the phases of a mission of this length: only the cruise changes with it. Raises :class:`BadParameter`."""
     cruise_s = total_s - 2 * (SURFACE_S + DIVE_S)
     if cruise_s < SHORTEST_CRUISE_S:
         shortest = (total_s - cruise_s + SHORTEST_CRUISE_S) / 60
@@ -216,7 +216,7 @@ def plan_phases(total_s: float, kind: str) -> Phases:
 
 
 def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
-    """The path of one mission; the ascent is as steep as brings the vehicle back to the surface."""
+    """Return the path of one mission; the ascent is as steep as brings the vehicle back to the surface."""
     t = np.arange(-MARGIN_S, when.end_s + MARGIN_S, 1 / KNOTS_HZ)
 
     def voyage(ascent_pitch_deg: float) -> Voyage:
@@ -232,7 +232,7 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
 
 
 def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
-    """Roll, pitch, heading (N, 3) in North-East-Down."""
+    """Return roll, pitch, heading (N, 3) in North-East-Down."""
     rough = roughness(sea, when, t_s)
     roll = rough * sea.roll_deg * sum_waves(ROLLING, t_s, seed, "roll")
     pitch = rough * sea.pitch_deg * sum_waves(PITCHING, t_s, seed, "pitch")
@@ -245,7 +245,7 @@ def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, 
 
 
 def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
-    """Velocity in n (N, 3): along the body's x axis, and what the waves add across the heading and upwards."""
+    """Return the velocity in n (N, 3): along the body's x axis, plus the waves across the heading and upwards."""
     _, pitch, heading = euler_rad.T
     below = smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
     speed = SPEED_MPS[0] + (SPEED_MPS[1] - SPEED_MPS[0]) * below
@@ -260,17 +260,17 @@ def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int
 
 
 def roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
-    """How much of the waves is felt: 1 on the surface."""
+    """Return the share of the waves that the vehicle feels: 1 on the surface."""
     return 1 - (1 - sea.share_below) * smooth_window(when.dive_s, when.surfaced_s, t_s, 5.0)
 
 
 def smooth_window(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
-    """1 between two times, 0 outside, with the edges of a normal distribution of this sd."""
+    """Return 1 between two times and 0 outside, with the edges of a normal distribution of this sd."""
     return np.asarray(ndtr((t_s - start_s) / soft_s) - ndtr((t_s - end_s) / soft_s))
 
 
 def sum_waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: int, name: str) -> Floats:
-    """The sum of sines with these shares and frequencies (Hz), each with its own phase."""
+    """Return the sum of sines with these shares and frequencies (Hz), each with its own phase."""
     angles = make_generator(seed, f"auv/{name}").uniform(0, 2 * np.pi, len(components))
     parts = [
         share * np.sin(2 * np.pi * hz * t_s + angle) for (share, hz), angle in zip(components, angles, strict=True)
@@ -279,6 +279,6 @@ def sum_waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: in
 
 
 def draw_drift(model: DriftModel, seed: int) -> Drift:
-    """The drift of one unit."""
+    """Draw the gyro drift of one unit."""
     rng = make_generator(seed, "gyro/drift")
     return Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))

@@ -1,4 +1,4 @@
-"""What a sensor records of a path: ideal samples, then the sensor's errors, each from its own random numbers."""
+"""Simulate what sensors record of a path: ideal samples, then each sensor's errors from its own random numbers."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.recording import Floats, Imu, Mag, Times, Truth
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.path import Motion
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel
 
@@ -18,7 +18,7 @@ ALLAN_TOP = 0.6178  # largest Allan deviation of a first-order Gauss-Markov proc
 
 @dataclass(frozen=True)
 class World:
-    """What is the same everywhere along a path."""
+    """The gravity and field that are the same everywhere along a path."""
 
     start_ns: int  # of the path's time 0
     gravity_mps2: float
@@ -27,7 +27,7 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """When one sensor sampled: its true instants, from the start of the path, and the stamps it gave them."""
+    """The true sampling instants of one sensor, from the start of the path, and the stamps that it gave them."""
 
     true_ns: Times  # (N,)
     stamp_ns: Times  # (N,)
@@ -35,18 +35,18 @@ class Samples:
 
     @property
     def t_s(self) -> Floats:
-        """The true instants (N,) in s."""
+        """Return the true instants (N,) in s."""
         return self.true_ns / 1e9
 
     @property
     def step_s(self) -> float:
-        """The step between samples."""
+        """Return the step between samples in s."""
         return self.step_ns / 1e9
 
 
 @dataclass(frozen=True)
 class Axes:
-    """The errors that gyro, accelerometer and magnetometer have alike, in SI units (uT for the magnetometer)."""
+    """The errors that gyro, accelerometer and magnetometer have in common, in SI units (uT for the magnetometer)."""
 
     noise_density: float  # per sqrt(Hz)
     bias: float  # sd
@@ -61,7 +61,7 @@ class Axes:
 
 
 def draw_sample_times(path: Motion, clock: ClockModel, rate_hz: float, world: World, seed: int, name: str) -> Samples:
-    """Sampling instants from one step after the start of the path to its end."""
+    """Return the sampling instants from one step after the start of the path to its end."""
     true_rate_hz = rate_hz * (1 + clock.rate_error * make_generator(seed, f"{name}/rate").standard_normal())
     step_ns = round(1e9 / true_rate_hz)
     first_ns = step_ns + int(step_ns * make_generator(seed, f"{name}/phase").random())
@@ -78,7 +78,9 @@ def draw_sample_times(path: Motion, clock: ClockModel, rate_hz: float, world: Wo
 def measure_imu(
     path: Motion, gyro: GyroModel, accel: AccelModel, at: Samples, world: World, seed: int
 ) -> tuple[Imu, dict[str, Any]]:
-    """Gyro and accelerometer samples, and what was drawn for this unit. The IMU sits at the origin of the body."""
+    """Return gyro and accelerometer samples, and the errors drawn for this unit. The IMU sits at the origin of the
+    body.
+    """
     instants = np.concatenate([[at.true_ns[0] - at.step_ns], at.true_ns]) / 1e9 - gyro.lag_s
     rate = path.steps_b_rad(instants) / at.step_s
     response = make_generator(seed, "gyro/g-sensitivity").standard_normal((3, 3)) * np.deg2rad(
@@ -117,13 +119,13 @@ def measure_imu(
 
 
 def specific_force_b(path: Motion, t_s: Floats, world: World) -> Floats:
-    """What a perfect accelerometer at the origin of the body feels, (N, 3) in m/s^2."""
+    """Return the specific force (N, 3) in m/s^2 at the origin of the body."""
     force_n = path.acceleration_n_mps2(t_s) + np.array([0.0, 0.0, world.gravity_mps2])
     return np.asarray(path.attitude(t_s).inv().apply(force_n))
 
 
 def measure_mag(path: Motion, mag: MagModel, at: Samples, world: World, seed: int) -> tuple[Mag, dict[str, Any]]:
-    """Magnetometer samples, and what was drawn for this unit."""
+    """Return magnetometer samples, and the errors drawn for this unit."""
     t = at.t_s - mag.lag_s
     field_b = path.attitude(t).inv().apply(world.field_n_ut + draw_field_disturbances_n_ut(path, mag, t, seed))
     elements = make_generator(seed, "mag/soft-iron").standard_normal((3, 3)) * mag.soft_iron
@@ -141,7 +143,9 @@ def measure_mag(path: Motion, mag: MagModel, at: Samples, world: World, seed: in
 
 
 def draw_field_disturbances_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed: int) -> Floats:
-    """Disturbances of the field in n (N, 3): bell curves in time, while the phone moves and passes what makes them."""
+    """Return disturbances of the field in n (N, 3): bell curves in time, as the phone passes magnetic objects in
+    motion.
+    """
     disturbance = np.zeros((len(t_s), 3))
     for swing, (start, end) in enumerate(zip(path.rests_s[:-1, 1], path.rests_s[1:, 0], strict=True)):
         rng = make_generator(seed, f"mag/passings/{swing}")
@@ -154,7 +158,7 @@ def draw_field_disturbances_n_ut(path: Motion, mag: MagModel, t_s: Floats, seed:
 
 
 def add_sensor_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name: str) -> tuple[Floats, dict[str, Any]]:
-    """Scale, misalignment, bias, noise, its wandering and warming, range and steps of the converter, in this order.
+    """Add scale, misalignment, bias, noise, bias instability, warming, range and quantisation, in this order.
 
     ``ideal`` are the samples (N, 3) of a perfect sensor. Returns what is recorded and the drawn constants in SI units,
     with the number of samples at the limit of the range.
@@ -183,7 +187,7 @@ def add_sensor_errors(ideal: Floats, axes: Axes, step_s: float, seed: int, name:
 
 
 def draw_gauss_markov(sd: float, time_s: float, step_s: float, count: int, seed: int, name: str) -> Floats:
-    """A first-order Gauss-Markov process (count, 3), stationary from its first sample."""
+    """Draw a first-order Gauss-Markov process (count, 3) that is stationary from its first sample."""
     rng = make_generator(seed, f"{name}/wandering")
     keep = np.exp(-step_s / time_s)
     first = rng.standard_normal(3) * sd
@@ -193,7 +197,7 @@ def draw_gauss_markov(sd: float, time_s: float, step_s: float, count: int, seed:
 
 
 def sample_truth(path: Motion, at: Samples, world: World) -> Truth:
-    """The truth at the true instants of a sensor's samples."""
+    """Return the truth at the true instants of a sensor's samples."""
     return Truth(
         world.start_ns + at.true_ns, quaternion(path.attitude(at.t_s)), path.moving(at.t_s), path.position(at.t_s)
     )

@@ -1,4 +1,4 @@
-"""The true motion: attitude and position as polynomials of time, whose derivatives are exact.
+"""Describe a true motion: attitude and position as polynomials of time, whose derivatives are exact.
 
 Both are chains of strokes. A stroke takes a coordinate from one value to the next along the polynomial of degree five
 that starts and ends with zero velocity and acceleration, the minimum-jerk movement of the human arm (Flash and Hogan,
@@ -19,7 +19,7 @@ from stillpoint.datasets.recording import Floats
 
 
 class Motion(Protocol):
-    """What a sensor asks of a true motion; times (N,) are seconds from its start."""
+    """The quantities of a true motion that sensors measure; times (N,) are seconds from its start."""
 
     @property
     def duration_s(self) -> float:
@@ -46,7 +46,7 @@ class Motion(Protocol):
 
 
 def join_strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:
-    """The chain of strokes through ``values`` (K, d) at rising ``times_s`` (K,)."""
+    """Return the chain of minimum-jerk strokes through ``values`` (K, d) at rising ``times_s`` (K,)."""
     points = np.asarray(values, dtype=np.float64)
     start, end = points[:-1], points[1:]
     # In Bernstein form three equal coefficients at an end mean zero first and second derivative there.
@@ -71,11 +71,13 @@ class Path:
         return float(self.rests_s[-1, 1])
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
-        """Body to n at times (N,)."""
+        """Return the rotation from body to n at times (N,)."""
         return rotation(self.base_q_nb) * Rotation.from_rotvec(self.turn_b_rad(self._within(t_s)))
 
     def rate_b_radps(self, t_s: ArrayLike) -> Floats:
-        """Angular rate of the body in n, in body axes, (N, 3): the right Jacobian of exp times the turn's rate."""
+        """Return the angular rate of the body in n, in body axes, (N, 3): the right Jacobian of exp times the turn's
+        rate.
+        """
         t = self._within(t_s)
         turn, turn_rate = self.turn_b_rad(t), self._turn_rate(t)
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
@@ -87,7 +89,7 @@ class Path:
         return np.asarray(turn_rate - first * crossed + second * np.cross(turn, crossed))
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
-        """Rotation vectors (N - 1, 3) that take the attitude at each of the times (N,) to that at the next, exactly.
+        """Return the exact rotation vectors (N - 1, 3) from the attitude at each time to that at the next.
 
         Over their time these are the samples of a perfect integrating gyro, coning included.
         """
@@ -95,17 +97,17 @@ class Path:
         return np.asarray((attitude[:-1].inv() * attitude[1:]).as_rotvec())
 
     def position(self, t_s: ArrayLike) -> Floats:
-        """Position in n, (N, 3) in m."""
+        """Return the position in n, (N, 3) in m."""
         t = self._within(t_s)
         return np.sum([chain(t) for chain in self.place_n_m], axis=0)
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
-        """Second derivative of the position in n, (N, 3)."""
+        """Return the second derivative of the position in n, (N, 3)."""
         t = self._within(t_s)
         return np.sum([chain(t) for chain in self._accelerations], axis=0)
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
-        """Whether a time (N,) lies outside all rests."""
+        """Return whether each time (N,) lies outside all rests."""
         t = self._within(t_s)
         rest = np.maximum(np.searchsorted(self.rests_s[:, 0], t, side="right") - 1, 0)
         return np.asarray(t > self.rests_s[rest, 1])

@@ -1,4 +1,4 @@
-"""The three experiments of paper 002: a phone that rests in a base pose, moves, and comes back every 20-30 s."""
+"""Simulate the experiments of Elmi Aziz and Mohseni Araste (2021): a phone that returns to its base pose."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -10,9 +10,9 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.path import Path, join_strokes
-from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
+from stillpoint.datasets.simulate.record import Order, Scene, record_path
 from stillpoint.datasets.simulate.sensor import Sensor
 
 # The north of Tehran, where the paper was written, on the day on which the journal received it.
@@ -27,7 +27,7 @@ SHORTEST_REACH_S = 0.06
 
 @dataclass(frozen=True)
 class Hand:
-    """How the phone is moved: strokes to turns and places drawn from a box around the base pose, and jolts on the way.
+    """How a hand moves the phone: strokes to turns and places drawn from a box around the base pose, with jolts.
 
     Triples are for the axes of the base pose. Peak rate and peak acceleration of a stroke are drawn between the two
     given values, their logarithm uniform; they set how long the stroke takes. Jolts are small, short strokes on top of
@@ -100,7 +100,7 @@ def simulate_experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minute
 
 
 def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
-    """The path of one experiment: rest, then swings that end in the base pose."""
+    """Return the path of one experiment: a rest, then swings that end in the base pose."""
     rests = plan_rests(hand.initial_rest_s, total_s, seed, kind)
     turn_box, reach_box = np.deg2rad(hand.turn_deg), np.asarray(hand.reach_m)
     turn_s = partial(_turn_s, np.deg2rad(hand.peak_rate_degps))
@@ -124,7 +124,7 @@ def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
 
 
 def plan_rests(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
-    """Rests (R, 2) in s: the first, and one after each swing of 20-30 s; what fills no swing lengthens the last."""
+    """Return the rests (R, 2) in s: one at first, then one after each swing of 20-30 s; the last takes the time left."""
     rng = make_generator(seed, f"{kind}/protocol")
     rests = [[0.0, initial_rest_s]]
     while total_s - rests[-1][1] >= SWING_S[0] + RETURN_S[0]:
@@ -148,7 +148,7 @@ def _swing(
     stroke_s: Callable[[Floats, float], float],
     rng: np.random.Generator,
 ) -> list[tuple[float, Floats]]:
-    """Ends of the strokes of one swing, which leaves from ``value`` and is ``home`` at the end of its span.
+    """Return the ends of the strokes of one swing, which leaves from ``value`` and is ``home`` at the end of its span.
 
     ``stroke_s(way, speed)`` is how long a stroke takes; ``speed`` in [0, 1] is from the slowest to the fastest. Strokes
     follow one another until not even a fast one fits. The way home is slow, as a hand is that puts something down.
@@ -165,13 +165,15 @@ def _swing(
 
 
 def _turn_s(rate_radps: Floats, way_rad: Floats, speed: float) -> float:
-    """A stroke of a minimum-jerk turn peaks at 15/8 of its mean rate."""
+    """Return the time of a minimum-jerk turn, whose rate peaks at 15/8 of its mean."""
     slowest, fastest = rate_radps
     return max(SHORTEST_TURN_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
 
 
 def _reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> float:
-    """The acceleration of a minimum-jerk stroke peaks at 10/sqrt(3) of its way over its time squared."""
+    """Return the time of a minimum-jerk stroke, whose acceleration peaks at 10/sqrt(3) of its way over its time
+    squared.
+    """
     slowest, fastest = accel_mps2
     peak = slowest ** (1 - speed) * fastest**speed
     return max(SHORTEST_REACH_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))

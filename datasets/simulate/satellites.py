@@ -1,4 +1,4 @@
-"""What a satellite receiver reports of a motion: position, course and speed, and nothing under water."""
+"""Simulate a satellite receiver: position, course and speed, and no fix under water."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.earth import Place, geodetic
 from stillpoint.datasets.recording import Floats, Gps
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.measure import Samples, draw_gauss_markov
 from stillpoint.datasets.simulate.path import Motion
 
 
 @dataclass(frozen=True)
 class GpsModel:
-    """A receiver and its antenna. Course and speed come from the measured velocity, so a slow course is a poor one."""
+    """A receiver and its antenna. Course and speed come from the measured velocity, so a slow course is inaccurate."""
 
     position_sd_m: float = 0.0  # of each component; wanders (first-order Gauss-Markov)
     position_time_s: float = 60.0  # its correlation time
@@ -24,7 +24,7 @@ class GpsModel:
 
 
 def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: int) -> Gps:
-    """Fixes of a path whose n has its zero at ``origin``; under water they are not valid and hold NaN."""
+    """Return the fixes of a path whose n has its zero at ``origin``; under water they are not valid and hold NaN."""
     place_n, velocity_n = path.position(at.t_s), velocity_n_mps(path, at.t_s)
     rng = make_generator(seed, "gps/velocity")
     velocity_n[:, :2] += rng.standard_normal((len(place_n), 2)) * gps.velocity_sd_mps
@@ -38,13 +38,13 @@ def measure_gps(path: Motion, gps: GpsModel, at: Samples, origin: Place, seed: i
 
 
 def velocity_n_mps(path: Motion, t_s: Floats) -> Floats:
-    """Velocity (N, 3): the central difference of the position over 2 ms, exact to 1e-6 m/s for what floats."""
+    """Return the velocity (N, 3): the central difference of the position over 2 ms, exact to 1e-6 m/s."""
     half_s = 1e-3
     return (path.position(t_s + half_s) - path.position(t_s - half_s)) / (2 * half_s)
 
 
 def receives(up_m: Floats, gps: GpsModel, step_s: float) -> NDArray[np.bool_]:
-    """Whether there is a fix at each of the times (N,): above water, and for long enough since the last time below."""
+    """Return whether there is a fix at each of the times (N,): above water, and for long enough since surfacing."""
     covered = up_m < -gps.covered_below_m
     row = np.arange(len(up_m))
     last_covered = np.maximum.accumulate(np.where(covered, row, -1))

@@ -1,4 +1,4 @@
-"""MEMS sensors as their data sheets describe them, and presets.
+"""Describe MEMS sensors as their data sheets do, with presets.
 
 Every parameter that differs from unit to unit, or from one switching-on to the next, is given as one standard
 deviation per axis and drawn once per recording; the rest are plain values. Earth's rotation (0.004 deg/s) is left out:
@@ -14,7 +14,7 @@ from stillpoint.datasets.errors import BadParameter
 
 @dataclass(frozen=True)
 class GyroModel:
-    """Angular rate."""
+    """The errors of a gyro."""
 
     noise_density_degps_rthz: float = 0.0  # white noise, deg/s per sqrt(Hz)
     bias_instability_degph: float = 0.0  # top of the Allan deviation of the wandering bias, deg/h
@@ -32,7 +32,7 @@ class GyroModel:
 
 @dataclass(frozen=True)
 class AccelModel:
-    """Specific force."""
+    """The errors of an accelerometer."""
 
     noise_density_ug_rthz: float = 0.0  # white noise, 1e-6 g per sqrt(Hz)
     bias_instability_ug: float = 0.0  # as for the gyro
@@ -49,7 +49,7 @@ class AccelModel:
 
 @dataclass(frozen=True)
 class MagModel:
-    """Magnetic field, after whatever calibration the phone has done: iron is what that left over."""
+    """The errors of a magnetometer that remain after the phone's own calibration."""
 
     noise_density_ut_rthz: float = 0.0  # white noise, uT per sqrt(Hz)
     hard_iron_ut: float = 0.0  # sd
@@ -66,7 +66,7 @@ class MagModel:
 
 @dataclass(frozen=True)
 class ClockModel:
-    """How the stamps of a stream come about."""
+    """The errors of a stream's stamps."""
 
     rate_error: float = 0.0  # sd, fraction: the sensor samples a little faster or slower than asked (stamps show it)
     jitter_s: float = 0.0  # sd of each stamp about its true instant
@@ -75,7 +75,7 @@ class ClockModel:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Everything between the true motion and the recorded numbers."""
+    """All errors between the true motion and the recorded numbers."""
 
     name: str
     gyro: GyroModel = field(default_factory=GyroModel)

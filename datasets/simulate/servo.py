@@ -1,4 +1,4 @@
-"""The bench of paper 004: an MPU6050 and an HMC5883L on a servo platform that swings by +-90 deg about one axis.
+"""Simulate the bench of Byambajav et al.: an MPU6050 and an HMC5883L on a servo platform that swings +-90 deg.
 
 After a minute of rest, swings at a low and at a high rate alternate, with rests between. A swing is harmonic; over its
 first and last period its amplitude rises and falls as a minimum-jerk movement does. Angle, rate and acceleration are in
@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import from_euler, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.path import join_strokes
-from stillpoint.datasets.simulate.recorded import Order, Scene, record_path
+from stillpoint.datasets.simulate.record import Order, Scene, record_path
 from stillpoint.datasets.simulate.sensor import PERFECT, AccelModel, ClockModel, GyroModel, MagModel, Sensor
 
 # Where the paper was written; it has no date.
@@ -91,7 +91,7 @@ BENCH = Bench()
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """The true motion: angle about body x from the home attitude; :class:`stillpoint.datasets.simulate.path.Motion`."""
+    """The true motion: the angle about body x; a :class:`stillpoint.datasets.simulate.path.Motion`."""
 
     home_q_nb: Floats  # (4,)
     rests_s: Floats  # (R, 2); swing k lies between the rests k and k + 1
@@ -107,7 +107,7 @@ class Swings:
         return float(self.rests_s[-1, 1])
 
     def angle(self, t_s: ArrayLike) -> tuple[Floats, Floats, Floats]:
-        """Angle (N,), rate and angular acceleration about body x at times (N,)."""
+        """Return angle (N,), rate and angular acceleration about body x at times (N,)."""
         t = np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)
         rest = np.maximum(np.searchsorted(self.rests_s[:, 0], t, side="right") - 1, 0)
         swing = np.minimum(rest, len(self.rates_hz) - 1)
@@ -133,15 +133,15 @@ class Swings:
         return rotation(self.home_q_nb) * Rotation.from_rotvec(angle[:, None] * [1.0, 0.0, 0.0])
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
-        """Rotation vectors (N - 1, 3) from the attitude at each of the times (N,) to that at the next."""
+        """Return rotation vectors (N - 1, 3) from the attitude at each of the times (N,) to that at the next."""
         return np.diff(self.angle(t_s)[0])[:, None] * np.array([1.0, 0.0, 0.0])
 
     def position(self, t_s: ArrayLike) -> Floats:
-        """Position of the board in n, (N, 3) in m, from a point on the axis."""
+        """Return the position of the board in n, (N, 3) in m, from a point on the axis."""
         return np.asarray(self.attitude(t_s).apply(self.lever_b_m) + self.shake_n_m(np.atleast_1d(t_s)))
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
-        """Its second derivative, (N, 3)."""
+        """Return the second derivative of the position, (N, 3)."""
         _, rate, accel = (np.atleast_1d(part) for part in self.angle(t_s))
         across = np.cross([1.0, 0.0, 0.0], self.lever_b_m)
         inward = np.cross([1.0, 0.0, 0.0], across)
@@ -149,14 +149,14 @@ class Swings:
         return np.asarray(self.attitude(t_s).apply(accel_b) + self.shake_n_m.derivative(2)(np.atleast_1d(t_s)))
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
-        """Whether a time (N,) lies outside all rests."""
+        """Return whether each time (N,) lies outside all rests."""
         t = np.asarray(t_s, dtype=np.float64)
         rest = np.maximum(np.searchsorted(self.rests_s[:, 0], t, side="right") - 1, 0)
         return np.asarray(t > self.rests_s[rest, 1])
 
 
 def evaluate_minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
-    """The stroke from 0 to 1 and its first two derivatives; still before 0 and after 1."""
+    """Return the stroke from 0 to 1 and its first two derivatives; it is still before 0 and after 1."""
     u = np.clip(share, 0.0, 1.0)
     value = u**3 * (10 + u * (6 * u - 15))
     return value, 30 * (u * (1 - u)) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
@@ -173,7 +173,7 @@ def simulate_experiment(
 
 
 def plan_swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
-    """A rest, then swings and rests; what fills no swing lengthens the last rest."""
+    """Return a rest, then swings and rests; time left over lengthens the last rest."""
     rests, rates = [[0.0, bench.first_rest_s]], []
     for rate_hz in cycle((bench.low_hz, bench.high_hz)):
         start = rests[-1][1] + bench.swing_s(rate_hz)
@@ -201,7 +201,7 @@ def plan_swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
 
 
 def add_servo_steps(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:
-    """Small strokes at every step of the servo's controller, the larger the faster it turns; none at rest."""
+    """Return small strokes at every step of the servo's controller, larger at higher rates and none at rest."""
     times = np.arange(0.0, path.duration_s, bench.step_s)
     rate_degps = np.rad2deg(np.abs(path.angle(times)[1]))
     size = (

@@ -1,4 +1,6 @@
-"""``spin-constant``, ``spin-variable`` and ``spin-flight``: what paper 000's bench and projectile would record."""
+"""Simulate ``spin-constant``, ``spin-variable`` and ``spin-flight``: the bench and projectile of Asghari et al.
+(2018).
+"""
 
 import json
 from dataclasses import asdict, dataclass, replace
@@ -8,7 +10,7 @@ import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Encoder, Floats, Info, Recording, Spin, SpinGeometry, Times
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 from stillpoint.datasets.simulate.spin_path import (
     Flight,
     Motor,
@@ -26,7 +28,7 @@ from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, find_saturated,
 
 @dataclass(frozen=True)
 class Scenario:
-    """What spins, and what sits on it."""
+    """A spinning body and the sensors on it."""
 
     motor: Motor
     geometry: SpinGeometry
@@ -40,7 +42,7 @@ FLIGHT = Scenario(Motor(decaying_spin, ripple_degps=0.0, once_per_turn_degps=0.0
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What the body does at the instants of the samples."""
+    """The motion of the body at the sampling instants."""
 
     t_s: Floats  # (N,)
     angle_rad: Floats  # (N,) about x
@@ -90,7 +92,7 @@ def _motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) ->
 
 
 def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
-    """What holds a tilted shaft against gravity, in b (N, 3); at angle 0 the body's z axis points up most."""
+    """Return the specific force (N, 3) in b that holds a tilted shaft; at angle 0 the body's z axis points up most."""
     across = np.sin(tilt_rad)
     up = [np.full(len(angle_rad), np.cos(tilt_rad)), across * np.sin(angle_rad), across * np.cos(angle_rad)]
     return np.asarray(STANDARD_GRAVITY_MPS2 * np.column_stack(up))
@@ -99,7 +101,7 @@ def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
 def _spin(
     geometry: SpinGeometry, motion: Motion, sensor: SpinSensor, t_ns: Times, seed: int
 ) -> tuple[Spin, dict[str, Any], tuple[str, ...]]:
-    """What reaches the computer, what was drawn, and what there is to say about it."""
+    """Return the recorded stream, the errors drawn, and notes on both."""
     count = len(geometry.accel_r_b_m)
     parts = [sensor.centre] * (count - 2) + [sensor.radial, sensor.tangential]  # F4 and F5 are the last two
     made = [
@@ -123,7 +125,7 @@ def _spin(
 def _accelerometer(
     part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: Motion, sensor: SpinSensor, seed: int, name: str
 ) -> tuple[Floats, dict[str, float]]:
-    """Samples (N,) with all their errors, and what was drawn."""
+    """Return samples (N,) with all their errors, and the errors drawn."""
     sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * STANDARD_GRAVITY_MPS2 / 1e3}
     error = {what: make_generator(seed, f"spin/{name}/{what}").standard_normal() * size for what, size in sizes.items()}
     arm = stated_arm_m * (1 + error["arm"])
@@ -141,14 +143,14 @@ def _accelerometer(
 
 
 def _shaking(part: SpinAccel, motion: Motion, seed: int, name: str) -> Floats:
-    """What the motor shakes it with (N,), with a phase of its own."""
+    """Return the vibration of the motor (N,), with a random phase."""
     phases = make_generator(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
     once, twice = np.sqrt(2) * part.vibration_1x_mps2, np.sqrt(2) * part.vibration_2x_mps2
     return np.asarray(once * np.sin(motion.angle_rad + phases[0]) + twice * np.sin(2 * motion.angle_rad + phases[1]))
 
 
 def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, Floats]:
-    """How many samples are spoilt, and by how much each (N,) in m/s^2.
+    """Return the number of glitches, and the size of each sample's glitch (N,) in m/s^2.
 
     One at a random instant of each stretch of 1 / rate: no recording of the paper's length is without any.
     """
@@ -165,14 +167,14 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
 
 
 def _gyros(axes: Floats, motion: Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
-    """Samples (N, m) of the gyros at the instants of the stamps, and their biases."""
+    """Return samples (N, m) of the gyros at the instants of the stamps, and their biases."""
     bias = np.deg2rad(sensor.gyro_bias_degps) * make_generator(seed, "spin/gyro/bias").standard_normal(len(axes))
     noise = make_generator(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))
     return motion.rate_radps @ axes.T + bias + np.deg2rad(sensor.gyro_noise_degps) * noise, bias.tolist()
 
 
 def _encoder(path: SpinPath, model: EncoderModel, t_ns: Times) -> Encoder:
-    """Counted angle, and the rate between the last edges of this sample and the one before, by the timer.
+    """Return the counted angle, and the rate between the last edges of this sample and the one before, by the timer.
 
     The first rate is that of the second sample.
     """

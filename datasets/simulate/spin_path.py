@@ -1,4 +1,4 @@
-"""The true motion of a spinning body: angle, rate and acceleration about its axis, exact derivatives of one another.
+"""Describe the true motion of a spinning body: angle, rate and acceleration as exact derivatives of one another.
 
 The drive's rate is a spline; the shaft follows it with a ripple once per turn: angle = drive + e sin(drive + phase).
 In flight the axis cones: the rates about y and z turn with the drive, and the centre is braked.
@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 from scipy.signal import lfilter
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.datasets.simulate.draws import make_generator
+from stillpoint.datasets.simulate.generators import make_generator
 
 KNOT_S = 0.02  # between the knots of the drive's rate
 RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its stated size
@@ -20,7 +20,7 @@ RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its 
 
 @dataclass(frozen=True)
 class Motor:
-    """How a shaft is driven."""
+    """The rate profile of a driven shaft."""
 
     speed_degps: Callable[[Floats], Floats]  # at times in s
     ripple_degps: float  # standard deviation of the controller's slow wandering
@@ -30,7 +30,7 @@ class Motor:
 
 @dataclass(frozen=True)
 class Flight:
-    """What a flying body does beside its spin; in free flight no accelerometer feels gravity."""
+    """The motion of a flying body beside its spin; in free flight no accelerometer measures gravity."""
 
     coning_degps: float = 100.0  # size of the rate across the axis, at first
     coning_ratio: float = 0.9  # turns of that rate in the body, per turn of the body
@@ -48,39 +48,39 @@ class SpinPath:
     phase_rad: float
 
     def angle_rad(self, t_s: Floats) -> Floats:
-        """The body's angle (N,) about its axis, unwrapped, 0 at time 0."""
+        """Return the body's angle (N,) about its axis, unwrapped, 0 at time 0."""
         drive = self.drive_rad(t_s)
         return np.asarray(drive + self.ripple * (np.sin(drive + self.phase_rad) - np.sin(self.phase_rad)))
 
     def rate_radps(self, t_s: Floats) -> Floats:
-        """Its derivative (N,)."""
+        """Return the derivative of the angle (N,)."""
         return np.asarray(self.drive_rad(t_s, 1) * (1 + self.ripple * np.cos(self.drive_rad(t_s) + self.phase_rad)))
 
     def accel_radps2(self, t_s: Floats) -> Floats:
-        """The derivative of the rate (N,)."""
+        """Return the derivative of the rate (N,)."""
         at, drive_radps = self.drive_rad(t_s) + self.phase_rad, self.drive_rad(t_s, 1)
         changing = self.drive_rad(t_s, 2) * (1 + self.ripple * np.cos(at))
         return np.asarray(changing - drive_radps**2 * self.ripple * np.sin(at))
 
 
 def constant_motor(t_s: Floats) -> Floats:
-    """Paper 000, section 4.1: 2020 deg/s."""
+    """Return the constant speed of Asghari et al. (2018), section 4.1: 2020 deg/s."""
     return np.full(len(t_s), 2020.0)
 
 
 def variable_motor(t_s: Floats) -> Floats:
-    """Slow changes between 1500 and 2100 deg/s, as in figure 18; after 60 s the profile runs back, and so on."""
+    """Return slow changes between 1500 and 2100 deg/s, as in figure 18; after 60 s the profile runs back, and so on."""
     known = PchipInterpolator([0, 8, 18, 26, 38, 48, 60], [1550, 1550, 2080, 2080, 1520, 1900, 1900])
     return np.asarray(known(60 - np.abs(np.mod(t_s, 120) - 60)))
 
 
 def decaying_spin(t_s: Floats) -> Floats:
-    """A projectile whose spin air slows: 2050 deg/s, half of it lost in 90 s."""
+    """Return the spin of a projectile that air slows: 2050 deg/s, half of it lost in 90 s."""
     return np.asarray(2050 * 0.5 ** (t_s / 90))
 
 
 def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
-    """The path of a motor, or of a body that air slows."""
+    """Return the path of a motor, or of a body that air slows."""
     knots_s = np.arange(int(np.ceil(length_s / KNOT_S)) + 5) * KNOT_S - 2 * KNOT_S
     speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
         motor.ripple_s, len(knots_s), seed
@@ -92,7 +92,7 @@ def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
 
 
 def _wandering(time_s: float, count: int, seed: int) -> Floats:
-    """White noise through two first-order lags, of unit standard deviation in the long run."""
+    """Return white noise through two first-order lags, of unit standard deviation in the long run."""
     keep = np.exp(-KNOT_S / time_s)
     settle = int(10 * time_s / KNOT_S)
     noise = make_generator(seed, "spin/ripple").standard_normal(settle + count)
@@ -101,7 +101,7 @@ def _wandering(time_s: float, count: int, seed: int) -> Floats:
 
 
 def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, Floats]:
-    """Rates about y and z (N, 2) and their derivatives (N, 2)."""
+    """Return the rates about y and z (N, 2) and their derivatives (N, 2)."""
     size = np.deg2rad(flight.coning_degps) * np.exp(-t_s / flight.decay_s)
     at, speed = flight.coning_ratio * path.drive_rad(t_s), flight.coning_ratio * path.drive_rad(t_s, 1)
     along, across = np.column_stack([np.cos(at), np.sin(at)]), np.column_stack([-np.sin(at), np.cos(at)])
@@ -110,7 +110,7 @@ def coning_radps(flight: Flight, path: SpinPath, t_s: Floats) -> tuple[Floats, F
 
 
 def braking_b_mps2(flight: Flight, path: SpinPath, t_s: Floats) -> Floats:
-    """Specific force at the centre in flight (N, 3): drag along -x, lift across."""
+    """Return the specific force at the centre in flight (N, 3): drag along -x, lift across."""
     decay, at = np.exp(-t_s / flight.decay_s), flight.coning_ratio * path.drive_rad(t_s)
     lift = flight.lift_mps2 * decay
     return np.column_stack([-flight.drag_mps2 * decay, lift * np.cos(at), lift * np.sin(at)])

@@ -1,4 +1,4 @@
-"""Single-axis accelerometers, gyros and the encoder of a spinning body, and presets.
+"""Describe the single-axis accelerometers, gyros and encoder of a spinning body, with presets.
 
 A value marked "sd" is drawn once per recording and accelerometer; the rest are plain values. The presets are the noise
 hypotheses that paper 000's printed numbers leave open (docs/simulation.md): the paper states variances of its sensors,
@@ -18,7 +18,7 @@ ADXL345_NOISE_MPS2 = 0.06  # rms of one sample, as measured on boards of the +-1
 
 @dataclass(frozen=True)
 class SpinAccel:
-    """One accelerometer."""
+    """The errors of one accelerometer."""
 
     noise_mps2: float = 0.0  # white, standard deviation of a sample
     vibration_1x_mps2: float = 0.0  # rms of what the motor shakes it with, once per turn
@@ -43,7 +43,7 @@ class EncoderModel:
 
 @dataclass(frozen=True)
 class SpinSensor:
-    """Everything between the true spin and the recorded numbers."""
+    """All errors between the true spin and the recorded numbers."""
 
     name: str
     centre: SpinAccel = field(default_factory=SpinAccel)  # F1, F2, F3
@@ -67,7 +67,7 @@ class SpinSensor:
 
 
 def _numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
-    """Part, name and value of every number in a sensor."""
+    """Yield part, name and value of every number in a sensor."""
     for each in fields(sensor):
         value: Any = getattr(sensor, each.name)
         if isinstance(value, SpinAccel | EncoderModel):
@@ -77,18 +77,20 @@ def _numbers(sensor: SpinSensor) -> Iterator[tuple[str, str, float | None]]:
 
 
 def make_white_noise(name: str, centre_mps2: float, radial_mps2: float, tangential_mps2: float) -> SpinSensor:
-    """White noise of these standard deviations and nothing else."""
+    """Return a sensor with white noise of these standard deviations and no other error."""
     centre, radial, tangential = (SpinAccel(noise_mps2=one) for one in (centre_mps2, radial_mps2, tangential_mps2))
     return SpinSensor(name, centre, radial, tangential, gyro_noise_degps=0.1)
 
 
 def add_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
-    """The sensor with glitches of the slip rings on F4, 4 to 8 g."""
+    """Return the sensor with glitches of the slip rings on F4, 4 to 8 g."""
     return replace(sensor, radial=replace(sensor.radial, glitches_per_s=per_s))
 
 
 def make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
-    """The presets of a scenario by name; ``white`` has the paper's variances, ``quiet`` is the noise under glitches."""
+    """Return the presets of a scenario by name; ``white`` has the printed variances, ``quiet`` is the noise under
+    glitches.
+    """
     shaken_mps2 = (white.tangential.noise_mps2**2 - ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
     shaken = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
     vibration = replace(white, name="vibration", tangential=shaken)
@@ -103,7 +105,7 @@ def make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSenso
 
 
 def make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
-    """Presets of a shaft that is not vertical, with unknown biases and errors of the arms: gravity shows the angle."""
+    """Return presets of a shaft that is not vertical, with unknown biases and arm errors: gravity shows the angle."""
     radial, tangential = (replace(one, offset_mps2=0.1, arm_error=0.001) for one in (white.radial, white.tangential))
     unknown = replace(white, radial=radial, tangential=tangential)
     return {name: replace(unknown, name=name, tilt_deg=tilt) for name, tilt in (("tilted", 30.0), ("horizontal", 90.0))}

@@ -9,7 +9,7 @@ from scipy.special import binom
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
-from stillpoint.datasets.spin import Channel, SpinChannels, channels, measure, find_saturated
+from stillpoint.datasets.spin import Channel, SpinChannels, channels, find_saturated, measure
 from stillpoint.smoother.spin.params import RollCalibration, RollNoise
 
 DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise

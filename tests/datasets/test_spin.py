@@ -16,10 +16,10 @@ from stillpoint.datasets.spin import (
     bench,
     channels,
     coefficients,
-    five_accelerometers,
-    measure,
     find_misplaced,
     find_saturated,
+    five_accelerometers,
+    measure,
     specific_force,
 )
 

@@ -11,9 +11,9 @@ from stillpoint.datasets.simulate import PERFECT, PHONE, Sensor, simulate
 from stillpoint.datasets.simulate.measure import (
     ALLAN_TOP,
     Axes,
+    add_sensor_errors,
     draw_field_disturbances_n_ut,
     draw_gauss_markov,
-    add_sensor_errors,
 )
 from stillpoint.datasets.simulate.phone import IN_HAND, draw_path
 from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroModel, MagModel

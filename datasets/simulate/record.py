@@ -1,4 +1,4 @@
-"""A true motion as a recording: who measured it, where and when, how it was asked for, and what was drawn for it."""
+"""Turn a true motion into a recording, with its scene, the command that makes it again, and the drawn errors."""
 
 import json
 from collections.abc import Mapping
@@ -8,33 +8,33 @@ from typing import Any
 
 from stillpoint.datasets.earth import Place, magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.recording import Info, Recording
-from stillpoint.datasets.simulate.measure import World, measure_imu, measure_mag, draw_sample_times, sample_truth
+from stillpoint.datasets.simulate.measure import World, draw_sample_times, measure_imu, measure_mag, sample_truth
 from stillpoint.datasets.simulate.path import Motion
 from stillpoint.datasets.simulate.sensor import Sensor
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Where and when a motion takes place."""
+    """The place and date of a motion."""
 
     place: Place  # latitude and longitude in deg, altitude in m
     date: str  # ISO 8601 with its offset to UTC
 
     @property
     def start_ns(self) -> int:
-        """Of the motion's time 0, unix."""
+        """Return the Unix time of the start of the motion."""
         return int(datetime.fromisoformat(self.date).timestamp()) * 10**9
 
     @property
     def world(self) -> World:
-        """Gravity and field there."""
+        """Return gravity and magnetic field at the scene."""
         gravity_mps2 = normal_gravity_mps2(self.place[0], self.place[2])
         return World(self.start_ns, gravity_mps2, magnetic_field_n_ut(self.place, self.date))
 
 
 @dataclass(frozen=True)
 class Order:
-    """What a simulation was asked for."""
+    """The arguments of a simulation."""
 
     kind: str
     seed: int
@@ -43,7 +43,7 @@ class Order:
 
     @property
     def command(self) -> str:
-        """That gives the same recording."""
+        """Return the command that makes the same recording."""
         words = f"--seed {self.seed} --minutes {self.minutes:g} --rate {self.rate_hz:g}"
         return f"stillpoint simulate {self.kind} {words}"
 
@@ -56,7 +56,7 @@ def record_path(
     facts: Mapping[str, Any],
     drawn: Mapping[str, Any] | None = None,
 ) -> Recording:
-    """What a sensor with an IMU and a magnetometer records of a path, with its truth.
+    """Return the recording of a path by a sensor with an IMU and a magnetometer, with its truth.
 
     ``facts`` go into ``info.extra``, as JSON unless they are text; ``drawn`` beside what is drawn here.
     """
