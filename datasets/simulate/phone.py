@@ -124,7 +124,7 @@ def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
 
 
 def plan_rests(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:
-    """Return the rests (R, 2) in s: one at first, then one after each swing of 20-30 s; the last takes the time left."""
+    """Return the rests (R, 2) in s: one at first, then one after each swing of 20-30 s; the last takes what is left."""
     rng = make_generator(seed, f"{kind}/protocol")
     rests = [[0.0, initial_rest_s]]
     while total_s - rests[-1][1] >= SWING_S[0] + RETURN_S[0]:
