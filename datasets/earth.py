@@ -83,6 +83,19 @@ def local_declination(info: Info) -> tuple[float, str]:
     return declination, f"true north: World Magnetic Model at {lat_deg:g}, {lon_deg:g} deg on {info.date}"
 
 
+def local_field_n_ut(info: Info) -> tuple[Floats | None, str]:
+    """Return the field (3,) in uT where and when a recording was made, or None and the reason.
+
+    It is None where place or date is not known, or lies outside the World Magnetic Models.
+    """
+    if info.place_lat_lon_alt is None or not info.date:
+        return None, "the date or place is not known"
+    try:
+        return magnetic_field_n_ut(info.place_lat_lon_alt, info.date), ""
+    except BadParameter as error:
+        return None, str(error)
+
+
 def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:
     """Return the size of normal gravity: Somigliana's formula on the ellipsoid, Taylor series in height above it.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from stillpoint.datasets import BadParameter, Estimate, Imu, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.measurements import drop_non_fields
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters import peers
@@ -125,16 +126,24 @@ def _written_once(shape: tuple[int, int]) -> Floats:
 def _run_peer(
     entry: Peer, params: Settings, imu: Imu, log: Log, sources: Sources
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """As :func:`_run`. A peer has no way to leave a sample out, so the accelerometer is as it was recorded."""
+    """As :func:`_run`. A peer has no way to leave a sample out, so the accelerometer is as it was recorded.
+
+    A field that is no measurement is not handed over, and counted: the package ahrs refuses zeros.
+    """
     mag = sources.mag
+    counted: dict[str, int] = {}
     if sources.gps is not None:
         imu = Imu(imu.t_ns, log.gyro_b_radps, imu.accel_b_mps2)
         mag = Mag(imu.t_ns[log.has_mag], log.mag_b_ut[log.has_mag]) if log.has_mag.any() else None
+    if mag is not None:
+        mag, dropped = drop_non_fields(mag, imu)
+        counted = dropped.counts()
     data, met = peers.at_constant_rate(imu, mag)
     begun = perf_counter_ns()
     found = entry.batch(data, params)
     elapsed_ns = perf_counter_ns() - begun
-    return found._replace(q_nb=to_true_north(found.q_nb, sources.declination_rad))._asdict(), met, elapsed_ns
+    columns = found._replace(q_nb=to_true_north(found.q_nb, sources.declination_rad))._asdict()
+    return columns, met | counted, elapsed_ns
 
 
 def _run(

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, BadRecording
+from stillpoint.datasets.measurements import drop_non_measurements
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
@@ -31,12 +32,15 @@ def _graph(recording: Recording, params: GraphParams) -> Reference:
     """The factor graph; gtsam is loaded when it is needed, as it is not to be had everywhere."""
     try:
         from stillpoint.smoother.attitude.graph import make_attitude_reference
+        from stillpoint.smoother.attitude.stretches import leave_out_islands
     except ImportError as error:
         raise BadParameter(
             f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
             "use --method redistribution here"
         ) from error
-    return make_attitude_reference(recording, params)
+    whole, islands = leave_out_islands(recording)
+    made = make_attitude_reference(whole, params)
+    return replace(made, diagnostics={**made.diagnostics, "left_out": [asdict(island) for island in islands]})
 
 
 def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
@@ -109,16 +113,21 @@ def reference(
     (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. ``calibration`` is what is known of the sensor, as
     of an earlier reference: readings are corrected by it first. Raises :class:`BadParameter` for a method or setting
     that is not there, :class:`Unobservable` when the recording does not fix a reference.
+
+    Samples that are no measurement (zeros, sentinels and frozen values of a sensor that is not working) are dropped and
+    counted in the diagnostics, as docs/streaming.md says.
     """
     name = default_method(recording) if method is None else method
     settings = settings_of(name, params)
     function = method_of(name).function
+    recording, dropped = drop_non_measurements(recording)
     if calibration is None:
-        return replace(function(recording, settings), params=asdict(settings))
-    made = function(corrected(recording, calibration), settings)
-    if isinstance(made, Reference):
-        made = in_raw_readings(made, calibration)
-    return replace(made, params=asdict(settings))
+        made = function(recording, settings)
+    else:
+        made = function(corrected(recording, calibration), settings)
+        if isinstance(made, Reference):
+            made = in_raw_readings(made, calibration)
+    return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **dropped.counts()})
 
 
 def attitude_reference(

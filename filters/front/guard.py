@@ -12,16 +12,12 @@ from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
-from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
+from stillpoint.datasets.measurements import LARGEST_MPS2, LARGEST_RADPS, LARGEST_UT
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Vector
 from stillpoint.filters.sample import GAP_S, Sample
 
-# No sensor reads as much: such a number is a broken one. The gyro's is that of the check of units.
-LARGEST_RADPS = FASTEST_GYRO_RADPS
-LARGEST_MPS2 = 5000.0  # accelerometers end at 400 g
-LARGEST_UT = 5000.0  # magnetometers of an IMU end at 4900 uT
 # The last good rate stands in for broken ones that long; after it the body is taken to rest.
 HOLD_NS = 1_000_000_000
 # How fast a body may turn otherwise than it did (sd, each axis), where the gyro says nothing.

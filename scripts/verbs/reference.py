@@ -134,6 +134,7 @@ def reference(
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
         print_refusals("without magnetometer", ((said[left_out], name) for name, said in made if left_out in said))
+        print_refusals("left out", ((_islands(said), name) for name, said in made if said.get("left_out")))
     return code
 
 
@@ -186,6 +187,14 @@ def _make(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> 
     made = replace(made, made_from=made_from)
     write(job.target, made)
     return {**(_facts(made) if isinstance(made, Reference) else _roll_facts(made)), "seconds": seconds}
+
+
+def _islands(diagnostics: Mapping[str, Any]) -> str:
+    """Return in words which pieces between gaps the reference leaves out."""
+    pieces = [f"{one['samples']} samples at {one['start_s']:.2f} s" for one in diagnostics["left_out"]]
+    return f"too short between gaps for a reference: {', '.join(pieces[:3])}" + (
+        f" and {len(pieces) - 3} more" if len(pieces) > 3 else ""
+    )
 
 
 def _facts(made: Reference) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from stillpoint.smoother.attitude import factors
 from stillpoint.smoother.attitude.evidence import Evidence, gravity_mps2, has_known_base_pose
 from stillpoint.smoother.attitude.magnetometer import field_prior
 from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.satellite import fix_factors
+from stillpoint.smoother.attitude.satellite import fix_factors, lone_stretch_factors
 
 UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
 DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
@@ -35,6 +35,7 @@ def build_graph(
         factors.bias_factors(keys, bias_b_radps, params),
         factors.motion_factors(keys, evidence.fixes is not None, params),
         () if evidence.fixes is None else fix_factors(evidence.fixes, params.gps),
+        () if evidence.fixes is None else lone_stretch_factors(keys, evidence.fixes, params.motion),
         factors.rest_factors(keys, params),
         factors.gap_factors(keys, params),
         factors.anchor_factors(_find_anchors(recording, evidence, params), params),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.earth import local_declination, normal_gravity_mps2
+from stillpoint.datasets.earth import local_declination, local_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
@@ -171,8 +171,11 @@ def describe_gravity_test(recording: Recording, evidence: Evidence) -> str:
         return "tested against the base pose"
     if evidence.fixes is not None:
         return "tested against the satellites' velocities"
-    if evidence.measured is not None and recording.info.place_lat_lon_alt is not None and recording.info.date:
+    there, why = local_field_n_ut(recording.info)
+    if evidence.measured is not None and there is not None:
         return "tested against the field's dip at the place"
+    if recording.info.date and recording.info.place_lat_lon_alt:
+        return f"not tested: {why}"
     return "not tested: an accelerometer with all signs flipped would not show; give place and date, or a base pose"
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from gtsam.symbol_shorthand import H, M
 
 from stillpoint.datasets.doctor.witness import ask_mag
-from stillpoint.datasets.earth import magnetic_field_n_ut
+from stillpoint.datasets.earth import local_field_n_ut
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Info, Recording
@@ -273,10 +273,10 @@ def _find_field_contradiction(fit: Fit, params: GraphParams) -> str:
 
 def _find_wrong_dip(fit: Fit, solution: Solution, info: Info) -> str:
     """Return how the field's dip contradicts the place, "" if it does not or if the place is unknown."""
-    if fit.field_misfit_ut is None or info.place_lat_lon_alt is None or not info.date:
+    there, _ = local_field_n_ut(info)
+    if fit.field_misfit_ut is None or there is None:
         return ""
     east, north, up = solution.values.atVector(H(0))[:3]
-    there = magnetic_field_n_ut(info.place_lat_lon_alt, info.date)
     found_rad = np.arctan2(-up, np.hypot(east, north))
     known_rad = np.arctan2(-there[2], np.hypot(*there[:2]))
     if abs(found_rad - known_rad) <= DIP_LIMIT_RAD:

@@ -12,11 +12,12 @@ from stillpoint.datasets.earth import enu_m
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Gps, Times
 from stillpoint.smoother.attitude.keys import Keys, Motion
-from stillpoint.smoother.attitude.params import GpsParams
+from stillpoint.smoother.attitude.params import GpsParams, MotionPriors
 
 FIX_LOSS_SD = 3.0  # a fix that is so far off has half its weight
 FIX_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(FIX_LOSS_SD)
 VERTICAL = 3.0  # a fix is so many times worse in height
+FEWEST_FIXES = 2  # that tell a velocity
 NEAR_S = 0.15  # a fix belongs to a state that is so close in time
 UNDER_WAY_MPS = 0.5  # a receiver at rest shows less
 
@@ -82,8 +83,22 @@ def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFact
             yield gtsam.PriorFactorVector(V(int(state)), velocity, speed)
 
 
+def lone_stretch_factors(keys: Keys, fixes: Fixes, params: MotionPriors) -> Iterator[gtsam.NonlinearFactor]:
+    """Yield a bound on the speed of each stretch between gaps that has fewer than two fixes: nothing else tells it."""
+    stretch = np.concatenate([[0], np.cumsum(keys.gap)])
+    fixed = np.bincount(stretch[fixes.state], minlength=stretch[-1] + 1)
+    own = np.array(keys.states)
+    for first in own[np.flatnonzero(np.diff(stretch[own], prepend=-1))]:
+        if fixed[stretch[first]] < FEWEST_FIXES:
+            yield gtsam.PriorFactorVector(
+                V(int(first)), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, params.velocity_sd_mps)
+            )
+
+
 def believed_share(fixes: Fixes, values: gtsam.Values, params: GpsParams) -> float:
-    """Of the fixes at states that ``values`` has: the share that keeps more than half of its weight."""
+    """Return the share of the fixes that keep more than half of their weight; 1 where there is no fix."""
+    if not len(fixes.state):
+        return 1.0
     sd_m = params.position_sd_m * np.array([1.0, 1.0, VERTICAL])
     at = np.array([values.atPose3(X(int(state))).translation() for state in fixes.state])
     return float(np.mean(np.linalg.norm((at - fixes.position_n_m) / sd_m, axis=1) < FIX_LOSS_SD))

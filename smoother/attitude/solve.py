@@ -18,7 +18,16 @@ from stillpoint.smoother.attitude.magnetometer import (
     shrink_scale,
 )
 from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.connectivity import require_connected
 
+UNKNOWNS_IN_WORDS = {
+    "x": "the pose of state",
+    "v": "the velocity of state",
+    "c": "the effective bias of interval",
+    "b": "the bias of step",
+    "m": "the calibration",
+    "h": "the magnetic field",
+}
 STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
 ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
 
@@ -56,12 +65,11 @@ def solve(
     steps: list[float] = []
     scale_ut = FIRST_SCALE * params.magnetic.sd_ut
     final = measured is None
-    # Nested dissection keeps the path from any state to the root short, which makes covariances cheap.
     ordering: gtsam.Ordering | None = None
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
         system, residual = linearise(graph, values, measured, scale_ut, params)
-        ordering = ordering or gtsam.Ordering.MetisGaussianFactorGraph(system)
+        ordering = ordering or order_unknowns(system, states, name)
         step = _solve_linear(system, ordering, name)
         turns = np.array([step.at(X(i))[:3] for i in states])
         turn = float(np.abs(turns).max())
@@ -121,6 +129,26 @@ def _solve_linear(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, n
         return system.eliminateMultifrontal(ordering).optimize()
     except RuntimeError as error:
         raise make_unobservable(name) from error
+
+
+def order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str) -> gtsam.Ordering:
+    """Return the order of elimination; raises :class:`Unobservable` where nothing ties a state to the others.
+
+    Nested dissection keeps the path from any state to the root short, which makes covariances cheap. METIS, which finds
+    it, crashes on a variable without neighbours, such as the field in a window without a measurement of it.
+    """
+    keys = [system.at(i).keys() for i in range(system.size())]
+    alone = require_connected(keys, [X(i) for i in states], describe_unknown, name, may_stand_alone=(H(0),))
+    if alone:
+        return gtsam.Ordering.ColamdGaussianFactorGraph(system)
+    return gtsam.Ordering.MetisGaussianFactorGraph(system)
+
+
+def describe_unknown(key: int) -> str:
+    """Return in words which unknown of the graph a key stands for."""
+    symbol = gtsam.Symbol(key)
+    kind = UNKNOWNS_IN_WORDS.get(chr(symbol.chr()))
+    return f"{kind} {symbol.index()}" if kind else symbol.string()
 
 
 def _extrapolate(turns: Floats, before: Floats) -> float:

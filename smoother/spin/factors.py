@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.connectivity import require_connected
 from stillpoint.smoother.spin.blocks import Condensed, condense, inside_of, variances_of
 from stillpoint.smoother.spin.chain import Chain, angles_of
 from stillpoint.smoother.spin.once_per_turn import Line
@@ -156,6 +157,14 @@ def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFac
     for i, (a, b) in enumerate(zip(blocks.outer, blocks.outer_right, strict=True)):
         c = C(int(chain.constants_of[i]))
         yield gtsam.JacobianFactor(K(i), a[:, :2], K(i + 1), a[:, 2:4], c, a[:, 4:], b, unit)
+
+
+def require_connected_chain(chain: Chain, steps: int, name: str) -> None:
+    """Raise :class:`Unobservable` where a block or a step of the constants hangs on nothing; see connectivity.py."""
+    links = [[K(i), K(i + 1), C(int(c))] for i, c in enumerate(chain.constants_of)]
+    links += [[C(s), C(s + 1)] for s in range(steps - 1)]
+    wanted = [key for block in links[: chain.blocks] for key in block]
+    require_connected(links, wanted, lambda key: f"the {gtsam.Symbol(key).string()} of the spin", name)
 
 
 @dataclass(frozen=True, eq=False)

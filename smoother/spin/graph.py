@@ -12,7 +12,17 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.smoother.spin.chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
 from stillpoint.smoother.spin.encoder import EncoderReadings, readings_of
-from stillpoint.smoother.spin.factors import Accuracy, Linear, Prior, accuracy_of, eliminated, holding, prior_of, untold
+from stillpoint.smoother.spin.factors import (
+    Accuracy,
+    Linear,
+    Prior,
+    accuracy_of,
+    eliminated,
+    holding,
+    prior_of,
+    require_connected_chain,
+    untold,
+)
 from stillpoint.smoother.spin.once_per_turn import Line, find_line, followed
 from stillpoint.smoother.spin.params import RollGraphParams
 from stillpoint.smoother.spin.plausibility import GLITCH, require_agreement
@@ -89,6 +99,7 @@ def _solved(
 ) -> _Solved:
     chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
     state = start_of(chain, readings, sign)
+    require_connected_chain(chain, len(state.constants), name)
     prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
     # Until the harmonic is found the fit's own residuals are the noise: beside a given one too much would be a glitch.
     loose = replace(params, noise=replace(params.noise, source="data"))
