@@ -6,6 +6,7 @@ int64 nanoseconds, strictly rising, >= 0, either on the Unix epoch or from the s
 A gyro sample at t_k describes the interval (t_{k-1}, t_k].
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +21,7 @@ Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 TRUTHS = ("truth", "roll_truth")  # streams that no sensor gave
+EXTRA_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
 
 
@@ -223,6 +225,28 @@ class Truth:
         freeze(self, t_ns=t, q_nb=q_nb, moving=moving, position_n_m=position)
 
 
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Any other sensor on its own clock: N rows of k numbers, for factors that users add. Values may be NaN."""
+
+    t_ns: Times
+    values: Floats  # (N, k); (N,) is taken as one column
+    labels: tuple[str, ...]  # (k,) what each column is, with its unit: "speed_mps"
+
+    def __post_init__(self) -> None:
+        t = check_times("series", self.t_ns)
+        values = np.asarray(self.values, dtype=np.float64)
+        values = values[:, None] if values.ndim == 1 else values
+        freeze(self, t_ns=t, values=check_floats("series", "values", values, (len(t), len(self.labels)), finite=False))
+        object.__setattr__(self, "labels", tuple(self.labels))
+
+    def column(self, label: str) -> Floats:
+        """Return the column (N,) of this label; raises :class:`BadRecording` when it is not there."""
+        if label not in self.labels:
+            raise BadRecording(f"series: has no column {label!r}; it has {', '.join(self.labels)}")
+        return self.values[:, self.labels.index(label)]
+
+
 @dataclass(frozen=True)
 class Info:
     """Where a recording comes from and what was done to it; everything here is kept in the MCAP file."""
@@ -261,8 +285,12 @@ class Recording:
     roll_truth: Encoder | None = None  # about the spin axis, exact by construction
     base_pose: Floats | None = None  # (4,) q_nb of the pose in which the sensor rests, when it is known
     info: Info = field(default_factory=Info)
+    extra: Mapping[str, Series] = field(default_factory=dict)  # other sensors by name; /extra/NAME in a file
 
     def __post_init__(self) -> None:
+        for name in self.extra:
+            if not EXTRA_NAME.fullmatch(name):
+                raise BadRecording(f"{self.name}: extra {name!r}: give a name of letters, digits and _")
         if self.imu is None and self.spin is None:
             raise BadRecording(f"{self.name}: has neither gyro and accelerometer (imu) nor a spin stream")
         if self.base_pose is not None:
@@ -311,6 +339,8 @@ class Recording:
             stream = getattr(self, name)
             if stream is not None:
                 yield name, stream.t_ns
+        for name, series in self.extra.items():
+            yield f"extra {name}", series.t_ns
 
     @property
     def duration_s(self) -> float:

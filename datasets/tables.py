@@ -22,6 +22,11 @@ def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mappin
     if isinstance(thing, Recording):
         return _streams(thing)
     table: Table = {"t_ns": thing.t_ns}
+    if isinstance(thing, Reference) and thing.position_n_m is not None:
+        table |= _columns([f"{axis}_m" for axis in XYZ], thing.position_n_m)
+        table |= _columns([f"v{axis}_mps" for axis in XYZ], thing.velocity_n_mps)
+        table |= {f"cov_{XYZ[i]}{XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in UPPER}
+        table |= {f"cov_v{XYZ[i]}v{XYZ[j]}_m2ps2": thing.velocity_cov_n_m2ps2[:, i, j] for i, j in UPPER}
     if not isinstance(thing, RollReference) and thing.q_nb is not None:
         table |= _columns(WXYZ, thing.q_nb)
         if thing.cov_b_rad2 is not None:
@@ -58,6 +63,8 @@ def _streams(recording: Recording) -> Mapping[str, Table]:
         if truth.position_n_m is not None:
             tables["truth"] |= _columns(("x_m", "y_m", "z_m"), truth.position_n_m)
         tables["truth"]["moving"] = truth.moving
+    for name, series in recording.extra.items():
+        tables[f"extra.{name}"] = {"t_ns": series.t_ns, **_columns(series.labels, series.values)}
     rolls: dict[str, Encoder | None] = {"encoder": recording.encoder, "roll_truth": recording.roll_truth}
     for name, roll in rolls.items():
         if roll is not None:

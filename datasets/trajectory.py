@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import (
     Floats,
     Times,
@@ -55,7 +56,10 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Attitude at every IMU sample with its covariance, and how it was made."""
+    """Attitude at every IMU sample with its covariance, and how it was made.
+
+    With satellite fixes it also has position and velocity, all four columns or none: East-North-Up from ``origin``.
+    """
 
     t_ns: Times
     q_nb: Floats  # (N, 4) wxyz
@@ -63,6 +67,11 @@ class Reference:
     gyro_bias_b_radps: Floats  # (N, 3)
     method: str
     name: str = ""  # of the recording
+    position_n_m: Floats | None = None  # (N, 3) of the IMU
+    velocity_n_mps: Floats | None = None  # (N, 3)
+    position_cov_n_m2: Floats | None = None  # (N, 3, 3)
+    velocity_cov_n_m2ps2: Floats | None = None  # (N, 3, 3)
+    origin_lat_lon_alt: tuple[float, float, float] | None = None  # deg, deg, m of position 0 0 0
     heading_sd_rad: float = 0.0  # of a heading error that all samples share; not contained in cov_b_rad2
     calibration: Calibration = field(default_factory=Calibration)
     rests_ns: Times = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))  # (R, 2) first, last stamp
@@ -80,6 +89,32 @@ class Reference:
         if not _has_variances(cov):
             raise BadRecording("reference.cov_b_rad2: a variance is not positive; a reference states its accuracy")
         freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
+        shapes = {
+            "position_n_m": (3,), "velocity_n_mps": (3,), "position_cov_n_m2": (3, 3), "velocity_cov_n_m2ps2": (3, 3),
+        }  # fmt: skip
+        given = {name: getattr(self, name) for name in shapes if getattr(self, name) is not None}
+        if given and (len(given) < len(shapes) or self.origin_lat_lon_alt is None):
+            raise BadRecording("reference: give position, velocity, both covariances and the origin, or none of them")
+        for name, column in given.items():
+            array = check_floats("reference", name, column, (len(t), *shapes[name]))
+            if "cov" in name and not _has_variances(array):
+                raise BadRecording(f"reference.{name}: a variance is not positive; a reference states its accuracy")
+            freeze(self, **{name: array})
+
+    @property
+    def velocity_b_mps(self) -> Floats | None:
+        """The velocity (N, 3) in body axes, as ROS states the twist of a child frame; None where there is none."""
+        if self.velocity_n_mps is None:
+            return None
+        return np.asarray(rotation(self.q_nb).inv().apply(self.velocity_n_mps.copy()))
+
+    @property
+    def velocity_cov_b_m2ps2(self) -> Floats | None:
+        """The covariance (N, 3, 3) of the velocity in body axes; None where there is none."""
+        if self.velocity_cov_n_m2ps2 is None:
+            return None
+        turn = rotation(self.q_nb).as_matrix()
+        return np.asarray(turn.transpose(0, 2, 1) @ self.velocity_cov_n_m2ps2 @ turn)
 
 
 def _has_variances(cov_b_rad2: Floats) -> bool:

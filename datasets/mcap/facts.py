@@ -34,7 +34,14 @@ def facts_of(thing: Kept) -> dict[str, Any]:
     """Everything that is no column of a topic."""
     if isinstance(thing, Recording):
         geometry = None if thing.spin is None else _shallow(thing.spin.geometry)
-        return {"name": thing.name, "base_pose": thing.base_pose, "spin_geometry": geometry, "info": asdict(thing.info)}
+        facts = {
+            "name": thing.name,
+            "base_pose": thing.base_pose,
+            "spin_geometry": geometry,
+            "info": asdict(thing.info),
+        }
+        labels = {name: list(series.labels) for name, series in thing.extra.items()}
+        return facts | {"info": asdict(thing.info)} | ({"extra": labels} if labels else {})
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
     facts = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
     if isinstance(thing, Reference):
@@ -72,6 +79,7 @@ def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
         "calibration": Calibration(**calibration),
         "returns": tuple(BasePoseReturn(**one) for one in facts["returns"]),
         "rests_ns": np.array(facts["rests_ns"], np.int64).reshape(-1, 2),
+        "origin_lat_lon_alt": None if (origin := facts.get("origin_lat_lon_alt")) is None else tuple(origin),
     }
 
 

@@ -19,7 +19,7 @@ joins those that all parts have with one shape. ``survey(path)`` lists topics, t
 Raises :class:`~stillpoint.datasets.errors.BadFile` for files that are damaged or are not MCAP.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -88,6 +88,9 @@ class Topic:
         return seconds * 1_000_000_000 + self.column(f"{path}.nanosec").astype(np.int64)
 
 
+Wanted = Collection[str] | Callable[[str], bool] | None  # names of topics, or a test of a name; None: all
+
+
 @dataclass(frozen=True)
 class Log:
     """What a file holds."""
@@ -107,10 +110,8 @@ def survey(path: Path | str) -> Log:
     return read_log(path, topics=())
 
 
-def read_log(
-    path: Path | str, topics: Collection[str] | None = None, columns: Mapping[str, Columns] | None = None
-) -> Log:
-    """The topics (all, or those named) of an MCAP file.
+def read_log(path: Path | str, topics: Wanted = None, columns: Mapping[str, Columns] | None = None) -> Log:
+    """The topics (all, those named, or those for which a function of the name is true) of an MCAP file.
 
     ``columns`` says per topic which leaves to take, and which to put side by side in one column; a topic that it does
     not name gives each of its leaves as a column. Several channels of one topic and type are joined.
@@ -136,15 +137,13 @@ class Container(Protocol):
         """Yield the messages."""
 
 
-def read_columns(
-    scan: Container, topics: Collection[str] | None = None, columns: Mapping[str, Columns] | None = None
-) -> Log:
-    """Return the topics (all, or those named) of a container; see :func:`read_log`."""
+def read_columns(scan: Container, topics: Wanted = None, columns: Mapping[str, Columns] | None = None) -> Log:
+    """Return the topics that are wanted of a container; see :func:`read_log`."""
     gathers: dict[tuple[str, str], _Gather] = {}
     for block in scan.blocks():
         for channel_id in block.offsets:
             channel = scan.channels[channel_id]
-            if topics is not None and channel.topic not in topics:
+            if topics is not None and not (topics(channel.topic) if callable(topics) else channel.topic in topics):
                 continue
             schema = scan.schemas.get(channel.schema_id)
             key = (channel.topic, schema.name if schema else "")

@@ -27,9 +27,9 @@ from stillpoint.datasets.mcap.facts import (
     to_json,
 )
 from stillpoint.datasets.mcap.reader import Log, read_log, survey
-from stillpoint.datasets.mcap.topics import MAG_REMAINDER, TOPICS, Topic, microtesla, tesla
+from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS, Topic, extra_topic, microtesla, tesla
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
-from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Spin, Truth
+from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Series, Spin, Truth
 from stillpoint.datasets.remote import open_binary
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
 
@@ -64,8 +64,11 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
     whole chunks, and its ``info.notes`` say what is lost; a reference or estimate that was cut is refused. Raises
     :class:`BadFile`.
     """
-    columns = {topic.name: {column.field: column.leaves for column in topic.columns} for topic in TOPICS}
-    log = read_log(path, [topic.name for topic in TOPICS if not topic.drawn], columns)
+    columns = {
+        topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
+    }
+    own = {topic.name for topic in TOPICS if not topic.drawn}
+    log = read_log(path, lambda name: name in own or name.startswith(EXTRA), columns)
     kind, facts = _open(log)
     samples, absent = facts.pop("samples"), facts.pop("absent")
     if log.lost and kind != "recording":
@@ -157,12 +160,14 @@ def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
             continue
         holder: Any = getattr(thing, topic.stream) if topic.stream else thing
         given: dict[str, Any] = {column.field: getattr(holder, column.field, None) for column in topic.columns}
-        if all(values is None for values in given.values()):
+        if all(given[column.field] is None for column in topic.columns if not column.derived):
             continue
         if topic.stream == "mag":
             given["mag_b_ut"] = tesla(given["mag_b_ut"])[0]
         absent += [f"{topic.name} {name}" for name, values in given.items() if values is None]
         streams.append(_stream(topic, holder.t_ns, given))
+    for name, series in thing.extra.items() if isinstance(thing, Recording) else ():
+        streams.append(_stream(extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
     return streams, absent
 
 
@@ -232,7 +237,7 @@ def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.
     found = log.topics[topic.name]
     columns: dict[str, Any] = {}
     for column in topic.columns:
-        if f"{topic.name} {column.field}" in absent:
+        if column.derived or f"{topic.name} {column.field}" in absent:
             continue
         values = found.column(column.field)
         if column.from_file is not None:
@@ -280,8 +285,13 @@ def _recording(
         info = replace(info, notes=(*info.notes, notes))
     if units_unchecked:
         info = replace(info, units_unchecked=True)
+    extra = {
+        name: Series(found.t_ns, found.column("data").reshape(len(found.t_ns), -1), tuple(labels))
+        for name, labels in facts.get("extra", {}).items()
+        if (found := log.topics.get(f"{EXTRA}{name}")) is not None
+    }
     base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
-    return Recording(name=facts["name"], base_pose=base_pose, info=info, **streams)
+    return Recording(name=facts["name"], base_pose=base_pose, info=info, extra=extra, **streams)
 
 
 def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -4,7 +4,7 @@ The only place that knows that ROS writes quaternions xyzw and magnetic fields i
 from it by :mod:`stillpoint.scripts.pages.topics_page`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +28,7 @@ class Column:
     shape: tuple[int, ...] = ()  # of one row in memory; -1 for as many as the file has
     to_file: Callable[[Array], Array] | None = None
     from_file: Callable[[Array], Array] | None = None
+    derived: bool = False  # True: computed from other columns for viewers, not read back
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,37 @@ def _flag(name: str, leaf: str = "data") -> Column:
     return Column(name, (leaf,), "", to_file=lambda a: a.astype(np.uint8), from_file=lambda a: a.astype(np.bool_))
 
 
+def _block_of_36(name: str, leaf: str, unit: str, derived: bool = False) -> Column:
+    """A covariance (N, 3, 3) as the upper left block of ROS's 6 x 6, row-major; the rest of that is 0: not stated."""
+
+    def to_file(cov: Array) -> Array:
+        whole = np.zeros((len(cov), 6, 6))
+        whole[:, :3, :3] = cov
+        return whole.reshape(-1, 36)
+
+    def from_file(whole: Array) -> Array:
+        return np.ascontiguousarray(whole.reshape(-1, 6, 6)[:, :3, :3])
+
+    return Column(name, (leaf,), unit, (3, 3), to_file, from_file, derived)
+
+
 NO_ESTIMATE = np.array([-1.0] + 8 * [0.0])  # covariance of a part of sensor_msgs/Imu that is not there
 IMU, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 POSE, VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
 JOINTS, ARRAY, BOOL = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Bool"
 _ATTITUDE_ONLY = {"angular_velocity_covariance": NO_ESTIMATE, "linear_acceleration_covariance": NO_ESTIMATE}
 MAG_REMAINDER = "/imu/mag_remainder"
+EXTRA = "/extra/"  # before the name of a series of Recording.extra; their columns are in the facts
+
+
+def extra_topic(name: str, labels: Sequence[str]) -> Topic:
+    """Return the topic of one series of ``Recording.extra``."""
+    return Topic(
+        "recording", f"extra {name}", f"{EXTRA}{name}", ARRAY, f"one number each: {', '.join(labels)}",
+        (Column("values", ("data",), "", (-1,)),),
+        constants={"layout.dim": 1, "layout.dim[0].label": ", ".join(labels)},
+    )  # fmt: skip
+
 
 TOPICS: tuple[Topic, ...] = (
     Topic(
@@ -144,6 +170,28 @@ TOPICS: tuple[Topic, ...] = (
         "reference", "", "/reference/gyro_bias", VECTOR, "bias of the gyro",
         (Column("gyro_bias_b_radps", _xyz("vector"), "rad/s", (3,)),),
         BODY_FRAME,
+    ),
+    Topic(
+        "reference", "", "/reference/odometry", "nav_msgs/msg/Odometry",
+        "where there are satellites: position in East-North-Up of the origin in the facts, with covariance; the twist "
+        "is the velocity in body axes, for viewers",
+        (
+            Column("position_n_m", _xyz("pose.pose.position"), "m", (3,)),
+            _block_of_36("position_cov_n_m2", "pose.covariance", "m²"),
+            Column("q_nb", _wxyz("pose.pose.orientation"), "", (4,), derived=True),
+            Column("velocity_b_mps", _xyz("twist.twist.linear"), "m/s", (3,), derived=True),
+            _block_of_36("velocity_cov_b_m2ps2", "twist.covariance", "m²/s²", derived=True),
+        ),
+        LOCAL_FRAME, {"child_frame_id": BODY_FRAME},
+    ),
+    Topic(
+        "reference", "", "/reference/velocity", "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "where there are satellites: velocity in East-North-Up, with covariance",
+        (
+            Column("velocity_n_mps", _xyz("twist.twist.linear"), "m/s", (3,)),
+            _block_of_36("velocity_cov_n_m2ps2", "twist.covariance", "m²/s²"),
+        ),
+        LOCAL_FRAME,
     ),
     Topic(
         "reference", "", "/reference/pose", POSE, "the attitude once more, for 3D viewers; not read back",

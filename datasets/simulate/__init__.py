@@ -10,7 +10,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.simulate import auv, phone, servo, spin, spin_sensor
+from stillpoint.datasets.simulate import auv, car, phone, servo, spin, spin_sensor
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
 
 __all__ = ["PERFECT", "PHONE", "SENSORS", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
@@ -77,6 +77,12 @@ SIMULATIONS: dict[str, Simulation] = {
         auv.AUV_SENSORS,
         partial(auv.simulate_mission, "auv-dolphin-calm", auv.CALM),
         50.0,
+    ),
+    "car": Simulation(
+        "car in a town, with stops, satellite fixes and a wheel speed",
+        6.0,
+        car.CAR_SENSORS,
+        partial(car.simulate_drive, "car"),
     ),
     "servo-bench": Simulation(
         "MPU6050 and HMC5883L on a servo that swings by +-90 deg, slowly and fast (paper 004)",

@@ -41,7 +41,7 @@ def simulate(
         002; phone-1-slow (turned and pushed by little), phone-3-shaken (in one place), phone-3-level (shaken to the
         sides): the same moved otherwise. spin-constant, spin-variable (a motor's shaft with two
         accelerometers), spin-flight (five on a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater
-        vehicle): paper 003. servo-bench (swung by +-90 deg): paper 004.
+        vehicle): paper 003. car (a drive through a town). servo-bench (swung by +-90 deg): paper 004.
     out
         Folder to write into; made when it is not there.
     seed
