@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick test-data test-wheel lint types format clean
+.PHONY: demo test quick test-data test-wheel lint types format docs clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -33,6 +33,12 @@ format: .venv/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# The documentation site in site/. The API pages read the package as users get it, from a wheel that is unpacked.
+docs: .venv/.docs
+	rm -rf build/package
+	$(INSTALL) --no-deps --target build/package .
+	$(BIN)/zensical build --strict --clean
+
 # The types of the package as users get it: a wheel, unpacked, seen from outside the checkout.
 types: .venv/.dev
 	rm -rf build/types
@@ -52,5 +58,9 @@ types: .venv/.dev
 	$(INSTALL) --editable '.[all,dev]'
 	touch $@ .venv/.run
 
+.venv/.docs: .venv/.dev
+	$(INSTALL) --editable '.[docs]'
+	touch $@
+
 clean:
-	rm -rf .venv build demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build demo site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
