@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.recording import Floats, Gps, Imu, Times
+from stillpoint.datasets.recording import LAST_T_NS, Floats, Gps, Imu, Times
 
 BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its steps, are bridged by interpolation
 
@@ -46,8 +46,13 @@ def find_finite_rows(values: Floats) -> NDArray[np.bool_]:
 
 
 def seconds_to_ns(t_s: Floats) -> Times:
-    """Round seconds to whole nanoseconds."""
-    return np.asarray(np.round(np.asarray(t_s, dtype=np.float64) * 1e9), dtype=np.int64)
+    """Round seconds to whole nanoseconds; raises :class:`BadSource` for one that is not finite or beyond 2038."""
+    t_ns = np.round(np.asarray(t_s, dtype=np.float64) * 1e9)
+    if not (np.abs(t_ns) <= LAST_T_NS).all():
+        raise BadSource(
+            f"a time of {t_s[int(np.argmin(np.abs(t_ns) <= LAST_T_NS))]:g} s is no time; remove this sample"
+        )
+    return np.asarray(t_ns, dtype=np.int64)
 
 
 def sort_by_time(series: Series, what: str, log: Log) -> Series:

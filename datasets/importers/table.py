@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stillpoint.datasets.errors import BadRecording, BadSource
 from stillpoint.datasets.importers.bench import read_bench
 from stillpoint.datasets.importers.broad import read_broad
@@ -43,7 +45,7 @@ class Importer:
         that break a rule of the vocabulary, becomes a :class:`BadSource` with the name of the source.
         """
         options = options or self.options()
-        with reading(source, "a source of this kind"):
+        with reading(source, "a source of this kind"), np.errstate(all="ignore"):  # absurd sizes are judged afterwards
             try:
                 for imported in self.read(Path(source), options):
                     recording = imported.recording
