@@ -97,7 +97,8 @@ def read_poses(path: Path | str, log: Log | None = None, **options: object) -> T
     log = log or Log()
     file = require_existing(Path(path))
     try:
-        poses = _read_bag(file, given, log) if _is_bag(file, given) else _read_text_poses(file, given, log)
+        with np.errstate(all="ignore"):  # absurd sizes are judged afterwards
+            poses = _read_bag(file, given, log) if _is_bag(file, given) else _read_text_poses(file, given, log)
     except BadRecording as error:
         raise BadSource(f"{path}: {error}") from None
     return _turn(poses, given)

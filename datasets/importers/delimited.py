@@ -34,7 +34,7 @@ class Table:
     def listed(self) -> str:
         """The columns for a message, the first twenty of them."""
         more = f" and {len(self.columns) - 20} more" if len(self.columns) > 20 else ""
-        return ", ".join(self.columns[:20]) + more
+        return ", ".join(name[:40] for name in self.columns[:20])[:300] + more
 
     @cached_property
     def index(self) -> dict[str, int]:

@@ -11,15 +11,21 @@ from stillpoint.datasets.errors import BadRecording, BadSource
 from stillpoint.datasets.importers.bench import read_bench
 from stillpoint.datasets.importers.broad import read_broad
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv
+from stillpoint.datasets.importers.euroc import read_euroc
 from stillpoint.datasets.importers.files import reading
 from stillpoint.datasets.importers.flatball import read_flatball
 from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.kitti import read_kitti
+from stillpoint.datasets.importers.movella import MovellaOptions, read_movella
 from stillpoint.datasets.importers.options import Options, OwnOptions, PhoneOptions, TyrexOptions, apply_place_and_date
 from stillpoint.datasets.importers.phyphox import read_phyphox
 from stillpoint.datasets.importers.ros import RosOptions, read_ros
+from stillpoint.datasets.importers.sensorlog import SensorLogOptions, read_sensorlog
 from stillpoint.datasets.importers.sensorlogger import read_sensorlogger
 from stillpoint.datasets.importers.spin_csv import SpinOptions, read_spin
 from stillpoint.datasets.importers.tyrex import read_tyrex
+from stillpoint.datasets.importers.ulog import read_ulog
+from stillpoint.datasets.importers.xio import read_ngimu, read_ximu3
 from stillpoint.datasets.recording import Recording
 
 
@@ -68,4 +74,11 @@ IMPORTERS: dict[str, Importer] = {
     "spin": Importer(read_spin, SpinOptions, "delimited logs of accelerometers on a spinning body, with its encoder"),
     "flatball": Importer(read_flatball, Options, "flights of the instrumented disc of flatball-ins"),
     "ros": Importer(read_ros, RosOptions, "ROS 1 bags, ROS 2 bags and MCAP files of others"),
+    "euroc": Importer(read_euroc, OwnOptions, "folders in the ASL format: EuRoC MAV, TUM-VI"),
+    "kitti": Importer(read_kitti, OwnOptions, "KITTI raw data: the OXTS unit of a drive"),
+    "ulog": Importer(read_ulog, OwnOptions, "logs of the PX4 autopilot (.ulg)"),
+    "ngimu": Importer(read_ngimu, OwnOptions, "folders of x-io's NGIMU"),
+    "ximu3": Importer(read_ximu3, OwnOptions, "folders of x-io's x-IMU3"),
+    "movella": Importer(read_movella, MovellaOptions, "CSV files of Movella DOT, text exports of Xsens MTi and MTw"),
+    "sensorlog": Importer(read_sensorlog, SensorLogOptions, "CSV files of the iOS app SensorLog"),
 }

@@ -92,7 +92,8 @@ def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) ->
     if not path.is_file():
         raise BadSource(f"{folder}: has no {name}; the trial is not whole: download it again")
     with reading(path, "a text of lines 't x y z'", "download it again"):
-        table = np.loadtxt(path, usecols=(0, 1, 2, 3), ndmin=2)
+        text = read_text(path)
+        table = np.loadtxt(text.splitlines(), usecols=(0, 1, 2, 3), ndmin=2) if text.strip() else np.empty((0, 4))
     if len(table) == 0:
         raise BadSource(f"{path}: is empty; download it again")
     series = drop_incomplete_rows(Series(seconds_to_ns(table[:, 0] - boot_s), table[:, 1:]), what, log)

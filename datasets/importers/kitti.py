@@ -1,0 +1,73 @@
+"""KITTI raw data: the OXTS unit of a drive, ``oxts/timestamps.txt`` and ``oxts/data/*.txt`` with 30 numbers each.
+
+The unit (RT3003) has x forward, y left, z up; roll, pitch and yaw (0 = east, counter-clockwise) turn it to
+East-North-Up, z-y-x. Its attitude is the unit's own solution from this IMU and satellites: the truth of KITTI, but not
+an independent one.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.frames import from_euler
+from stillpoint.datasets.importers.clock import ISO, parse_times
+from stillpoint.datasets.importers.files import digests, read_text, require_existing
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.options import OwnOptions, make_info
+from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
+from stillpoint.datasets.recording import Imu, Recording, Truth
+
+NUMBERS = 30
+PLACE, ANGLES, NORTH_EAST, ACCEL, RATES = slice(0, 3), slice(3, 6), slice(6, 8), slice(11, 14), slice(17, 20)
+
+
+def read_kitti(source: Path, options: OwnOptions) -> Iterator[Imported]:
+    """The recordings of the drives at or below a source. Raises :class:`BadSource`."""
+    require_existing(source)
+    files = sorted(source.rglob("timestamps.txt")) if source.is_dir() else []
+    folders = [file.parent for file in files if (file.parent / "data").is_dir() and _is_oxts(file.parent)]
+    if not folders:
+        raise BadSource(f"{source}: is empty of oxts/timestamps.txt with oxts/data/; name a drive of KITTI's raw data")
+    for folder in folders:
+        yield Imported(_read_drive(folder, options))
+
+
+def _is_oxts(folder: Path) -> bool:
+    return any((folder / "data").glob("*.txt")) and "velodyne" not in folder.name
+
+
+def _read_drive(folder: Path, options: OwnOptions) -> Recording:
+    log = Log()
+    stamps = folder / "timestamps.txt"
+    lines = [line for line in read_text(stamps).splitlines() if line.strip()]
+    t_ns = parse_times(lines, ISO, str(stamps), list(range(1, len(lines) + 1))).t_ns
+    files = sorted((folder / "data").glob("*.txt"))
+    if len(files) != len(t_ns):
+        raise BadSource(f"{folder}: has {len(t_ns)} stamps and {len(files)} files in data/; download the drive again")
+    rows = np.array([_read_numbers(file) for file in files])
+    series = sort_by_time(drop_incomplete_rows(Series(t_ns, rows), "oxts", log), "oxts", log)
+    t_ns, rows = series.t_ns, series.values
+    log.converted("oxts: roll, pitch, yaw (0 = east) -> quaternion, body (x forward, y left, z up) -> East-North-Up")
+    log.noted("truth: the solution of the OXTS unit from this IMU and satellites; it is not independent of them")
+    log.noted("times of KITTI have no zone; taken as UTC")
+    truth = Truth(t_ns, from_euler(rows[:, ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_))
+    north, east = rows[:, NORTH_EAST].T
+    course_deg = np.rad2deg(np.arctan2(east, north)) % 360
+    gps = make_gps(Series(t_ns, np.column_stack([rows[:, PLACE], course_deg, np.hypot(north, east)])), log)
+    drive = folder.parent.name or folder.name
+    sha256 = digests([stamps, *files], folder)
+    known = {"sensor": options.sensor or "OXTS RT3003", "extra": {"truth_type": "oxts"}}
+    info = make_info(f"KITTI raw data {drive}", options, t_ns, sha256, log, **known)
+    return Recording(drive, imu=Imu(t_ns, rows[:, RATES], rows[:, ACCEL]), gps=gps, truth=truth, info=info)
+
+
+def _read_numbers(file: Path) -> list[float]:
+    try:
+        numbers = [float(cell) for cell in read_text(file).split()]
+    except ValueError:
+        raise BadSource(f"{file}: holds text, not numbers; download it again") from None
+    if len(numbers) != NUMBERS:
+        raise BadSource(f"{file}: has {len(numbers)} numbers, not {NUMBERS}; download it again")
+    return numbers

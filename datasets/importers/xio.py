@@ -1,0 +1,127 @@
+"""Folders of x-io Technologies' devices: NGIMU (``sensors.csv``) and x-IMU3 (``Inertial.csv``).
+
+NGIMU: ``Time (s)``, deg/s, g and uT in one file; ``quaternion.csv`` takes the Earth to the sensor, which its public
+sample session confirms. x-IMU3: ``Timestamp (us)``, deg/s and g; ``Magnetometer.csv`` in arbitrary units;
+``Quaternion.csv`` takes the sensor to the Earth. Both have accelerometers of +1 g on the axis that points up.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
+from stillpoint.datasets.importers.delimited import Table
+from stillpoint.datasets.importers.device_attitude import read_device_attitude
+from stillpoint.datasets.importers.files import digests, find_folders
+from stillpoint.datasets.importers.imported import Imported, make_mag
+from stillpoint.datasets.importers.log import read_table
+from stillpoint.datasets.importers.options import OwnOptions, make_info
+from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
+from stillpoint.datasets.recording import Imu, Mag, Recording
+
+XYZ = "XYZ"
+ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
+
+
+@dataclass(frozen=True)
+class Device:
+    """How the folders of one device look."""
+
+    name: str
+    imu: str  # file
+    time: tuple[str, int]  # column, exponent of its unit
+    mag: tuple[str, str, str]  # file, column with the axis as {}, unit or "" for arbitrary ones
+    attitude: str
+    inverse: bool  # the quaternion takes the Earth to the sensor
+
+
+NGIMU = Device(
+    "NGIMU", "sensors.csv", ("Time (s)", 0), ("sensors.csv", "Magnetometer {} (uT)", "uT"), "quaternion.csv", True
+)
+XIMU3 = Device(
+    "x-IMU3", "Inertial.csv", ("Timestamp (us)", -6), ("Magnetometer.csv", "{} (a.u.)", ""), "Quaternion.csv", False
+)
+
+
+def read_ngimu(source: Path, options: OwnOptions) -> Iterator[Imported]:
+    """The recordings of the NGIMU folders at or below a source. Raises :class:`BadSource`."""
+    yield from _read_folders(source, NGIMU, options)
+
+
+def read_ximu3(source: Path, options: OwnOptions) -> Iterator[Imported]:
+    """The recordings of the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
+    yield from _read_folders(source, XIMU3, options)
+
+
+def _read_folders(source: Path, device: Device, options: OwnOptions) -> Iterator[Imported]:
+    for folder in find_folders(
+        source, device.imu, f"name a folder that is not empty, as the {device.name} GUI logs it"
+    ):
+        yield _read_folder(folder, device, options)
+
+
+def _read_folder(folder: Path, device: Device, options: OwnOptions) -> Imported:
+    log = Log()
+    table = read_table(folder / device.imu, ",", log)
+    log.converted(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
+    columns = [
+        f"{what} {axis} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for axis in XYZ
+    ]
+    inertial = _read_columns(table, device, tuple(columns), "imu", log)
+    imu = Imu(inertial.t_ns, RATE["deg/s"] * inertial.values[:, :3], FORCE["g"] * inertial.values[:, 3:])
+    files = [folder / device.imu]
+    mag, uncalibrated = _read_mag(folder, device, options, files, log)
+    estimates = ()
+    file = folder / device.attitude
+    if file.is_file():
+        attitude = _read_columns(read_table(file, ",", log), device, tuple("WXYZ"), "attitude", log)
+        files.append(file)
+    sha256 = digests(dict.fromkeys(files), folder)
+    if file.is_file():
+        estimates = read_device_attitude(attitude, imu, device.inverse, folder.name, device.attitude, sha256, log)
+    info = make_info(
+        f"{device.name} {folder.name}",
+        options,
+        imu.t_ns,
+        sha256,
+        log,
+        sensor=options.sensor or f"x-io {device.name}",
+        mag_uncalibrated=uncalibrated,
+    )
+    return Imported(Recording(folder.name, imu=imu, mag=mag, info=info), estimates)
+
+
+def _read_columns(table: Table, device: Device, columns: tuple[str, ...], what: str, log: Log) -> Series:
+    series = Series(table.times(*device.time), table.floats(columns))
+    return sort_by_time(drop_incomplete_rows(series, what, log), what, log)
+
+
+def _read_mag(
+    folder: Path, device: Device, options: OwnOptions, files: list[Path], log: Log
+) -> tuple[Mag | None, bool]:
+    name, column, unit = device.mag
+    if not (folder / name).is_file():
+        log.noted(f"no magnetometer: there is no {name}")
+        return None, options.mag_uncalibrated
+    try:
+        table = read_table(folder / name, ",", Log())
+        series = _read_columns(table, device, tuple(column.format(axis) for axis in XYZ), "mag", log)
+    except BadSource as error:
+        log.noted(f"mag left out: {error}")
+        return None, options.mag_uncalibrated
+    files.append(folder / name)
+    if unit:
+        return make_mag(Series(series.t_ns, FIELD[unit] * series.values), options.mag_uncalibrated, log)
+    return scale_arbitrary_field(series, log)
+
+
+def scale_arbitrary_field(series: Series, log: Log) -> tuple[Mag | None, bool]:
+    """Return a field in arbitrary units with the median size ``ARBITRARY_UT``, marked as uncalibrated."""
+    size = float(np.median(np.linalg.norm(series.values, axis=1))) if len(series.t_ns) else 0.0
+    if not np.isfinite(size) or size == 0:
+        return make_mag(Series(series.t_ns, 0 * series.values), True, log)
+    log.noted(f"mag: in arbitrary units, scaled to a median of {ARBITRARY_UT:g} uT; only its direction counts")
+    return make_mag(Series(series.t_ns, ARBITRARY_UT / size * series.values), True, log)

@@ -1,0 +1,286 @@
+"""The known recording through the logs of devices: its attitude distinguishes every axis, sign and order."""
+
+import struct
+
+import numpy as np
+import pytest
+from known import START_NS, G, Known, assert_known
+
+from stillpoint.datasets import BadSource
+from stillpoint.datasets.frames import local_from_enu, quaternion, rotation, to_xyzw
+from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.movella import MovellaOptions
+from stillpoint.datasets.importers.table import IMPORTERS
+
+
+def read_one(kind: str, source, options=None) -> Imported:
+    (imported,) = IMPORTERS[kind].read_all(source, options)
+    return imported
+
+
+def table(header: str, *columns: list[str] | np.ndarray, delimiter: str = ",") -> str:
+    """A text of 600 rows; a column is a list of texts, or numbers (600,) or (600, k)."""
+    parts = [
+        [[text] for text in column] if isinstance(column, list) else np.reshape(column, (600, -1)).tolist()
+        for column in columns
+    ]
+    rows = [
+        [cell if isinstance(cell, str) else repr(cell) for part in row for cell in part]
+        for row in zip(*parts, strict=True)
+    ]
+    return "\n".join([header, *(delimiter.join(row) for row in rows)])
+
+
+def assert_device(imported: Imported, known: Known, start_ns: int = 0, near: float = 1e-6) -> None:
+    """The device's attitude is the known one, body to East-North-Up up to a heading."""
+    (estimate,) = imported.estimates
+    assert estimate.name == "device"
+    assert estimate.recording == imported.recording.name
+    at = np.searchsorted(known.t_ns + start_ns, estimate.t_ns)
+    error = rotation(estimate.q_nb) * rotation(known.q_nb[at]).inv()
+    heading = error[0]
+    assert abs(heading.as_rotvec()[:2]).max() < near
+    assert (heading.inv() * error).magnitude().max() < near
+
+
+# --- ASL folders
+
+
+def write_euroc(folder, known: Known, turn=None) -> None:
+    stamps = [str(START_NS + t) for t in known.t_ns.tolist()]
+    gyro, accel = known.gyro_b_radps, known.accel_b_mps2
+    if turn is not None:
+        gyro, accel = turn.inv().apply(gyro), turn.inv().apply(accel)
+    (folder / "imu0").mkdir(parents=True)
+    header = "#timestamp [ns]," + ",".join(f"w_RS_S_{a} [rad s^-1]" for a in "xyz")
+    header += "," + ",".join(f"a_RS_S_{a} [m s^-2]" for a in "xyz")
+    (folder / "imu0" / "data.csv").write_text(table(header, stamps, gyro, accel))
+    if turn is not None:
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn.as_matrix()
+        data = ", ".join(map(repr, matrix.ravel().tolist()))
+        text = f"sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{data}]\nrate_hz: 200\n"
+        (folder / "imu0" / "sensor.yaml").write_text(text)
+    (folder / "mag0").mkdir()
+    (folder / "mag0" / "data.csv").write_text(table("#timestamp [ns],x [uT],y [uT],z [uT]", stamps, known.mag_b_ut))
+    (folder / "state_groundtruth_estimate0").mkdir()
+    header = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+    truth = table(header, stamps, np.tile([1.0, 2.0, 3.0], (600, 1)), known.q_nb)
+    (folder / "state_groundtruth_estimate0" / "data.csv").write_text(truth)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_folder_in_the_asl_format(known, tmp_path, turned):
+    turn = rotation([0.5, 0.5, 0.1, np.sqrt(0.49)]) if turned else None
+    write_euroc(tmp_path / "MH_01" / "mav0", known, turn)
+    recording = read_one("euroc", tmp_path / "MH_01").recording
+    assert_known(recording, known, start_ns=START_NS, near=1e-8)
+    assert recording.name == "MH_01"
+    assert (recording.truth.position_n_m == [1, 2, 3]).all()
+    assert any("T_BS" in line for line in recording.info.conversions) == turned
+
+
+def test_a_magnetometer_in_an_unknown_unit_does_not_stop_the_rest(known, tmp_path):
+    write_euroc(tmp_path / "mav0", known)
+    file = tmp_path / "mav0" / "mag0" / "data.csv"
+    file.write_text(file.read_text().replace("[uT]", "[furlong]"))
+    recording = read_one("euroc", tmp_path).recording
+    assert recording.mag is None
+    assert any("furlong" in note for note in recording.info.notes)
+    assert recording.truth is not None
+
+
+# --- x-io
+
+
+def test_ngimu_whose_quaternion_takes_the_earth_to_the_sensor(known, tmp_path):
+    axes = [f"{what} {a} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for a in "XYZ"]
+    axes += [f"Magnetometer {a} (uT)" for a in "XYZ"]
+    values = np.column_stack([np.rad2deg(known.gyro_b_radps), known.accel_b_mps2 / G, known.mag_b_ut])
+    (tmp_path / "sensors.csv").write_text(table(",".join(["Time (s)", *axes]), known.t_s, values))
+    to_sensor = quaternion(rotation(known.q_nb).inv())
+    (tmp_path / "quaternion.csv").write_text(table("Time (s),W,X,Y,Z", known.t_s, to_sensor))
+    imported = read_one("ngimu", tmp_path)
+    assert_known(imported.recording, known, near=1e-8, truth=False)
+    assert_device(imported, known)
+    assert not any("other way" in note for note in imported.recording.info.notes)
+
+
+def test_ximu3_with_a_field_in_arbitrary_units(known, tmp_path):
+    t_us = [str(t // 1000) for t in known.t_ns.tolist()]
+    axes = [f"{what} {a} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for a in "XYZ"]
+    values = np.column_stack([np.rad2deg(known.gyro_b_radps), known.accel_b_mps2 / G])
+    (tmp_path / "Inertial.csv").write_text(table(",".join(["Timestamp (us)", *axes]), t_us, values))
+    field = known.mag_b_ut / np.linalg.norm(known.mag_b_ut[0])
+    (tmp_path / "Magnetometer.csv").write_text(table("Timestamp (us),X (a.u.),Y (a.u.),Z (a.u.)", t_us, field))
+    (tmp_path / "Quaternion.csv").write_text(table("Timestamp (us),W,X,Y,Z", t_us, known.q_nb))
+    imported = read_one("ximu3", tmp_path)
+    recording = imported.recording
+    np.testing.assert_allclose(recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-9)
+    np.testing.assert_allclose(recording.imu.accel_b_mps2, known.accel_b_mps2, atol=1e-9)
+    np.testing.assert_allclose(recording.mag.mag_b_ut / 50, field, atol=1e-9)
+    assert recording.info.mag_uncalibrated
+    assert_device(imported, known)
+
+
+def test_the_gyro_decides_which_way_a_quaternion_turns(known, tmp_path):
+    """An x-IMU3 whose firmware writes the inverse: noted, and right."""
+    t_us = [str(t // 1000) for t in known.t_ns.tolist()]
+    axes = [f"{what} {a} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for a in "XYZ"]
+    values = np.column_stack([np.rad2deg(known.gyro_b_radps), known.accel_b_mps2 / G])
+    (tmp_path / "Inertial.csv").write_text(table(",".join(["Timestamp (us)", *axes]), t_us, values))
+    inverse = quaternion(rotation(known.q_nb).inv())
+    (tmp_path / "Quaternion.csv").write_text(table("Timestamp (us),W,X,Y,Z", t_us, inverse))
+    imported = read_one("ximu3", tmp_path)
+    assert_device(imported, known)
+    assert any("other way than documented" in note for note in imported.recording.info.notes)
+
+
+# --- Movella
+
+
+def test_movella_dot_with_a_counter_that_wraps(known, tmp_path):
+    t_us = (known.t_ns // 1000 + 2**32 - 3_000_000) % 2**32
+    header = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,"
+    header += ",".join(f"{what}_{a}" for what in ("Acc", "Gyr", "Mag") for a in "XYZ") + ",Status"
+    body = np.column_stack([known.q_nb, known.accel_b_mps2, np.rad2deg(known.gyro_b_radps), known.mag_b_ut / 40])
+    counts = [str(k) for k in range(600)]
+    text = table(header, counts, [str(t) for t in t_us.tolist()], body, ["0"] * 600)
+    file = tmp_path / "dot.csv"
+    file.write_text("DeviceTag: ,Left\nFirmwareVersion: ,3.0.0\nSyncStatus: ,Unsynced\n\n" + text)
+    imported = read_one("movella", file)
+    recording = imported.recording
+    assert (np.diff(recording.imu.t_ns) == 10_000_000).all()
+    np.testing.assert_allclose(recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-9)
+    np.testing.assert_allclose(recording.imu.accel_b_mps2, known.accel_b_mps2, atol=1e-9)
+    assert any("wrapped" in note for note in recording.info.notes)
+    assert_device(imported, known, start_ns=int(recording.imu.t_ns[0]))
+
+
+def test_a_text_export_of_mt_manager_without_stamps(known, tmp_path):
+    header = "PacketCounter\tSampleTimeFine\t" + "\t".join(f"{w}_{a}" for w in ("Acc", "Gyr") for a in "XYZ")
+    header += "\t" + "\t".join(f"Quat_q{k}" for k in range(4))
+    body = np.column_stack([known.accel_b_mps2, known.gyro_b_radps, known.q_nb])
+    counts = [str(65_000 + k) if k < 536 else str(k - 536) for k in range(600)]
+    text = table(header, counts, [""] * 600, body, delimiter="\t")
+    file = tmp_path / "MT_0001.txt"
+    file.write_text("// General information:\n//  MT Manager version:\t4.6\n// Update Rate: 100.0Hz\n" + text)
+    imported = read_one("movella", file)
+    assert (imported.recording.imu.t_ns == known.t_ns).all()
+    np.testing.assert_allclose(imported.recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-9)
+    assert_device(imported, known)
+    file.write_text(text)
+    options = MovellaOptions(rate=100.0)
+    assert (read_one("movella", file, options).recording.imu.t_ns == known.t_ns).all()
+
+
+def test_movella_without_inertial_data_says_so(tmp_path):
+    file = tmp_path / "dot.csv"
+    file.write_text("PacketCounter,SampleTimeFine,Euler_X,FreeAcc_X\n1,100,0.1,0.0\n2,10100,0.1,0.0\n")
+    with pytest.raises(BadSource, match=r"Gyr_X.*without gravity"):
+        read_one("movella", file)
+
+
+# --- SensorLog
+
+
+def test_sensorlog_with_repeated_rows_and_apples_sign(known, tmp_path):
+    boot_s = 5000.0
+    stamps = [f"{boot_s + t:.6f}" for t in known.t_s.tolist()]
+    late = [f"{boot_s + t + 0.001:.6f}" for t in known.t_s.tolist()]
+    logged = [f"2021-05-06 18:31:{2 + t:09.6f} +0200" for t in known.t_s.tolist()]
+    names = ["loggingTime(txt)", "gyroTimestamp_sinceReboot(s)", *(f"gyroRotation{a}(rad/s)" for a in "XYZ")]
+    names += ["accelerometerTimestamp_sinceReboot(s)", *(f"accelerometerAcceleration{a}(G)" for a in "XYZ")]
+    names += ["magnetometerTimestamp_sinceReboot(s)", *(f"magnetometer{a}(µT)" for a in "XYZ")]
+    names += ["motionTimestamp_sinceReboot(s)", *(f"motionQuaternion{a}(R)" for a in "XYZW")]
+    columns = [logged, stamps, known.gyro_b_radps, stamps, -known.accel_b_mps2 / G]
+    columns += [late, known.mag_b_ut + 300.0, stamps, to_xyzw(known.q_nb)]
+    lines = table(",".join(names), *columns).splitlines()
+    doubled = [lines[0], *(line for row in lines[1:] for line in (row, row))]
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join(doubled), encoding="utf-8")
+    imported = read_one("sensorlog", file)
+    recording = imported.recording
+    assert (recording.imu.t_ns == known.t_ns + 5_000_000_000_000).all()
+    np.testing.assert_allclose(recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-9)
+    np.testing.assert_allclose(recording.imu.accel_b_mps2, known.accel_b_mps2, atol=1e-9)
+    np.testing.assert_allclose(recording.mag.mag_b_ut, known.mag_b_ut + 300, atol=1e-9)
+    assert (recording.mag.t_ns == recording.imu.t_ns + 1_000_000).all()
+    assert recording.info.mag_uncalibrated
+    assert_device(imported, known, start_ns=5_000_000_000_000)
+
+
+# --- KITTI
+
+
+def test_kitti_oxts(known, tmp_path):
+    folder = tmp_path / "drive_0001" / "oxts"
+    (folder / "data").mkdir(parents=True)
+    angles = rotation(known.q_nb).as_euler("ZYX")
+    lines = []
+    for k in range(600):
+        numbers = np.zeros(30)
+        numbers[:3] = 49.0, 8.4, 112.0
+        numbers[3:6] = angles[k, ::-1]
+        numbers[6:8] = 0.0, 5.0  # towards east
+        numbers[11:14], numbers[17:20] = known.accel_b_mps2[k], known.gyro_b_radps[k]
+        (folder / "data" / f"{k:010d}.txt").write_text(" ".join(repr(float(number)) for number in numbers))
+        lines.append(f"2011-09-26 13:02:{25 + k // 100:02d}.{k % 100 * 10_000_000:09d}")
+    (folder / "timestamps.txt").write_text("\n".join(lines))
+    recording = read_one("kitti", tmp_path).recording
+    assert (recording.imu.t_ns - recording.imu.t_ns[0] == known.t_ns).all()
+    assert recording.info.date == "2011-09-26"
+    assert recording.name == "drive_0001"
+    np.testing.assert_allclose(recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-12)
+    assert (rotation(recording.truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-6
+    up = rotation(recording.truth.q_nb.copy()).apply(recording.imu.accel_b_mps2.copy())
+    np.testing.assert_allclose(up, np.tile([0, 0, G], (600, 1)), atol=1e-5)
+    np.testing.assert_allclose(recording.gps.course_rad, np.pi / 2)
+    assert any("not independent" in note for note in recording.info.notes)
+
+
+# --- PX4
+
+
+def ulog_message(kind: str, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), ord(kind)) + body
+
+
+def write_ulog(path, known: Known) -> None:
+    """Samples of the known recording as a log of PX4, whose world is North-East-Down."""
+    formats = {
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
+        "float[3] accelerometer_m_s2;",
+        "vehicle_magnetometer": "uint64_t timestamp;float[3] magnetometer_ga;",
+        "vehicle_attitude": "uint64_t timestamp;float[4] q;",
+        "vehicle_attitude_groundtruth": "uint64_t timestamp;float[4] q;",
+    }
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + ulog_message("B", bytes(40))
+    for name, fields in formats.items():
+        out += ulog_message("F", f"{name}:{fields}".encode())
+    for number, name in enumerate(formats):
+        out += ulog_message("A", struct.pack("<BH", 0, number) + name.encode())
+    q_ned = quaternion(local_from_enu("ned") * rotation(known.q_nb))
+    for k, t in enumerate((known.t_ns // 1000 + 1_000_000).tolist()):
+        stamp = struct.pack("<Q", t)
+        imu = struct.pack("<3fi3f", *known.gyro_b_radps[k], 0, *known.accel_b_mps2[k])
+        bodies = (imu, struct.pack("<3f", *(known.mag_b_ut[k] / 100)), struct.pack("<4f", *q_ned[k]))
+        for number, body in enumerate((*bodies, bodies[2])):
+            out += ulog_message("D", struct.pack("<H", number) + stamp + body)
+    path.write_bytes(out)
+
+
+def test_a_log_of_px4(known, tmp_path):
+    pytest.importorskip("pyulog")
+    write_ulog(tmp_path / "flight.ulg", known)
+    imported = read_one("ulog", tmp_path / "flight.ulg")
+    assert_known(imported.recording, known, start_ns=1_000_000_000, near=1e-6)
+    assert_device(imported, known, start_ns=1_000_000_000, near=1e-5)
+    assert any("North-East-Down" in line for line in imported.recording.info.conversions)
+
+
+def test_a_log_of_px4_that_is_none(tmp_path):
+    pytest.importorskip("pyulog")
+    (tmp_path / "x.ulg").write_bytes(b"nothing of the kind")
+    with pytest.raises(BadSource, match=r"x\.ulg.*ULog"):
+        read_one("ulog", tmp_path / "x.ulg")
