@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo:demo", "Simulate a phone in the hand and follow it the whole way to a report."),
     "import": ("import_:app", "Turn recordings of other formats into MCAP files."),
+    "cut": ("cut:cut", "Write a part of a recording as a recording of its own."),
     "simulate": ("simulate:simulate", "Make recordings whose truth is known by construction."),
     "info": ("info:info", "Say what is in a file: streams, rates, gaps, rests, provenance."),
     "doctor": ("doctor:doctor", "Test recordings by physics and say what to do."),

@@ -70,9 +70,9 @@ def open_ros(source: Path) -> RosFiles:
         for topic, count in log.counts.items():
             counts[topic] += count
         if log.lost:
-            notes.append(f"{file.name}: {log.lost}")
-    if not sum(counts.values()) and notes and "cut" in notes[-1]:
-        raise BadSource(f"{source}: {notes[-1].partition(': ')[2]}; no chunk of it is whole: copy or record it again")
+            notes.append(f"{log.lost} ({file.name})")
+    if not sum(counts.values()) and log.lost:
+        raise BadSource(f"{file}: {log.lost}; no chunk of it is whole: copy or record it again")
     return RosFiles(source, tuple(files), open_file, types, dict(counts), tuple(notes))
 
 
@@ -159,7 +159,7 @@ class BagScan(_MessageFile):
                 start = file.tell()
                 record = _read_record(file, size)
                 if record is None:
-                    self.lost = f"the bag is cut short, nothing could be read from byte {start} of {size} on"
+                    self.lost = f"the file is cut short, nothing could be read from byte {start} of {size} on"
                     break
                 self._take(*record, messages)
                 if messages.size > BLOCK_BYTES:

@@ -53,7 +53,8 @@ def import_(
     Parameters
     ----------
     kind
-        broad, tyrex, bench, csv, sensorlogger, phyphox, spin, flatball or ros.
+        broad, tyrex, bench, csv, sensorlogger, phyphox, spin, flatball, ros, euroc, kitti, ulog, ngimu, ximu3, movella
+        or sensorlog.
     sources
         Files or folders of that kind.
     out

@@ -7,9 +7,9 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 ALL = Group("All kinds", sort_key=1)
-OWN = Group("Own recordings: csv, spin, sensorlogger, phyphox, ros", sort_key=2)
-PHONES = Group("Phones: tyrex, sensorlogger", sort_key=3)
-LOG = Group("Delimited logs: csv, spin", sort_key=4)
+OWN = Group("Own recordings: all kinds but broad, tyrex, bench, flatball", sort_key=2)
+PHONES = Group("Phones: tyrex, sensorlogger, sensorlog", sort_key=3)
+LOG = Group("Delimited logs: csv, spin; --rate also movella", sort_key=4)
 CSV = Group("Logs of an IMU: csv", sort_key=5)
 SPIN = Group("Logs of a spinning body: spin", sort_key=6)
 ROS = Group("Bags: ros", sort_key=7)
@@ -47,7 +47,8 @@ class Flags:
     mag_uncalibrated
         The size of the field says nothing (hard iron, raw counts).
     mag
-        tyrex, sensorlogger: raw (the default) or calibrated by the phone. csv: columns and unit, mx,my,mz:uT.
+        tyrex, sensorlogger, sensorlog: raw (the default) or calibrated by the phone. csv: columns and unit,
+        mx,my,mz:uT.
     platform
         sensorlogger: ios or android, where no Metadata.csv says it.
     config
