@@ -13,6 +13,7 @@ from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, ci
 
 MANIFEST = "manifest.json"
 CHECKSUMS = "manifest-sha256.txt"
+STUDY_SUFFIX = ".study.toml"  # beside the JSON of a leaderboard: makes it anew from the bundle
 FORMAT = 1
 
 
@@ -193,6 +194,8 @@ def _reproduce_script(items: Sequence[Item]) -> str:
         'stillpoint archive import . --archive "$work"',
         'stillpoint archive verify --archive "$work" --remake all',
     ]
-    if any(item.entry.kind == "leaderboard" for item in items):
-        lines.append("stillpoint leaderboard data/recordings -o remade  # compare with data/leaderboards")
+    for item in items:
+        if item.entry.kind == "leaderboard":
+            stem = item.path.removesuffix(".json")
+            lines.append(f'stillpoint leaderboard -c "{stem}{STUDY_SUFFIX}" -o "remade/{stem.rpartition("/")[2]}"')
     return "\n".join(lines) + "\n"

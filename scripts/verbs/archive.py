@@ -16,6 +16,8 @@ for _place, (_name, _target, _help) in enumerate(
         ("verify", "check:verify", "Read everything, and list what is wrong and how to repair it."),
         ("repair", "check:repair", "Mend damaged objects from a copy, and damaged records."),
         ("rebuild", "check:rebuild", "Make the catalogue anew from the objects."),
+        ("export", "publish:export", "Write a bundle for Zenodo or Hugging Face, with all metadata."),
+        ("import", "publish:import_", "Take such a bundle into the archive."),
     )
 ):
     app.command(f"stillpoint.scripts.verbs.archives.{_target}", name=_name, help=_help, sort_key=_place)

@@ -1,0 +1,134 @@
+"""``stillpoint archive export``, ``import`` and ``bundle``: what leaves an archive, and what comes into it."""
+
+import json as json_text
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from stillpoint.datasets.archive.bundle import STUDY_SUFFIX, bundle_files
+from stillpoint.datasets.archive.pack import LARGEST_BUNDLE, open_bundle, write_bundle
+from stillpoint.datasets.archive.selection import About, Item, select_items
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.shared.flags import Whole
+from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
+from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
+from stillpoint.studies.publish.page import page_html
+
+
+def export(
+    query: str,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    archive: ArchiveDir = None,
+    title: str | None = None,
+    description: str = "",
+    author: Annotated[list[str] | None, Parameter(negative=())] = None,
+    url: str = "",
+    date: str = "",
+    allow_unlicensed: Annotated[bool, Parameter(negative="")] = False,
+    alone: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Write a bundle for Zenodo or Hugging Face: a folder, or one .zip or .tar file.
+
+    It holds what the query finds, what that was made from, and what was made from nothing else; with hashes, licences,
+    CITATION.cff, RO-Crate and Croissant metadata, and a script that remakes all results. Needs the extra publish.
+
+    Parameters
+    ----------
+    query
+        As for archive find.
+    out
+        A new folder, or NAME.zip or NAME.tar.
+    archive
+        The archive; by default STILLPOINT_ARCHIVE.
+    title
+        Title of the dataset; by default the name of the output.
+    description
+        What it is, in one paragraph.
+    author
+        An author; may be given several times.
+    url
+        Where it will be found.
+    date
+        Date of publication, YYYY-MM-DD; by default today.
+    allow_unlicensed
+        Also export files whose licence is not stated.
+    alone
+        Leave out what was made from the files that the query finds.
+    """
+    about = About(title or out.name.removesuffix(out.suffix), description, tuple(author or ()), url, date)
+    if out.exists():
+        raise BadParameter(f"--out {out}: is there already; name a new folder, .zip or .tar")
+    with open_named(archive) as opened:
+        items = select_items(opened, query, allow_unlicensed, alone)
+        files = bundle_files(items, about, _leaderboard_files(items))
+        write_bundle(files, out)
+    counts = Counter(item.entry.kind for item in items)
+    size = sum(item.entry.size for item in items) / 1e6
+    what = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items())
+    print(f"{out}: {what}; {size:.1f} MB")
+
+
+def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
+    """The page of each leaderboard, and the study that makes it anew from the bundle, by their paths in the bundle."""
+    recordings = {item.entry.sha256: item.path for item in items if item.entry.kind == "recording"}
+    files: dict[str, bytes] = {}
+    for item in items:
+        if item.entry.kind != "leaderboard":
+            continue
+        board = Leaderboard.from_json(json_text.loads(item.source.read_bytes()))
+        stem = item.path.removesuffix(".json")
+        files[f"{stem}.html"] = page_html(board).encode()
+        known = {each.name for each in fields(Study)}
+        settings = {name: _as_tuple(value) for name, value in board.study.items() if name in known}
+        paths = tuple(f"../../{recordings[one.sha256]}" for one in board.sources if one.sha256 in recordings)
+        study = Study(**{**settings, "recordings": paths, "sha256": {}})
+        files[f"{stem}{STUDY_SUFFIX}"] = study_toml(study, board.version).encode()
+    return files
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def import_(
+    bundle: Path,
+    /,
+    *,
+    archive: ArchiveDir = None,
+    max_bytes: Whole = LARGEST_BUNDLE,
+    json: JsonFile = None,
+) -> int:
+    """Take a bundle into the archive, with its tags and metadata; every hash is checked.
+
+    Parameters
+    ----------
+    bundle
+        A folder, .zip or .tar that archive export wrote.
+    archive
+        The archive; by default STILLPOINT_ARCHIVE.
+    max_bytes
+        The largest size, unpacked, that is taken in.
+    json
+        Also write what became of each file as JSON to this file; - is the standard output.
+    """
+    with open_named(archive) as opened, open_bundle(bundle, max_bytes) as contents:
+        added = list(opened.add_given(contents.given()))
+    refused = [one for one in added if one.status == "refused"]
+    for one in refused:
+        print(f"stillpoint: {one.reason}", file=sys.stderr)
+    if json != STDOUT:
+        for status, count in Counter(one.status for one in added).items():
+            print(f"{count} {'already there' if status == 'present' else status}")
+    rows = [
+        {"file": str(one.source), "id": one.sha256 or None, "kind": one.kind, "status": one.status} for one in added
+    ]
+    write_json(json, [{**row, "error": one.reason or None} for row, one in zip(rows, added, strict=True)])
+    return 2 if refused else 0
