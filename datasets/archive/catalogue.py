@@ -35,6 +35,13 @@ SCORE_FIGURES = (
     "rate_rmse_degps",
 )  # fmt: skip
 
+
+def _affinity(name: str) -> str:
+    if name in ("samples", "rests"):
+        return "INTEGER"
+    return "REAL" if name in NUMBERS else "TEXT"
+
+
 _COMMON = "o.sha256, o.name, o.file_name, o.size, o.added, o.version, o.duration_s, o.samples, o.rate_hz"
 MIGRATIONS: tuple[str, ...] = (
     f"""
@@ -42,7 +49,7 @@ MIGRATIONS: tuple[str, ...] = (
         sha256 TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, file_name TEXT NOT NULL, suffix TEXT NOT NULL,
         size INTEGER NOT NULL, added TEXT NOT NULL, removed TEXT NOT NULL, reason TEXT NOT NULL, freed TEXT NOT NULL,
         problem TEXT NOT NULL, link TEXT NOT NULL,
-        {", ".join(f"{name} {'REAL' if name in NUMBERS else 'TEXT'}" for name in DESCRIBED)},
+        {", ".join(f"{name} {_affinity(name)}" for name in DESCRIBED)},
         facts TEXT NOT NULL
     ) WITHOUT ROWID;
     CREATE INDEX objects_by_name ON objects (name);
