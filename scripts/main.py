@@ -27,6 +27,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "score": ("score:score", "Score estimates against a reference or a truth."),
     "validate": ("validate:validate", "Score references against independent truth."),
     "leaderboard": ("leaderboard:leaderboard", "Rank many estimators over many recordings, with verdicts."),
+    "tune": ("tune:tune", "Find the parameters with which an estimator errs least."),
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),

@@ -24,6 +24,7 @@ from stillpoint.studies.leaderboard.cells import Cell, Line, list_lines, make_es
 from stillpoint.studies.leaderboard.entrants import default_estimators, find_entrants
 from stillpoint.studies.leaderboard.files import without_trajectories
 from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
+from stillpoint.studies.leaderboard.judge_choice import judge_by_truth
 from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec
 from stillpoint.studies.leaderboard.ranking import ScoredRuns
 from stillpoint.studies.leaderboard.references import KeptReference, find_references
@@ -114,7 +115,7 @@ def measure_fidelity(
     offline = [name for name in names if name not in METHODS]
     lines = list_lines(find_entrants(list(dict.fromkeys([*(e.spelling for e in entrants), *offline])), []), [NONE])
     cells = make_estimates(list(plan_cells(sources, lines, {}, store)), store, run_jobs)
-    scored = {TRUTH: score_cells(cells, {s.recording: _truth_of(s) for s in sources}, align, store, run_jobs)}
+    scored = {TRUTH: score_cells(cells, {s.recording: judge_by_truth(s) for s in sources}, align, store, run_jobs)}
     for name in names:
         specs = _find_judges(name, sources, cells, folder, store, run_jobs)
         scored[name] = score_cells(cells, specs, align, store, run_jobs)
@@ -140,10 +141,6 @@ def count_wrong(verdicts: PairTable, truth_deg: Floats) -> tuple[int, int]:
     middle = np.log(truth_deg).mean(0)
     worse = middle[:, None] > middle
     return int(verdicts.better.sum()), int((verdicts.better & worse).sum())
-
-
-def _truth_of(source: Source) -> JudgeSpec:
-    return JudgeSpec(TRUTH, f"truth {source.sha256}")
 
 
 def _find_judges(

@@ -59,7 +59,8 @@ def plan_cells(
             job, error = None, source.error
             if error is None:
                 try:
-                    job = plan_estimate(source, line.entrant, _calibration_file(source, line, references), store)
+                    file = find_calibration(source, line.calibration, references)
+                    job = plan_estimate(source, line.entrant, file, store)
                 except StillpointError as problem:
                     error = str(problem)
             yield Cell(source, line, job, error)
@@ -84,12 +85,12 @@ def _with_error(cell: Cell, errors: dict[str, str | None], store: ResultStore) -
     return replace(cell, error=errors.get(cell.job.key) or kept)
 
 
-def _calibration_file(source: Source, line: Line, references: References) -> Path | None:
-    """Return the file with the calibration of a cell; raises :class:`StillpointError` where there is none."""
-    if line.calibration == NONE:
+def find_calibration(source: Source, calibration: str, references: References) -> Path | None:
+    """Return the file with the calibration of a recording; raises :class:`StillpointError` where there is none."""
+    if calibration == NONE:
         return None
-    if line.calibration != REFERENCE:
-        return Path(line.calibration)
+    if calibration != REFERENCE:
+        return Path(calibration)
     reference = references[source.recording]
     if reference.file is None:
         raise StillpointError(f"no calibration: {reference.error}")

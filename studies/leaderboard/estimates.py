@@ -35,6 +35,9 @@ class EstimateJob:
     key: str
     store: ResultStore
 
+    def __str__(self) -> str:
+        return f"{self.entrant.name} on {self.source.recording}"
+
 
 def plan_estimate(source: Source, entrant: Entrant, calibration_file: Path | None, store: ResultStore) -> EstimateJob:
     """Return the job with the key of its result; raises :class:`StillpointError` for a file that is missing."""

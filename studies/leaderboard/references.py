@@ -36,6 +36,9 @@ class ReferenceJob:
     key: str
     store: ResultStore
 
+    def __str__(self) -> str:
+        return f"reference of {self.source.recording}"
+
 
 def plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> ReferenceJob:
     """Return the job that would make the reference of a recording."""

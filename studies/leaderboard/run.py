@@ -15,7 +15,8 @@ from stillpoint.studies.leaderboard.cells import Line, list_lines, make_estimate
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
 from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
-from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec
+from stillpoint.studies.leaderboard.judge_choice import find_judge, needs_reference
+from stillpoint.studies.leaderboard.judges import TRUTH
 from stillpoint.studies.leaderboard.ranking import build_table
 from stillpoint.studies.leaderboard.references import References, find_references
 from stillpoint.studies.leaderboard.score_cells import score_cells
@@ -110,7 +111,7 @@ def run_study(
         estimators=tuple(entrant.spelling for entrant in entrants),
         sha256={source.recording: source.sha256 for source in sources if source.sha256},
     )
-    needed = [source for source in sources if source.error is None and _needs_reference(study, source)]
+    needed = [source for source in sources if needs_reference(source, study.against, study.calibration)]
     references = find_references(needed, out, store, run_jobs)
     fast = [entrant for entrant in entrants if not entrant.slow]
     if publish is not None and 0 < len(fast) < len(entrants):
@@ -131,7 +132,7 @@ def _compare(
     rows = [line.empty_row() for line in lines]
     tables, groups, runs = [], [], []
     for against in (TRUTH, REFERENCE) if study.against == "both" else (study.against,):
-        judges = {s.recording: _find_judge(s, against, study.against == "both", references) for s in sources}
+        judges = {s.recording: find_judge(s, against, study.against == "both", references) for s in sources}
         scored = score_cells(cells, judges, study.align, store, run_jobs)
         tables.append(build_table("", scored, sources, rows))
         for name, members in list_groups(sources, study.groups):
@@ -159,31 +160,6 @@ def list_groups(sources: Sequence[Source], wanted: Sequence[str] | None) -> Iter
             raise BadParameter(f"group {name!r}: no recording has this tag or device; there is {known}")
         if len(members) < len(sources):
             yield name, members
-
-
-def _needs_reference(study: Study, source: Source) -> bool:
-    if REFERENCE in study.calibration or study.against in (REFERENCE, "both"):
-        return True
-    return study.against == "auto" and not source.truth
-
-
-def _find_judge(source: Source, against: str, at_truth: bool, references: References) -> JudgeSpec | str:
-    """Return the judge of a recording, or the reason why there is none."""
-    if source.error is not None:
-        return source.error
-    if against == TRUTH or (against == "auto" and source.truth):
-        if not source.truth:
-            return f"{source.recording}: has no independent truth; use --against reference"
-        return JudgeSpec(TRUTH, f"truth {source.sha256}")
-    reference = references[source.recording]
-    if reference.file is None:
-        return f"no reference: {reference.error}"
-    return JudgeSpec(
-        f"reference ({reference.method})",
-        reference.sha256,
-        reference.file,
-        at_truth=at_truth and source.truth,
-    )
 
 
 def _require_unchanged(study: Study, sources: Sequence[Source]) -> None:

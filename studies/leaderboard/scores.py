@@ -46,6 +46,9 @@ class ScoreJob:
     key: str
     store: ResultStore
 
+    def __str__(self) -> str:
+        return f"scores of {self.source.recording} against {self.judge.name}"
+
     def scored(self) -> "list[Scored] | None":
         """Return what came of each entry; None when the job has not been run."""
         facts = self.store.facts(self.key)
