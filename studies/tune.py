@@ -20,7 +20,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservab
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Floats, Recording, Truth
-from stillpoint.datasets.settings import chosen
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES, ESTIMATORS
@@ -339,7 +339,7 @@ def _check(estimator: str, ranges: Sequence[ParamRange], against: str, trials: i
     defaults = ESTIMATORS[estimator].params()
     for each in ranges:
         for end in (each.low, each.high):
-            chosen(defaults, {each.name: end}, estimator)
+            choose_settings(defaults, {each.name: end}, estimator)
 
 
 def _open_study(spec: TuneSpec) -> Any:

@@ -1,5 +1,7 @@
 """The map of a tuning: the typical error over two parameters."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -8,6 +10,7 @@ from stillpoint.studies.tune import ParamRange, Tuning
 
 LEAST_FOR_CONTOURS = 8  # trials; fewer are shown as points alone
 LEVELS = 12
+BEST: dict[str, Any] = {"color": "C3", "markersize": 11, "zorder": 5, "clip_on": False, "label": "best common setting"}
 
 
 def draw_tuning(tuning: Tuning) -> Figure:
@@ -21,7 +24,7 @@ def draw_tuning(tuning: Tuning) -> Figure:
     ax.set_title(
         f"{tuning.estimator}: typical {tuning.figure} RMSE over {len(tuning.recordings)} recordings", fontsize=9
     )
-    ax.legend(fontsize=7)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7, frameon=False)
     return figure
 
 
@@ -30,7 +33,7 @@ def _draw_line(ax: Axes, tuning: Tuning) -> None:
     ordered = sorted(tuning.trials, key=lambda trial: trial.params[name])
     ax.plot([t.params[name] for t in ordered], [t.typical_deg for t in ordered], ".-", linewidth=0.8)
     ax.axhline(tuning.defaults.typical_deg, color="0.5", linewidth=0.8, label="defaults")
-    ax.plot(tuning.best.params[name], tuning.best.typical_deg, "*", color="C3", label="best common setting")
+    ax.plot(tuning.best.params[name], tuning.best.typical_deg, "*", **BEST)
     ax.set(xlabel=name, ylabel="typical RMSE (deg)", yscale="log", xscale="log" if tuning.ranges[0].log else "linear")
 
 
@@ -60,7 +63,7 @@ def _draw_inside(ax: Axes, tuning: Tuning, first: ParamRange, second: ParamRange
     """Mark the defaults and the best setting of each recording."""
     each = tuning.best_per_recording
     mine = [trial.params[first.name] for trial in each], [trial.params[second.name] for trial in each]
-    ax.plot(*mine, "o", color="w", markeredgecolor="k", markersize=4, label="best of each recording")
+    ax.plot(*mine, "o", color="w", markeredgecolor="k", markersize=4, clip_on=False, label="best of each recording")
     defaults = tuning.defaults.params
     if first.name in defaults and second.name in defaults:
-        ax.plot(defaults[first.name], defaults[second.name], "s", color="C1", label="defaults")
+        ax.plot(defaults[first.name], defaults[second.name], "s", color="C1", clip_on=False, label="defaults")
