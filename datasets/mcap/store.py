@@ -101,11 +101,6 @@ def read_reference(path: Path | str) -> Reference:
     return _of_kind(path, Reference, read(path))
 
 
-def read_roll_reference(path: Path | str) -> RollReference:
-    """The roll reference in a file; raises :class:`BadFile` when it holds something else."""
-    return _of_kind(path, RollReference, read(path))
-
-
 def read_estimate(path: Path | str) -> Estimate:
     """The estimate in a file; raises :class:`BadFile` when it holds something else."""
     return _of_kind(path, Estimate, read(path))
