@@ -5,6 +5,7 @@ samples fall on a pixel. It merges neighbouring stretches further where it shows
 """
 
 import base64
+import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -68,6 +69,24 @@ def reduce_angle(t_ns: Times, angle_deg: Floats, zero_ns: int, columns: int) -> 
     for kept in (curve.least, curve.greatest, curve.middle):
         kept[broken] = np.nan
     return curve
+
+
+def coarsen_curve(curve: Curve, columns: int, middle: Middle = "mean") -> Curve:
+    """Merge neighbouring stretches of a curve until at most ``columns`` remain."""
+    group = -(-len(curve.middle) // columns)
+    if group <= 1:
+        return curve
+    padding = -len(curve.middle) % group
+
+    def fold(values: Floats) -> Floats:
+        return np.pad(values, (0, padding), constant_values=np.nan).reshape(-1, group)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a stretch within a gap has no value
+        least, greatest = np.nanmin(fold(curve.least), axis=1), np.nanmax(fold(curve.greatest), axis=1)
+        parts = fold(curve.middle)
+        central = np.sqrt(np.nanmean(parts**2, axis=1)) if middle == "rms" else np.nanmean(parts, axis=1)
+    return Curve(curve.start_s, curve.step_s * group, least, greatest, central)
 
 
 def encode_curve(curve: Curve, scale: Literal["log", "linear"] = "linear") -> dict[str, Any]:

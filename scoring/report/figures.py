@@ -16,8 +16,9 @@ from stillpoint.datasets.frames import EulerFrame, euler, rotation
 from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Reference, total_sd_rad
-from stillpoint.scoring.compare import Comparison, moving_samples, name_of
+from stillpoint.scoring.compare import Comparison, name_of
 from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.report.plot_data import find_rest_spans
 from stillpoint.scoring.score import Score
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
@@ -57,7 +58,7 @@ class View:
 
 def view_of(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int) -> View:
     """The whole run. A truth's rests are the stretches that it does not count as moving."""
-    rests_ns = truth.rests_ns if isinstance(truth, Reference) else _still_stretches(truth)
+    rests_ns = find_rest_spans(truth)
     first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
     return View(tuple(comparisons), truth, rests_ns, frame, zero_ns, (first, last))
 
@@ -201,10 +202,3 @@ def _time_axis(ax: Axes, view: View) -> None:
             ax.axvspan(max(first_s, start_s), min(last_s, end_s), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
     ax.set_xlim(start_s, end_s)
     ax.xaxis.set_major_locator(MaxNLocator(max(columns_of(ax) // 30, 4)))
-
-
-def _still_stretches(truth: Truth) -> Times:
-    still = ~moving_samples(truth)
-    edges = np.diff(still.astype(np.int8), prepend=0, append=0)
-    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    return np.stack([truth.t_ns[first], truth.t_ns[last]], axis=1)

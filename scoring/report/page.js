@@ -143,7 +143,7 @@ class TimePlots {
         tooltips: "<b>$name</b> @middle{0.000} (@least{0.000} … @greatest{0.000}) at @t{0.00} s",
       }),
     );
-    if (panel.scale === "log") figure.left[0].formatter = new Bokeh.NumeralTickFormatter({ format: "0.[0000]" });
+    if (panel.scale === "log") labelLogAxis(figure.left[0], "0.[0000]");
     return { panel, figure, judge, drawn, yRange };
   }
 
@@ -227,6 +227,11 @@ function spanOf(columns, scale) {
   return { start: low - margin, end: high + margin };
 }
 
+function labelLogAxis(axis, format) {
+  axis.ticker.setv({ mantissas: [1, 2, 5], desired_num_ticks: 4 });
+  axis.formatter = new Bokeh.NumeralTickFormatter({ format });
+}
+
 function recolourFigure(figure) {
   const ink = css("--ink"), soft = css("--soft"), grid = css("--grid");
   figure.setv({ background_fill_color: css("--paper"), border_fill_color: css("--paper"), outline_line_color: grid });
@@ -251,14 +256,14 @@ class CostPlot {
     const figure = Bokeh.Plotting.figure({
       height: 360, sizing_mode: "stretch_width", x_axis_type: "log", y_axis_type: "log",
       tools: [new Bokeh.BoxZoomTool(), new Bokeh.PanTool(), new Bokeh.ResetTool()], toolbar_location: "above",
-      x_range: new Bokeh.Range1d({ start: least("cost") / 2, end: greatest("cost") * 6 }), // room for the last name
+      x_range: new Bokeh.Range1d({ start: least("cost") / 2, end: greatest("cost") * 3 }), // room for the last name
       y_range: new Bokeh.Range1d({ start: least("error") / 1.3, end: greatest("error") * 1.3 }),
     });
     figure.toolbar.setv({ logo: null, active_drag: null });
     figure.below[0].axis_label = "time per sample (ns)";
     figure.left[0].axis_label = "typical RMSE (deg)";
-    figure.below[0].formatter = new Bokeh.NumeralTickFormatter({ format: "0,0" });
-    figure.left[0].formatter = new Bokeh.NumeralTickFormatter({ format: "0.[000]" });
+    labelLogAxis(figure.below[0], "0,0");
+    labelLogAxis(figure.left[0], "0.[000]");
     this.dots = figure.scatter({ field: "cost" }, { field: "error" }, { source, size: 11 });
     this.names = figure.text({ field: "cost" }, { field: "error" }, { field: "name" }, { source, x_offset: 9, y_offset: 5, text_font_size: "12px" });
     figure.add_tools(new Bokeh.HoverTool({ renderers: [this.dots], tooltips: "<b>@name</b> @error{0.000} deg, @cost{0,0} ns per sample" }));

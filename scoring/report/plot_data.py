@@ -11,7 +11,8 @@ from stillpoint.datasets.recording import Floats, Recording, Times, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
 from stillpoint.scoring.compare import Comparison, moving_samples
 from stillpoint.scoring.errors import attitude_error, rotation_error_n
-from stillpoint.scoring.report.curves import encode_curve, reduce_angle, reduce_series
+from stillpoint.scoring.match import Mask
+from stillpoint.scoring.report.curves import Curve, encode_curve, reduce_angle, reduce_series
 
 JUDGE = "judge"  # the key of the judge's own curve, beside the names of the estimators
 BAND_SDS = 3.0  # standard deviations that a band shows
@@ -48,43 +49,46 @@ FIELD_PANELS = (
 )
 
 
-def error_curves(
-    comparisons: Mapping[str, Comparison], zero_ns: int, columns: int, panels: Sequence[Panel] = ERROR_PANELS
-) -> Curves:
-    """Curves of the total, heading and inclination error by label, and the band of the judge's own covariance."""
-    curves: Curves = {panel.key: {} for panel in panels}
-    for label, comparison in comparisons.items():
-        error = attitude_error(comparison.q_est, comparison.q_true)
-        for panel in panels:
-            size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
-            curve = reduce_series(comparison.t_ns, size_deg, zero_ns, columns, "rms")
-            curves[panel.key][label] = encode_curve(curve, "log")
-    judged = next((c for c in comparisons.values() if c.true_cov_b_rad2 is not None), None)
-    if judged is not None:
-        for panel in panels:
-            band_deg = BAND_SDS * np.rad2deg(_judge_sd_rad(judged, panel.key))
-            curve = reduce_series(judged.t_ns, band_deg, zero_ns, columns, "rms")
-            curves[f"{panel.key}:sd"] = {JUDGE: encode_curve(curve, "log")}
+def reduce_errors(comparison: Comparison, zero_ns: int, columns: int) -> dict[str, Curve]:
+    """Curves of the total, heading and inclination error, and ``total:sd`` …, the judge's band if it states one."""
+    error = attitude_error(comparison.q_est, comparison.q_true)
+    curves = {}
+    for panel in ERROR_PANELS:
+        size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
+        curves[panel.key] = reduce_series(comparison.t_ns, size_deg, zero_ns, columns, "rms")
+        if comparison.true_cov_b_rad2 is not None:
+            band_deg = BAND_SDS * np.rad2deg(_judge_sd_rad(comparison, panel.key))
+            curves[f"{panel.key}:sd"] = reduce_series(comparison.t_ns, band_deg, zero_ns, columns, "rms")
     return curves
 
 
-def recording_entry(
-    comparisons: Mapping[str, Comparison], truth: Reference | Truth, curves: Curves, zero_ns: int
-) -> dict[str, Any]:
-    """The entry of one recording in a page's data: the span and the rests in s, and the curves."""
-    rests_s = (rest_spans(truth) - zero_ns) / 1e9
-    span_s = (np.array([truth.t_ns[0], truth.t_ns[-1]]) - zero_ns) / 1e9
-    return {"span": span_s.tolist(), "rests": np.round(rests_s, 3).tolist(), "curves": curves, "page": None}
+def encode_errors(reduced: Mapping[str, Mapping[str, Curve]]) -> Curves:
+    """The curves of :func:`reduce_errors` by label, for a page. The judge's band is the same for all: one is kept."""
+    curves: Curves = {}
+    for label, of_label in reduced.items():
+        for key, curve in of_label.items():
+            if key.endswith(":sd"):
+                curves.setdefault(key, {JUDGE: encode_curve(curve, "log")})
+            else:
+                curves.setdefault(key, {})[label] = encode_curve(curve, "log")
+    return curves
 
 
-def rest_spans(truth: Reference | Truth) -> Times:
+def recording_entry(span_s: tuple[float, float], rests_s: Floats, curves: Curves) -> dict[str, Any]:
+    """The entry of one recording in a page's data: its span, its rests (R, 2), and its curves."""
+    return {"span": list(span_s), "rests": np.round(rests_s, 3).tolist(), "curves": curves, "page": None}
+
+
+def find_rest_spans(truth: Reference | Truth) -> Times:
     """First and last stamp (R, 2) of each rest. A truth rests where it does not count as moving."""
-    if isinstance(truth, Reference):
-        return truth.rests_ns
-    still = ~moving_samples(truth)
-    edges = np.diff(still.astype(np.int8), prepend=0, append=0)
+    return truth.rests_ns if isinstance(truth, Reference) else find_spans(~moving_samples(truth), truth.t_ns)
+
+
+def find_spans(chosen: Mask, t_ns: Times) -> Times:
+    """First and last stamp (R, 2) of each unbroken run of chosen samples (N,)."""
+    edges = np.diff(chosen.astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    return np.stack([truth.t_ns[first], truth.t_ns[last]], axis=1)
+    return np.stack([t_ns[first], t_ns[last]], axis=1)
 
 
 def run_plots(
@@ -99,7 +103,7 @@ def run_plots(
     zero_ns = int(truth.t_ns[0])
     panels = (*ERROR_PANELS, *ANGLE_PANELS, *AXIS_PANELS)
     columns = _columns(len(panels) * (len(comparisons) + 1))
-    curves = error_curves(comparisons, zero_ns, columns)
+    curves = encode_errors({name: reduce_errors(c, zero_ns, columns) for name, c in comparisons.items()})
     curves |= _angle_curves(comparisons, truth, frame, zero_ns, columns)
     curves |= _axis_curves(comparisons, zero_ns, columns)
     biases = {JUDGE: reference, **{each.name: each for each in estimates}}
@@ -107,7 +111,8 @@ def run_plots(
     if recording is not None and recording.mag is not None and reference is not None:
         curves |= _field_curves(recording, reference, zero_ns, columns)
     shown = tuple(panel for panel in (*panels, *BIAS_PANELS, *FIELD_PANELS) if curves.get(panel.key))
-    return shown, recording_entry(comparisons, truth, curves, zero_ns)
+    rests_s = (find_rest_spans(truth) - zero_ns) / 1e9
+    return shown, recording_entry((0.0, float(truth.t_ns[-1] - zero_ns) / 1e9), rests_s, curves)
 
 
 def plots_payload(

@@ -13,13 +13,16 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
-from stillpoint.scripts.shared.flags import Jobs, SetFlag
+from stillpoint.scripts.shared.flags import Columns, Jobs, SetFlag
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.study import Against
+from stillpoint.studies.publish.curves import read_entries
+from stillpoint.studies.publish.page import page_html
+from stillpoint.studies.publish.paper import write_paper
 
 DEFAULT_OUT = Path("leaderboard")
 COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
@@ -39,13 +42,16 @@ def leaderboard(
     set_: SetFlag = None,
     study: Annotated[Path | None, Parameter(name=["--study", "-c"])] = None,
     jobs: Jobs = None,
+    paper: Annotated[Path | None, Parameter(negative=())] = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Score many estimators over many recordings and say which are better.
 
     Makes the references, estimates and scores that are missing and reuses the others, so that a run that was stopped
-    goes on where it was. Writes leaderboard.json and study.toml to the output folder. Verdicts come with 95 %
-    intervals; docs/leaderboard.md explains them. Exit code 2 when nothing could be scored.
+    goes on where it was. Writes leaderboard.json, study.toml and index.html, a page that needs no network, to the
+    output folder. Verdicts come with 95 % intervals; docs/leaderboard.md explains them. Exit code 2 when nothing could
+    be scored.
 
     Parameters
     ----------
@@ -74,6 +80,10 @@ def leaderboard(
         A study.toml that names all of this; the other flags override it.
     jobs
         Processes; by default one per core.
+    paper
+        Also write the table as LaTeX, CSV and Markdown, and figures as PDF and SVG, to this folder.
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write the leaderboard as JSON to this file; - is the standard output.
     """
@@ -87,17 +97,20 @@ def leaderboard(
     _write(board, folder)
     write_document(json, board.to_json())
     if json != STDOUT:
-        print_leaderboard(board)
-        print(f"\nwritten to {folder}: leaderboard.json, study.toml")
+        print_leaderboard(board, columns)
+        print(f"\nwritten to {folder}: index.html, leaderboard.json, study.toml")
+    if paper is not None:
+        for file in write_paper(inputs.output_dir(paper), board):
+            print(file, file=sys.stderr if json == STDOUT else sys.stdout)
     return 0 if any(run.error is None for run in board.runs) else 2
 
 
-def print_leaderboard(board: Leaderboard) -> None:
+def print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
     """Print the table of each judge with its conclusion, the groups in short, and the failures by reason."""
     for table in board.tables:
         what = "error" if table.ranked_by == "total" else table.ranked_by
         title = f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned; RMSE of {what}"
-        print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]])
+        print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
         print(table.conclusion)
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
@@ -154,8 +167,9 @@ def _study(
 
 
 def _write(board: Leaderboard, folder: Path) -> None:
-    """Write the leaderboard and the complete study, with paths relative to the folder."""
+    """Write the leaderboard, its page, and the complete study, with paths relative to the folder."""
     write_document(str(folder / "leaderboard.json"), board.to_json())
+    write_text(folder / "index.html", page_html(board, read_entries(folder, board)))
     study = Study(**board.study)
     study = replace(
         study,

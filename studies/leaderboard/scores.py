@@ -14,16 +14,18 @@ from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, Comparison, compare, score_of
-from stillpoint.scoring.errors import attitude_error, rotation_error_n
+from stillpoint.scoring.errors import rotation_error_n
 from stillpoint.scoring.match import Mask, match, track
+from stillpoint.scoring.report.plot_data import find_spans, reduce_errors
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.estimates import load_estimate
 from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, covariance_n_deg2, load_judge
+from stillpoint.studies.leaderboard.series import pack_curves
 from stillpoint.studies.result_store import ResultStore, key_of
 
 LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
 MOST_BINS = 2000  # of mean error vectors: one per second up to 33 minutes
-ENVELOPE_BINS = 2000  # of the error over time: least and greatest in each
+CURVE_COLUMNS = 1000  # of the errors over time, as they are drawn
 
 
 @dataclass(frozen=True)
@@ -197,21 +199,18 @@ def _figures(comparison: Comparison) -> dict[str, Any]:
 
 
 def _error_arrays(comparison: Comparison) -> dict[str, NDArray[Any]]:
-    """Return the mean error vectors per bin of time, and the least and greatest errors over time for drawing."""
-    moving, zero_ns = comparison.moving, comparison.t_ns[0]
-    t_s = (comparison.t_ns - zero_ns) / 1e9
+    """Return the mean error vectors per bin of time, and what is drawn of the errors over time."""
+    moving, zero_ns = comparison.moving, int(comparison.t_ns[0])
     vectors = np.rad2deg(rotation_error_n(comparison.q_est[moving], comparison.q_true[moving]))
     bins, means = _mean_per_bin(comparison.t_ns[moving], vectors)
-    error = attitude_error(comparison.q_est, comparison.q_true)
-    columns = np.rad2deg(np.stack([error.total_rad, error.heading_rad, error.inclination_rad], axis=1))
-    least, greatest, edges_s = _envelope(t_s, columns)
+    drawn = pack_curves(reduce_errors(comparison, zero_ns, CURVE_COLUMNS))
+    rests_ns = find_spans(~moving, comparison.t_ns)
     return {
         "bins": bins,
         "error_n_deg": means.astype(np.float32),
-        "envelope_t_s": edges_s,
-        "envelope_least_deg": least.astype(np.float32),
-        "envelope_greatest_deg": greatest.astype(np.float32),
-        "zero_ns": np.array([zero_ns]),
+        "zero_ns": np.array(zero_ns),
+        "rests_ns": rests_ns,
+        **drawn,
     }
 
 
@@ -237,12 +236,3 @@ def _mean_per_bin(t_ns: NDArray[np.int64], values: Floats) -> tuple[NDArray[np.i
     counts = np.diff(first, append=len(t_ns))
     means = np.add.reduceat(values, first, axis=0) / counts[:, None]
     return number[first] * width_ns, np.asarray(means, dtype=np.float64)
-
-
-def _envelope(t_s: Floats, columns: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return least and greatest values (B, k) in B equal stretches of time, and the time at which each begins."""
-    column = np.minimum((t_s / max(t_s[-1], 1e-9) * ENVELOPE_BINS).astype(np.intp), ENVELOPE_BINS - 1)
-    first = np.flatnonzero(np.diff(column, prepend=-1))
-    least = np.minimum.reduceat(columns, first, axis=0)
-    greatest = np.maximum.reduceat(columns, first, axis=0)
-    return least, greatest, t_s[first]

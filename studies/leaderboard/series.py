@@ -1,37 +1,53 @@
-"""The error of a run over time, as it is kept for drawing."""
+"""The errors of a run over time, as they are kept for drawing."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from stillpoint.datasets.recording import Floats
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Times
+from stillpoint.scoring.report.curves import Curve
 from stillpoint.studies.leaderboard.board import Run
 from stillpoint.studies.result_store import ResultStore
 
 RESULTS = "results"  # folder of the store in the output folder
+CURVE, GRID = "curve ", "curve_grid_s"  # names of arrays in the store
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorOverTime:
-    """Least and greatest error in B stretches of time, over all samples with an estimate, moving or not.
+    """Curves of the errors over all samples with an estimate, moving or not; their times count from ``zero_ns``.
 
-    Drawn as a band, no peak is lost. The columns are total, heading and inclination.
+    They are named total, heading and inclination; three standard deviations of the judge are ``total:sd`` and so on.
     """
 
-    t_s: Floats  # (B,) at which each stretch begins, from zero_ns on
     zero_ns: int  # on the judge's clock
-    least_deg: Floats  # (B, 3)
-    greatest_deg: Floats  # (B, 3)
+    rests_ns: Times  # (R, 2) spans that are not scored
+    curves: Mapping[str, Curve]
+
+
+def pack_curves(curves: Mapping[str, Curve]) -> dict[str, NDArray[Any]]:
+    """Return the arrays that keep curves over one grid of time in the store."""
+    first = next(iter(curves.values()))
+    packed = {
+        CURVE + name: np.stack([curve.least, curve.greatest, curve.middle]).astype(np.float32)
+        for name, curve in curves.items()
+    }
+    return {GRID: np.array([first.start_s, first.step_s]), **packed}
 
 
 def read_error_series(out: Path, run: Run) -> ErrorOverTime | None:
-    """Return the error of a run over time from the output folder of its leaderboard; None for a run that failed."""
+    """Return the errors of a run over time from the output folder of its leaderboard; None for a run that failed."""
     result = None if run.score_key is None else ResultStore(out / RESULTS).get(run.score_key)
-    if result is None:
+    if result is None or GRID not in result.arrays:
         return None
-    arrays = result.arrays
-    return ErrorOverTime(
-        t_s=arrays["envelope_t_s"],
-        zero_ns=int(arrays["zero_ns"][0]),
-        least_deg=arrays["envelope_least_deg"].astype(float),
-        greatest_deg=arrays["envelope_greatest_deg"].astype(float),
-    )
+    start_s, step_s = map(float, result.arrays[GRID])
+    curves = {
+        name.removeprefix(CURVE): Curve(start_s, step_s, *values.astype(np.float64))
+        for name, values in result.arrays.items()
+        if name.startswith(CURVE)
+    }
+    return ErrorOverTime(int(result.arrays["zero_ns"]), result.arrays["rests_ns"], curves)

@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -45,15 +44,6 @@ def page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = None, t
         bokeh=bokeh_scripts(),
         script=page_script(),
     )
-
-
-def write_page(
-    folder: Path, board: Leaderboard, recordings: Mapping[str, Any] | None = None, title: str = "Leaderboard"
-) -> Path:
-    """Write ``index.html`` into a folder that is there, and return its path."""
-    target = folder / "index.html"
-    target.write_text(page_html(board, recordings, title), encoding="utf-8")
-    return target
 
 
 @dataclass(frozen=True)
