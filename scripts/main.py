@@ -31,6 +31,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "experiment": ("experiment:app", "Repeat a paper's experiment beside its printed numbers."),
     "spin": ("spin:app", "Place accelerometers on a spinning body, and identify their noise."),
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
+    "plot": ("plot:plot", "Draw one figure for a paper, of a recording or of a leaderboard."),
     "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
     "archive": ("archive:app", "Keep, find, verify and publish datasets."),
     "recover": ("recover:recover", "Rescue what is readable of a damaged MCAP file."),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillpoint.scoring.report.curves import LOWEST_DEG, encode_curve, reduce_angle, reduce_series
+from stillpoint.scoring.report.curves import LOWEST_DEG, coarsen_curve, encode_curve, reduce_angle, reduce_series
 
 
 def decode(encoded):
@@ -78,3 +78,19 @@ def test_encoding_keeps_the_stated_precision(scale, relative) -> None:
 def test_errors_of_nothing_are_drawn_as_the_smallest() -> None:
     curve = reduce_series(np.arange(10) * 1_000_000, np.zeros(10), 0, 10, "rms")
     assert decode(encode_curve(curve, "log"))[2] == pytest.approx(LOWEST_DEG)
+
+
+@given(st.integers(1, 500), st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_coarser_curves_keep_every_extreme(n, columns, seed) -> None:
+    """Merging stretches changes neither the least nor the greatest value, nor the span."""
+    rng = np.random.default_rng(seed)
+    t_ns = np.arange(n) * 10_000_000
+    value = rng.normal(size=n)
+    fine = reduce_series(t_ns, value, 0, n)
+    coarse = coarsen_curve(fine, columns)
+    assert len(coarse.middle) <= columns
+    assert np.nanmin(coarse.least) == value.min()
+    assert np.nanmax(coarse.greatest) == value.max()
+    end_s = fine.start_s + fine.step_s * len(fine.middle)
+    coarse_end_s = coarse.start_s + coarse.step_s * len(coarse.middle)
+    assert 0 <= coarse_end_s - end_s + 1e-9 < coarse.step_s + 1e-9

@@ -1,0 +1,74 @@
+"""The verb plot: figures for papers from a recording with its estimates and from a leaderboard."""
+
+import json
+import re
+
+import pytest
+from boards import make_board
+
+from stillpoint.datasets import write
+from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import estimate
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A recording with truth and two estimates beside it, and the result of a leaderboard."""
+    place = tmp_path_factory.mktemp("plot")
+    recording = simulate("phone-1", minutes=0.6)
+    write(place / "run.mcap", recording)
+    for name in ("cf", "gyro"):
+        write(place / f"run.{name}.estimate.mcap", estimate(recording, name))
+    (place / "leaderboard.json").write_text(json.dumps(make_board().to_json()))
+    return place
+
+
+@pytest.mark.parametrize("kind", ["angles", "errors"])
+def test_a_recording_is_drawn_with_all_its_estimates(call, folder, tmp_path, kind) -> None:
+    out = tmp_path / "figure.svg"
+    assert call("plot", folder / "run.mcap", "--kind", kind, "-o", out) == 0
+    svg = out.read_text()
+    assert float(re.search(r'width="([\d.]+)pt"', svg)[1]) == pytest.approx(3.5 * 72, abs=0.1)
+    for name in ("cf", "gyro"):
+        assert f">{name}</text>" in svg
+
+
+def test_only_named_estimates_are_drawn(call, folder, tmp_path) -> None:
+    out = tmp_path / "figure.svg"
+    assert call("plot", folder / "run.gyro.estimate.mcap", "--kind", "errors", "-o", out) == 0
+    assert ">gyro</text>" in out.read_text()
+    assert ">cf</text>" not in out.read_text()
+
+
+def test_a_stretch_of_time_can_be_chosen(call, folder, tmp_path, capsys) -> None:
+    out = tmp_path / "figure.svg"
+    assert call("plot", folder / "run.mcap", "--kind", "errors", "--from", "20", "--to", "30", "-o", out) == 0
+    labels = [float(label) for label in re.findall(r">(\d+)</text>", out.read_text())]
+    assert max(labels) <= 30
+    assert call("plot", folder / "run.mcap", "--kind", "errors", "--from", "1000", "-o", out) == 2
+    assert "--from, --to: leave nothing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["ranking", "map"])
+@pytest.mark.parametrize("named", ["", "leaderboard.json"])
+def test_a_leaderboard_is_drawn_from_its_folder_or_its_file(call, folder, tmp_path, kind, named) -> None:
+    out = tmp_path / "figure.pdf"
+    assert call("plot", folder / named, "--kind", kind, "-o", out) == 0
+    assert out.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["run.mcap", "--kind", "errors", "-o", "x.jpg"], "-o x.jpg: ends in none of .pdf, .svg, .png"),
+        (["run.mcap", "--kind", "ranking", "-o", "x.pdf"], "run.mcap: is no result of stillpoint leaderboard"),
+        (["missing.mcap", "--kind", "angles", "-o", "x.pdf"], "missing.mcap: there is no such file"),
+        (["run.mcap", "leaderboard.json", "--kind", "map", "-o", "x.pdf"], "--kind ranking and map take one"),
+    ],
+)
+def test_a_wrong_call_is_one_line(call, folder, monkeypatch, capsys, words, says) -> None:
+    monkeypatch.chdir(folder)
+    assert call("plot", *words) == 2
+    printed = capsys.readouterr().err.strip()
+    assert says in printed
+    assert len(printed.splitlines()) == 1
