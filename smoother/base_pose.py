@@ -1,9 +1,9 @@
-"""The base pose, and the rests in which the sensor is back in it.
+"""Find the base pose, and the rests in which the sensor is back in it.
 
 The base pose is the attitude of the first rest: tilt from the mean specific force, heading from the mean field and the
-declination (paper 002, eqs (4)-(8), on vectors: the same numbers without the angles' singularity). A later rest is a
-return when gravity has the base's direction in the body *and* the gyro, integrated since the last return, agrees that
-the heading is the base's: a rest on the same table, but turned, has the same tilt.
+declination (Elmi Aziz and Mohseni Araste (2021), eqs. 4-8, in vectors: the same numbers without the singularity of the
+angles). A later rest is a return if gravity has the base's direction in the body *and* the gyro, integrated since the
+last return, agrees that the heading is the base's: a rest on the same table, but turned, has the same tilt.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.trajectory import BasePoseReturn
 from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing, walk_steps
 
-LEVEL_FIELD_SHARE = 0.05  # a field nearer to the vertical than this has no heading
+LEVEL_FIELD_SHARE = 0.05  # level part of a field below which it shows no heading
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class BasePose:
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """Every later rest with the verdict on it, and the stretches between the accepted ones."""
+    """The verdict on every rest after the first, and the accepted returns."""
 
     verdicts: tuple[BasePoseReturn, ...]
     spans: tuple[tuple[int, int], ...]  # first and last sample of each accepted return
@@ -56,7 +56,7 @@ class Returns:
 
 
 def find_base_pose(recording: Recording, rests_ns: Times, params: ReturnParams) -> BasePose:
-    """The base pose of a recording whose rests are known.
+    """Return the base pose of a recording with these rests.
 
     Raises :class:`Unobservable` when the recording does not begin at rest, :class:`BadRecording` when the pose it
     carries contradicts gravity.
@@ -102,15 +102,15 @@ def find_returns(
 
 
 def closure(path: Swing, base: BasePose) -> Rotation:
-    """Earth-frame rotation that takes the end of a swing back to the base pose."""
+    """Return the earth-frame rotation from the end of a swing to the base pose."""
     return rotation(base.q_nb) * rotation(path.q_nb[-1]).inv()
 
 
 def level_attitude(up_b: Floats, field_b: Floats | None) -> Rotation:
-    """Body to East-North-Up from the directions of up and of the field (None: heading 0, see below).
+    """Return the rotation from body to East-North-Up for the directions of up and of the field in the body.
 
-    With a field its horizontal part points to n's north (magnetic). Without one, the smallest rotation that levels
-    the body. Raises :class:`Unobservable` when the field is vertical.
+    The horizontal part of the field points to magnetic north. Without a field (None) the smallest rotation that levels
+    the body is returned. Raises :class:`Unobservable` when the field is vertical.
     """
     up = up_b / np.linalg.norm(up_b)
     if field_b is None:
@@ -123,7 +123,7 @@ def level_attitude(up_b: Floats, field_b: Floats | None) -> Rotation:
 
 
 def _attitude(recording: Recording, rest_ns: Times, accel_b: Floats, params: ReturnParams) -> tuple[Floats, str]:
-    """Attitude (4,) of the first rest and what its heading refers to."""
+    """Return the attitude (4,) of the first rest and what its heading refers to."""
     if recording.base_pose is not None:
         tilt_rad = _angle(rotation(recording.base_pose).inv().apply([0.0, 0.0, 1.0]), accel_b)
         if tilt_rad > params.tilt_gate_rad:

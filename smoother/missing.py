@@ -1,8 +1,8 @@
-"""Short stretches of missing samples: bridge_gaps by what was read on either side, and how far that may be off.
+"""Bridge short stretches of missing samples by the readings on either side, and state the error of that.
 
-A reading holds for the interval that ends at its stamp. Where samples are missing that interval is long, and one
-reading says little of it: in its place stands the mean of the readings before and after. How far the true mean over so
-long a time is from that of its ends, the recording itself shows wherever nothing is missing.
+A reading holds for the interval that ends at its stamp. If samples are missing, this interval is long and one reading
+does not represent it: it is replaced by the mean of the readings before and after. The error of this mean is measured
+in the recording itself, over stretches of the same length in which nothing is missing.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ LONG_GAP_S = 0.5  # a longer gap is not integrated across
 
 
 def bridge_gaps(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Readings (N, 3) with those after a short gap replaced, and by how much they may be wrong there: 0 elsewhere.
+    """Return readings (N, 3) with those after a short gap replaced, and their error there (N, 3): 0 elsewhere.
 
-    ``dt_s`` (N,) are the intervals that end at the samples; ``moving`` (N,) where the recording shows how it moves.
+    ``dt_s`` (N,) are the intervals that end at the samples; ``moving`` (N,) marks motion, in which errors are measured.
     """
     wrong = np.zeros_like(values)
     step_s = float(np.median(dt_s))
@@ -34,7 +34,7 @@ def bridge_gaps(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tupl
 
 
 def _measure_deviation(values: Floats, moving: NDArray[np.bool_], steps: int) -> Floats:
-    """RMS (3,) of the mean over ``steps`` intervals less the mean of its ends, in motion where there is any."""
+    """Return the RMS (3,) of the mean over ``steps`` intervals minus the mean of its ends, if possible in motion."""
     if len(values) <= steps + 1:
         return np.asarray(values.std(axis=0))
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])

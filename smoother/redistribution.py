@@ -1,19 +1,20 @@
-"""Paper 002's benchmark: integrate the gyro, and at every return spread the closing error over the stretch.
+"""The rest-pose benchmark of Elmi Aziz and Mohseni Araste (2021): integrate the gyro and redistribute closing errors.
 
-At a return the true attitude is the base's again, so that the closing error of the stretch is known; it is given back
-in proportion to time. How that is done matters. In *body* axes, q exp(f d), a share of the final error turns along
-with the body. The gyro's errors however pile up in the *earth* frame (de/dt = R_nb dw), where a share of the final
-error stays put, exp(f e) q: against optical truth that is 1.3 to 6 times better.
+At a return the true attitude is again that of the base pose, so that the closing error of the stretch is known; it is
+redistributed in proportion to time. In *body* axes, q exp(f d), a share of the final error turns with the body. But
+the gyro's errors accumulate in the *earth* frame (de/dt = R_nb dw), where a share of the final error keeps its
+direction, exp(f e) q: against optical truth this is 1.3 to 6 times better.
 
-The covariance is the second moment of what is left, r(t) = x(t) - G(t) c with G = f 1 (earth) or f R(t) R(T)' (body).
+The covariance is the second moment of the remaining error r(t) = x(t) - G(t) c with G = f 1 (earth) or f R(t) R(T)'
+(body).
 x(t) = n0 + e(t) is the error before spreading, e the drift of :mod:`stillpoint.smoother.strapdown` with its size scaled
 by the closing errors that were seen, c = n0 + e(T) - n1 the closing error, n0 and n1 how far the sensor was from the
 base pose when it left and when it came back. With K = cov(x, c) cov(c)^-1,
 
     cov(r | c) = cov(x) - K cov(c, x) + |(K - G) c|^2 / 3.
 
-It is relative to the base pose: an error of the base itself (accelerometer bias, field) is common to all samples and
-not in it.
+It is relative to the base pose: an error of the base pose itself (accelerometer bias, field) is common to all samples
+and not included.
 """
 
 from dataclasses import dataclass, field
@@ -47,7 +48,7 @@ METHOD_OF_AXES: dict[Axes, str] = {"body": "redistribution", "earth": "redistrib
 
 @dataclass(frozen=True)
 class RedistributionParams(Settings):
-    """Settings of the benchmark of paper 002, by station."""
+    """Settings of the rest-pose benchmark, by step."""
 
     rest: RestParams = field(default_factory=RestParams)
     returns: ReturnParams = field(default_factory=ReturnParams)
@@ -56,19 +57,19 @@ class RedistributionParams(Settings):
 
 
 def redistribution(recording: Recording, params: RedistributionParams) -> Reference:
-    """The benchmark of paper 002: closing errors spread in body axes; see :func:`redistributed`."""
+    """Return the rest-pose benchmark with closing errors spread in body axes, as published."""
     return redistributed(recording, params, "body")
 
 
 def redistribution_earth(recording: Recording, params: RedistributionParams) -> Reference:
-    """The same with closing errors spread in the earth frame, where they arise; see :func:`redistributed`."""
+    """Return the rest-pose benchmark with closing errors spread in the earth frame, where they arise."""
     return redistributed(recording, params, "earth")
 
 
 def redistributed(recording: Recording, params: RedistributionParams, axes: Axes) -> Reference:
-    """The reference by error redistribution between base-pose returns.
+    """Return the reference by error redistribution between returns to the base pose.
 
-    Before the first rest and after the last return the gyro runs free: the covariance grows. Raises
+    Before the first rest and after the last return the gyro is integrated freely, and the covariance grows. Raises
     :class:`Unobservable` when the recording does not start at rest or never returns.
     """
     imu = recording.require_imu()
@@ -105,7 +106,7 @@ def redistributed(recording: Recording, params: RedistributionParams, axes: Axes
 
 
 def spread(path: Swing, q_end_nb: Floats, axes: Axes) -> Floats:
-    """The attitudes (M, 4) of a swing with its closing error spread in proportion to time; ends on ``q_end_nb``."""
+    """Return the attitudes (M, 4) of a swing with its closing error spread over time; it ends at ``q_end_nb``."""
     raw = rotation(path.q_nb)
     share = _share(path)
     end = rotation(q_end_nb)
@@ -117,10 +118,10 @@ def spread(path: Swing, q_end_nb: Floats, axes: Axes) -> Floats:
 
 
 def spread_covariance(path: Swing, closing_n: Floats, scale: float, params: RedistributionParams, axes: Axes) -> Floats:
-    """Second moment (M, 3, 3), earth frame, of what spreading the closing error (3,) leaves.
+    """Return the second moment (M, 3, 3), earth frame, of the error after spreading the closing error (3,).
 
-    The expected miss enters by its size in all directions alike: to first order its direction is known too, but
-    closing errors of 10-30 deg are beyond first order.
+    The expected miss enters with equal size in all directions: its direction is known to first order only, and closing
+    errors of 10-30 deg are beyond first order.
     """
     share = _share(path)
     eye = np.eye(3)
@@ -141,7 +142,7 @@ def spread_covariance(path: Swing, closing_n: Floats, scale: float, params: Redi
 
 
 def free_covariance(path: Swing, errors: GyroErrors) -> Floats:
-    """Covariance (M, 3, 3), earth frame, of a swing that nothing closes."""
+    """Return the covariance (M, 3, 3), earth frame, of a swing without a return."""
     variance = unknowns_variance(errors)
     cov_n = path.walk_rad2[:, None, None] * np.eye(3)
     for rows, matrix in drift_matrices(path):
@@ -150,19 +151,19 @@ def free_covariance(path: Swing, errors: GyroErrors) -> Floats:
 
 
 def in_body(cov_n: Floats, q_nb: Floats) -> Floats:
-    """Covariances (N, 3, 3) of a small rotation turned from the earth frame to body axes."""
+    """Return covariances (N, 3, 3) of a small rotation, turned from the earth frame to body axes."""
     r = rotation(q_nb).as_matrix()
     return r.transpose(0, 2, 1) @ cov_n @ r
 
 
 def _share(path: Swing) -> Floats:
-    """How much of the closing error each sample gets back, (M,): the share of time that has passed; 1 at the end."""
+    """Return the share of the closing error that each sample gets, (M,): the share of time passed, 1 at the end."""
     elapsed = np.cumsum(path.dt_s)
     return elapsed / elapsed[-1]
 
 
 def _drift_scale(returns: Returns, base: BasePose, params: RedistributionParams) -> float:
-    """Factor on the drift's variance: the mean normalised square of the closing errors, held by the prior."""
+    """Return the factor on the drift's variance: the mean normalised square of closings, with a prior of 1."""
     repeat = 2 * params.returns.repeat_sd_rad**2 * np.eye(3)  # on leaving and on coming back
     squares = []
     for path in returns.swings:
@@ -182,7 +183,7 @@ def _no_return(recording: Recording, returns: Returns) -> str:
 
 
 def _diagnostics(imu: Imu, base: BasePose, returns: Returns, scale: float) -> dict[str, Any]:
-    """What a reader of the reference should know; degrees, as it is shown to people."""
+    """Return facts for readers of the reference, in degrees."""
     missing = find_gaps(imu.t_ns)
     last = returns.spans[-1][1]
     return {

@@ -1,4 +1,4 @@
-"""A recording goes in, its reference trajectory comes out; the table of the ways to make one."""
+"""Make the reference trajectory of a recording; the table of methods."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +13,7 @@ from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
-from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.params import SpinGraphParams
 
 DEFAULT_METHOD = "graph"
 DEFAULT_ROLL_METHOD = "roll-graph"
@@ -29,7 +29,7 @@ class Method:
 
 
 def _graph(recording: Recording, params: GraphParams) -> Reference:
-    """The factor graph; gtsam is loaded when it is needed, as it is not to be had everywhere."""
+    """Run the factor graph; gtsam is imported only here, as it is not available everywhere."""
     try:
         from stillpoint.smoother.attitude.graph import make_attitude_reference
         from stillpoint.smoother.attitude.stretches import leave_out_islands
@@ -43,16 +43,16 @@ def _graph(recording: Recording, params: GraphParams) -> Reference:
     return replace(made, diagnostics={**made.diagnostics, "left_out": [asdict(island) for island in islands]})
 
 
-def _roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
-    """The graph of a spinning body; gtsam is loaded when it is needed."""
+def _roll_graph(recording: Recording, params: SpinGraphParams) -> RollReference:
+    """Run the graph of a spinning body; gtsam is imported only here."""
     try:
-        from stillpoint.smoother.spin.graph import roll_graph
+        from stillpoint.smoother.spin.graph import make_spin_reference
     except ImportError as error:
         raise BadParameter(
             f"method roll-graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
             "use `stillpoint estimate -e roll-guarded` here"
         ) from error
-    return roll_graph(recording, params)
+    return make_spin_reference(recording, params)
 
 
 METHODS: dict[str, Method] = {
@@ -64,39 +64,39 @@ METHODS: dict[str, Method] = {
     "redistribution": Method(
         redistribution,
         RedistributionParams(),
-        "the gyro between returns to the base pose, closing errors spread in body axes (paper 002)",
+        "the gyro between returns to the base pose, closing errors spread in body axes (rest-pose benchmark)",
     ),
     "redistribution-earth": Method(
         redistribution_earth,
         RedistributionParams(),
-        "the same with the closing errors spread in the earth frame, where a gyro's errors pile up",
+        "the same with the closing errors spread in the earth frame, where a gyro's errors accumulate",
     ),
 }
 
 ROLL_METHODS: dict[str, Method] = {
     "roll-graph": Method(
         _roll_graph,
-        RollGraphParams(),
+        SpinGraphParams(),
         "angle and rate of a spinning body from its accelerometers (the default where there is no gyro of three axes)",
     ),
 }
-"""Of recordings with a spin stream: angle and rate about one axis."""
+"""Methods for recordings with a spin stream: angle and rate about one axis."""
 
 
 def method_of(name: str) -> Method:
-    """The table's entry; raises :class:`BadParameter` with the nearest name for one that is not there."""
+    """Return a method of the table; raise :class:`BadParameter` with the nearest name for an unknown one."""
     known = METHODS | ROLL_METHODS
     require_known(name, known, "reference method")
     return known[name]
 
 
 def default_method(recording: Recording) -> str:
-    """The method for the streams that a recording has."""
+    """Return the default method for the streams that a recording has."""
     return DEFAULT_ROLL_METHOD if recording.imu is None and recording.spin is not None else DEFAULT_METHOD
 
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
-    """The method's settings with what the user gave; raises :class:`BadParameter`."""
+    """Return the method's settings with the user's changes; raise :class:`BadParameter` for a wrong one."""
     return choose_settings(method_of(method).defaults, params, method)
 
 
@@ -106,7 +106,7 @@ def reference(
     params: Settings | Mapping[str, Any] | None = None,
     calibration: Calibration | None = None,
 ) -> Reference | RollReference:
-    """The reference trajectory of a recording: an attitude, or angle and rate about the axis of a spinning body.
+    """Return the reference trajectory of a recording: attitude, or angle and rate of a spinning body.
 
     ``method`` is one of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams. ``params`` is
     an object of the method's settings class, or a mapping of dotted names to values

@@ -1,9 +1,9 @@
-"""Where is the sensor at rest? Stretches without motion, told from the sensor's noise and from steady slow turning.
+"""Find rests: stretches without motion, distinguished from sensor noise and from steady slow turning.
 
-A rest shows little *change*: its specific force and rate, freed of white noise by a short mean, stay within a small
-deviation for a whole window. The rate's level says nothing, as a phone's gyro reads up to 6 deg/s at rest; so a
-candidate is dropped when gravity's direction turns during it, or when its mean rate is not the recording's rest bias.
-What an IMU alone cannot tell: a recording that does nothing but turn steadily about the vertical looks like rest.
+At rest specific force and rate *change* little: averaged over a short time to reduce white noise, they stay within a
+small deviation for a whole window. The level of the rate proves nothing, as a phone's gyro reads up to 6 deg/s at rest.
+Therefore a candidate is dropped if gravity's direction turns during it, or if its mean rate is not the rest bias of the
+recording. An IMU alone cannot distinguish rest from a recording that only turns steadily about the vertical.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
 from stillpoint.datasets.settings import Settings, degrees, number
 
-DENSE_SHARE = 0.6  # of the samples of a window must be there: less than that beside a long gap
+DENSE_SHARE = 0.6  # share of the samples of a window that must be present; fewer are beside a long gap
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,9 @@ class RestParams(Settings):
 
 
 def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
-    """First and last stamp of each rest, ``(R, 2)`` int64 ns, in the order of time; R may be 0.
+    """Return first and last stamp of each rest, ``(R, 2)`` int64 ns, in the order of time; R may be 0.
 
-    Works in seconds on the stream's own stamps, regular or not; no rest reaches across a gap of half a
-    window.
+    The stamps may be irregular; no rest extends across a gap of half a window.
     """
     if len(imu.t_ns) < 3:
         return np.empty((0, 2), dtype=np.int64)
@@ -61,20 +60,20 @@ def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
 
 
 def _window(t_s: Floats, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Index range [first, last) of the samples within half a width of each stamp."""
+    """Return the index range [first, last) of the samples within half a width of each stamp."""
     first = np.searchsorted(t_s, t_s - width_s / 2, side="left")
     return first, np.searchsorted(t_s, t_s + width_s / 2, side="right")
 
 
 def _mean(t_s: Floats, values: Floats, width_s: float) -> Floats:
-    """Centred moving mean over time; shorter windows at the ends."""
+    """Return the centred moving mean over time, with shorter windows at the ends."""
     first, last = _window(t_s, width_s)
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     return (total[last] - total[first]) / (last - first)[:, None]
 
 
 def _deviation(t_s: Floats, values: Floats, params: RestParams) -> tuple[Floats, Floats]:
-    """Standard deviation of the smoothed values in each window, and the share of it that white noise explains."""
+    """Return the sd of the smoothed values in each window, and the sd that white noise alone would cause."""
     centred = values - values.mean(axis=0)  # keeps the sums of squares small
     smooth = _mean(t_s, centred, params.smooth_s)
     variance = _mean(t_s, smooth**2, params.window_s) - _mean(t_s, smooth, params.window_s) ** 2
@@ -90,20 +89,20 @@ def _limit(threshold: float, noise: float, params: RestParams) -> float:
 
 
 def _dense(t_s: Floats, rate: float, params: RestParams) -> NDArray[np.bool_]:
-    """Enough of the samples that the recording's rate promises are in the window."""
+    """Return where a window holds enough of the samples that the recording's rate promises."""
     first, last = _window(t_s, params.window_s)
     inside_s = np.minimum(t_s + params.window_s / 2, t_s[-1]) - np.maximum(t_s - params.window_s / 2, t_s[0])
     return (last - first >= DENSE_SHARE * rate * inside_s) & (last - first >= 3)
 
 
 def _runs(mask: NDArray[np.bool_]) -> Times:
-    """First and last index of each run of True, (R, 2)."""
+    """Return first and last index of each run of True, (R, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return np.stack([edges[::2], edges[1::2] - 1], axis=1).astype(np.int64)
 
 
 def _widened(t_s: Floats, runs: Times, params: RestParams) -> Times:
-    """Runs of still window centres, grown to what their windows cover; neighbours meet halfway and stay apart."""
+    """Extend runs of still window centres to what their windows cover; neighbours stay separate, half way apart."""
     first, last = _window(t_s, params.window_s)
     start, end = first[runs[:, 0]], last[runs[:, 1]] - 1
     middle = (runs[:-1, 1] + runs[1:, 0]) // 2
@@ -112,7 +111,7 @@ def _widened(t_s: Floats, runs: Times, params: RestParams) -> Times:
 
 
 def _cut_edges(t_s: Floats, spans: Times, params: RestParams) -> Times:
-    """Shorten each span at the ends that are not the recording's own, and drop those that become too short."""
+    """Shorten each span at ends that are not those of the recording, and drop spans that are too short."""
     long_enough = t_s[spans[:, 1]] - t_s[spans[:, 0]] >= params.min_rest_s
     start, end = spans[long_enough].T
     cut_start = np.where(start > 0, np.searchsorted(t_s, t_s[start] + params.edge_s), 0)
@@ -123,7 +122,7 @@ def _cut_edges(t_s: Floats, spans: Times, params: RestParams) -> Times:
 
 
 def _keeps_tilt(imu: Imu, t_s: Floats, span: Times, params: RestParams) -> bool:
-    """Gravity's direction is the same at both ends of the span."""
+    """Return whether gravity has the same direction at both ends of the span."""
     start, end = span
     part_s = min(params.window_s, (t_s[end] - t_s[start]) / 2)
     head = imu.accel_b_mps2[start : np.searchsorted(t_s, t_s[start] + part_s, side="right")].mean(axis=0)
@@ -133,10 +132,10 @@ def _keeps_tilt(imu: Imu, t_s: Floats, span: Times, params: RestParams) -> bool:
 
 
 def _at_bias(imu: Imu, spans: Times, gyro_sd: Floats, params: RestParams) -> NDArray[np.bool_]:
-    """Which spans show the gyro's rest bias, which may drift slowly from rest to rest.
+    """Return which spans show the gyro's rest bias, which may drift slowly from rest to rest.
 
-    The rest bias is the mean rate that most spans share (the smallest where that is undecided), among the spans
-    that are about as calm as the calmest.
+    The rest bias is the mean rate that most spans share, among the spans about as calm as the calmest; in a tie the
+    smallest mean rate wins.
     """
     keep = np.zeros(len(spans), dtype=np.bool_)
     rates = np.array([imu.gyro_b_radps[start : end + 1].mean(axis=0) for start, end in spans]).reshape(-1, 3)

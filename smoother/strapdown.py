@@ -1,4 +1,4 @@
-"""Attitude by integrating the gyro (paper 002, eq (10), on the rotation), and how far it drifts.
+"""Integrate the gyro to an attitude (Elmi Aziz and Mohseni Araste (2021), eq. 10), and model its drift.
 
 A gyro sample at t_k describes the interval (t_{k-1}, t_k], so that q_k = q_{k-1} exp(w_k (t_k - t_{k-1})) is exact for
 a rate that is constant in it. The drift model: the earth-frame error e of q_true = exp(e) q grows by the gyro's bias
@@ -6,8 +6,8 @@ error, by its scale and misalignment error times the rate, and by a random walk,
 
     de/dt = R_nb (db + M w) + white,    so    e(t) = A(t) c + walk(t),    c = (the 9 elements of M, db).
 
-A is the integral of R_nb [w_x 1, w_y 1, w_z 1, 1]: a scale error does no harm where a rotation is taken back, and a
-drift model that only counts seconds does not know that.
+A is the integral of R_nb [w_x 1, w_y 1, w_z 1, 1]. Unlike a drift model in seconds it knows that a scale error cancels
+when a rotation is reversed.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ CHUNK = 16_384  # samples whose drift matrices (3 x 12) are held at once
 
 @dataclass(frozen=True)
 class GyroErrors(Settings):
-    """What is not known of a gyro whose bias was measured at rest, one standard deviation: default, lowest, highest."""
+    """Errors of a gyro whose bias was measured at rest, one standard deviation: default, lowest, highest."""
 
     scale_sd: float = number(0.005, 0.0001, 0.2, "scale and misalignment, relative; 0.002 calibrated, 0.03 raw")
     bias_sd_radps: float = degrees(0.03, 0.0001, 5.0, "change of the bias since the rest")
@@ -47,16 +47,16 @@ class Swing:
 
 
 def walk_steps(t_ns: Times, errors: GyroErrors) -> Floats:
-    """Variance (N - 1,) by which the random walk grows over each interval between stamps; a gap widens it."""
+    """Return the variance (N - 1,) that each interval between stamps adds to the random walk; gaps add more."""
     step_s = np.diff(t_ns) / 1e9
     hidden = np.where(find_gaps(t_ns), (errors.gap_rate_sd_radps * step_s) ** 2, 0.0)
     return np.asarray(errors.walk_rad_rts**2 * step_s + hidden)
 
 
 def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Floats, walk_rad2: Floats) -> Swing:
-    """Integrate from the attitude ``q_start_nb`` (4,) at sample ``start`` to sample ``stop``, forwards or back.
+    """Integrate from the attitude ``q_start_nb`` (4,) at sample ``start`` to sample ``stop``, forwards or backwards.
 
-    An interval that is a gap is crossed with the rate at its end; ``walk_rad2`` are the stream's :func:`walk_steps`.
+    A gap is crossed at the rate of its end; ``walk_rad2`` are the stream's :func:`walk_steps`.
     """
     forwards = stop >= start
     intervals = np.arange(start + 1, stop + 1) if forwards else np.arange(start, stop, -1)
@@ -74,7 +74,7 @@ def swing(imu: Imu, bias_b_radps: Floats, start: int, stop: int, q_start_nb: Flo
 
 @compiled
 def integrate(q_start_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
-    """Attitude (N, 4) after each of N rates (N, 3) held for ``dt_s`` (N,): q_k = q_{k-1} exp(w_k dt_k)."""
+    """Return the attitude (N, 4) after each of N rates (N, 3) held for ``dt_s`` (N,): q_k = q_{k-1} exp(w_k dt_k)."""
     q_nb = np.empty((len(dt_s), 4))
     q = (q_start_nb[0], q_start_nb[1], q_start_nb[2], q_start_nb[3])
     for k in range(len(dt_s)):
@@ -87,7 +87,7 @@ def integrate(q_start_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
 
 
 def drift_matrices(path: Swing) -> Iterator[tuple[slice, Floats]]:
-    """A(t) of the drift model after each sample, (n, 3, 12), in chunks with their rows."""
+    """Yield A(t) of the drift model after each sample, (n, 3, 12), in chunks with their rows."""
     carry = np.zeros((3, 12))
     for first in range(0, len(path.dt_s), CHUNK):
         rows = slice(first, first + CHUNK)
@@ -100,17 +100,17 @@ def drift_matrices(path: Swing) -> Iterator[tuple[slice, Floats]]:
 
 
 def last_drift_matrix(path: Swing) -> Floats:
-    """A at the end, (3, 12)."""
+    """Return A at the end, (3, 12)."""
     *_, (_, chunk) = drift_matrices(path)
     return chunk[-1]
 
 
 def unknowns_variance(errors: GyroErrors) -> Floats:
-    """Variance of c, (12,): 9 of the gyro matrix, 3 of the bias."""
+    """Return the variance of c, (12,): 9 of the gyro matrix, 3 of the bias."""
     return np.concatenate([np.full(9, errors.scale_sd**2), np.full(3, errors.bias_sd_radps**2)])
 
 
 def drift_covariance(path: Swing, errors: GyroErrors) -> Floats:
-    """Covariance (3, 3) of the earth-frame error at the end."""
+    """Return the covariance (3, 3) of the earth-frame error at the end."""
     a = last_drift_matrix(path)
     return (a * unknowns_variance(errors)) @ a.T + path.walk_rad2[-1] * np.eye(3)

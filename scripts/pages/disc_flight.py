@@ -19,13 +19,13 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.spin.graph import roll_graph
+from stillpoint.smoother.spin.graph import make_spin_reference
 from stillpoint.smoother.spin.params import (
     EncoderParams,
     HarmonicParams,
-    RollCalibration,
-    RollGraphParams,
-    RollNoise,
+    SpinCalibration,
+    SpinGraphParams,
+    SpinNoise,
 )
 
 FLYING_RADPS = np.deg2rad(3000.0)  # spin rate, by the gyro, between release and catch
@@ -33,9 +33,9 @@ FILTER_S = 1 / (2 * np.pi * 1.04)  # time constant of the accelerometers' low-pa
 SETTLED = 4.0  # of these after the release
 CATCH_S = 0.05  # before the last sample of the flight, which the catch has touched
 GUESS_M = 0.03  # lever arm to begin with, from the size of the circuit board
-PARAMS = RollGraphParams(
-    noise=RollNoise(unseen_radps2=10.0),
-    calibration=RollCalibration(accel_bias_sd_mps2=0.1, accel_bias_walk=0.02, lever_arm_sd=0.7, step_s=0.5),
+PARAMS = SpinGraphParams(
+    noise=SpinNoise(unseen_radps2=10.0),
+    calibration=SpinCalibration(accel_bias_sd_mps2=0.1, accel_bias_walk=0.02, lever_arm_sd=0.7, step_s=0.5),
     harmonic=HarmonicParams(search="off"),
     encoder=EncoderParams(use=True, latency_sd_s=1e-3, sd_rad=0.01),
     rate_limit_radps=1e-4,
@@ -72,7 +72,7 @@ def disc_flight(file: Path) -> DiscFlight:
     taught = t_s[rows] < (t_s[rows[0]] + t_s[rows[-1]]) / 2
     assert flight.encoder is not None
     half = replace(flight, encoder=_first(flight.encoder, int(taught.sum())))
-    made = roll_graph(half, PARAMS)
+    made = make_spin_reference(half, PARAMS)
     error, sd = made.diagnostics["arm_squared"]
     wobble = np.where(taught, _wobble_radps(made, taught), _wobble_radps(made, ~taught))
     return DiscFlight(

@@ -1,11 +1,11 @@
-"""The rates inside a block, taken out of the graph exactly and put back: whole-array QR over all blocks at once.
+"""Eliminate the rates inside the blocks exactly, and solve for them afterwards: one QR over all blocks at once.
 
 R of a block's whitened Jacobian [inside, shared | right side] has the rates inside given the shared unknowns on top,
 
     R_i inside + S shared = d + noise of variance 1,
 
-and below it all that the block says about the shared ones: the factor that the graph gets. Nothing is lost by this;
-the optimum and its covariance are those of the full system.
+and below it the block's information on the shared unknowns: the factor that the graph gets. Nothing is lost; the
+optimum and its covariance are those of the full system.
 """
 
 from dataclasses import dataclass
@@ -27,23 +27,23 @@ class Condensed:
 
 
 def condense(rows: Floats, inside: int) -> Condensed:
-    """``rows`` (B, rows, i + s + 1) as whitened Jacobians with their right sides."""
+    """Return the blocks condensed; ``rows`` (B, rows, i + s + 1) are whitened Jacobians with their right sides."""
     r = np.asarray(np.linalg.qr(rows, mode="r"))
     s = rows.shape[2] - inside - 1
     inner, outer = r[:, :inside], r[:, inside : inside + s, inside:]
     return Condensed(inner[:, :, :inside], inner[:, :, inside:-1], inner[:, :, -1], outer[:, :, :-1], outer[:, :, -1])
 
 
-def inside_of(condensed: Condensed, shared: Floats) -> Floats:
-    """The unknowns inside (B, i) where the shared ones are (B, s)."""
+def solve_inside(condensed: Condensed, shared: Floats) -> Floats:
+    """Return the unknowns inside (B, i) for shared unknowns (B, s)."""
     right = condensed.inner_right - np.einsum("bis,bs->bi", condensed.coupling, shared)
     return np.asarray(np.linalg.solve(condensed.inner, right[:, :, None])[:, :, 0])
 
 
-def variances_of(condensed: Condensed, shared_cov: Floats, wanted: Floats) -> Floats:
-    """Variances (B, w) of the combinations ``wanted`` (B, w, i + s), with the covariances (B, s, s) of the shared.
+def compute_variances(condensed: Condensed, shared_cov: Floats, wanted: Floats) -> Floats:
+    """Return variances (B, w) of the combinations ``wanted`` (B, w, i + s), given the shared covariances (B, s, s).
 
-    inside = R_i^-1 (d + noise - S shared): each combination is one of noise of variance 1, and of the shared unknowns.
+    inside = R_i^-1 (d + noise - S shared): each combination is one of unit noise and of the shared unknowns.
     """
     inside = condensed.inner.shape[1]
     of_noise = np.linalg.solve(condensed.inner.transpose(0, 2, 1), wanted[:, :, :inside].transpose(0, 2, 1))

@@ -13,40 +13,40 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.spin.encoder import EncoderReadings
-from stillpoint.smoother.spin.params import RollNoise
-from stillpoint.smoother.spin.samples import RollSamples
-from stillpoint.smoother.spin.state import Layout, RollState, in_blocks
+from stillpoint.smoother.spin.params import SpinNoise
+from stillpoint.smoother.spin.samples import SpinSamples
+from stillpoint.smoother.spin.state import Layout, SpinState, split_blocks
 
-LONG_STEP = 1.5  # of the median step: after a longer one the samples say nothing of the acceleration between
+LONG_STEP = 1.5  # of the median step: the samples do not show the acceleration within a longer one
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The samples filled up to whole blocks, (B, m), and which constants hold in each."""
+    """The samples padded to whole blocks, (B, m), and the constants that hold in each block."""
 
-    samples: RollSamples
-    params: RollNoise
+    samples: SpinSamples
+    params: SpinNoise
     layout: Layout
     step_s: Floats  # (N + 1,) with the one after the last sample
     span_s: Floats  # (B, m) h
     before: Floats  # (B, m) share p of x_k in the rate at the sample
-    constants_of: NDArray[np.int64]  # (B,) row of RollState.constants
+    constants_of: NDArray[np.int64]  # (B,) row of SpinState.constants
     accel_radps2: Floats  # (B, m) interpolated where not valid
-    accel_seen: NDArray[np.bool_]  # (B, m) where a sample shows it
+    accel_seen: NDArray[np.bool_]  # (B, m) where a sample measures it
     squared_valid: NDArray[np.bool_]  # (B, m)
     readings: EncoderReadings | None
-    shaken: Floats | None = None  # (2, B, m) cos and sin along which a vibration is fitted; it does not count the turns
+    shaken: Floats | None = None  # (2, B, m) cos and sin of the angle along which a vibration is fitted
 
     @property
     def blocks(self) -> int:
-        """How many."""
+        """Return the number of blocks."""
         return len(self.span_s)
 
 
-def chain_of(
-    samples: RollSamples, readings: EncoderReadings | None, block: int, bias_step_s: float, params: RollNoise
+def build_chain(
+    samples: SpinSamples, readings: EncoderReadings | None, block: int, bias_step_s: float, params: SpinNoise
 ) -> Chain:
-    """The samples by blocks."""
+    """Return the samples arranged in blocks of ``block`` samples."""
     n = len(samples)
     count = -(-n // block)
     median_s = float(np.median(samples.step_s))
@@ -61,23 +61,23 @@ def chain_of(
         params=params,
         layout=Layout(block),
         step_s=step_s,
-        span_s=in_blocks((step_s[:-1] + step_s[1:]) / 2, block, median_s),
-        before=in_blocks(step_s[1:] / (step_s[:-1] + step_s[1:]), block, 0.5),
+        span_s=split_blocks((step_s[:-1] + step_s[1:]) / 2, block, median_s),
+        before=split_blocks(step_s[1:] / (step_s[:-1] + step_s[1:]), block, 0.5),
         constants_of=(first_s / bias_step_s).astype(np.int64),
-        accel_radps2=in_blocks(accel, block, 0.0),
-        accel_seen=in_blocks(seen, block, False),
-        squared_valid=in_blocks(samples.squared_valid, block, False),
+        accel_radps2=split_blocks(accel, block, 0.0),
+        accel_seen=split_blocks(seen, block, False),
+        squared_valid=split_blocks(samples.squared_valid, block, False),
         readings=readings,
     )
 
 
-def angles_of(chain: Chain, state: RollState) -> Floats:
-    """Angle at every sample, (N,)."""
+def integrate_angles(chain: Chain, state: SpinState) -> Floats:
+    """Return the angle at every sample, (N,)."""
     return np.asarray(state.start_angle_rad + np.cumsum(chain.step_s[:-1] * state.mean_rate_radps[:-1]))
 
 
-def rates_of(chain: Chain, state: RollState) -> Floats:
-    """Rate at every sample, (N,)."""
+def interpolate_rates(chain: Chain, state: SpinState) -> Floats:
+    """Return the rate at every sample, (N,)."""
     n = len(chain.samples)
     p, x = chain.before.ravel()[:n], state.mean_rate_radps
     return np.asarray(p * x[:-1] + (1 - p) * x[1:])

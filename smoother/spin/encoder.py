@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Encoder, Floats, Times
 from stillpoint.smoother.spin.params import EncoderParams
-from stillpoint.smoother.spin.state import LATENCY, OFFSET, Layout, RollState
+from stillpoint.smoother.spin.state import LATENCY, OFFSET, Layout, SpinState
 
 UNIFORM_SD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
 FINEST = 2 * np.pi / 1e5  # rad: finer steps are not looked for
@@ -17,10 +17,10 @@ ROUNDING = 0.05  # of a step, by which angles of whole steps may be off
 
 @dataclass(frozen=True, eq=False)
 class EncoderReadings:
-    """Readings among the samples, in the middle of their steps; those before the first and after the last are left out.
+    """Readings within the samples' time span, each in the middle of its step.
 
-    ``rate_radps`` is the encoder's own over RATE_S: a latency times the rate of the trajectory itself would let the
-    noise of the one explain that of the other.
+    ``rate_radps`` is the encoder's own over RATE_S: with the rate of the trajectory, the latency would let the noise of
+    one explain the noise of the other.
     """
 
     angle_rad: Floats  # (E,)
@@ -32,9 +32,9 @@ class EncoderReadings:
     outside: int  # readings left out
 
 
-def readings_of(encoder: Encoder, t_ns: Times, params: EncoderParams) -> EncoderReadings:
-    """The readings among samples at ``t_ns`` (N,). A counter has passed half a step more than it says."""
-    step_rad = resolution_rad(encoder.angle_rad)
+def select_readings(encoder: Encoder, t_ns: Times, params: EncoderParams) -> EncoderReadings:
+    """Return the readings within the samples at ``t_ns`` (N,), moved forward by half a step of the counter."""
+    step_rad = find_resolution_rad(encoder.angle_rad)
     forward = np.sign(encoder.angle_rad[-1] - encoder.angle_rad[0])
     t_s = (encoder.t_ns - t_ns[0]) / 1e9
     half = RATE_S / 2
@@ -53,8 +53,8 @@ def readings_of(encoder: Encoder, t_ns: Times, params: EncoderParams) -> Encoder
     )
 
 
-def resolution_rad(angle_rad: Floats) -> float:
-    """The step of the angles (E,), a whole part of a turn, from those that a turning shaft shows; 0 if none shows."""
+def find_resolution_rad(angle_rad: Floats) -> float:
+    """Return the step of the angles (E,), a whole fraction of a turn; 0 if no step shows."""
     levels = np.unique(np.round(np.mod(angle_rad - angle_rad[0], 2 * np.pi), 9))
     gaps = np.diff(levels)
     gaps = gaps[gaps > FINEST]
@@ -65,10 +65,10 @@ def resolution_rad(angle_rad: Floats) -> float:
     return float(step) if off.max() < ROUNDING else 0.0
 
 
-def residuals_of(
-    readings: EncoderReadings, angle_rad: Floats, state: RollState, constants_of: NDArray[np.int64]
+def compute_encoder_residuals(
+    readings: EncoderReadings, angle_rad: Floats, state: SpinState, constants_of: NDArray[np.int64]
 ) -> Floats:
-    """Readings less predictions (E,); between two samples the angle runs straight, as the mean rate says.
+    """Return readings minus predictions (E,); between two samples the angle changes at the mean rate.
 
     ``angle_rad`` and the step of the constants are those of the N samples.
     """
@@ -78,8 +78,10 @@ def residuals_of(
     return np.asarray(readings.angle_rad - (angle - late + constants[:, OFFSET]))
 
 
-def encoder_rows(readings: EncoderReadings, residual: Floats, root: Floats, layout: Layout, step_s: Floats) -> Floats:
-    """Whitened rows (B, slots, columns + right side), with the roots of the weights (E,) and the steps (B, m)."""
+def build_encoder_rows(
+    readings: EncoderReadings, residual: Floats, root: Floats, layout: Layout, step_s: Floats
+) -> Floats:
+    """Return whitened rows (B, slots, columns + right side) for the roots of the weights (E,) and the steps (B, m)."""
     m, local = layout.m, np.arange(layout.m)
     block, j = readings.k // m, readings.k % m
     slot = np.arange(len(block)) - np.searchsorted(block, block)

@@ -1,15 +1,15 @@
-"""The graph of a spinning body: angle and rate at every sample, with all that is not known of its sensors.
+"""Factors of a spinning body's graph: angle and rate at every sample, and the unknown constants of its sensors.
 
     K angle and rate at a key, every few samples        C biases, errors of the lever arms, gravity, vibration,
-                                                          the encoder's offset and latency: a step every 10 s
+                                                          the encoder's offset and latency: one every 10 s
           C0 ---------------- C1
         / |  |              |
       K0 ---- K1 ---- K2 ---- K3 ...      each line K-K is one block: its samples of acceleration and squared rate,
-      |                                   and the rates inside it, which are taken out exactly (roll_blocks.py)
-      where the angle begins
+      |                                   and the rates inside it, which are eliminate exactly (blocks.py)
+      prior of the first angle
 
-The measurement equations (roll_rows.py) are linearised anew in every iteration, with robust weights: Gauss-Newton with
-a line search. gtsam eliminates the keys and gives their covariances.
+The measurement equations (rows.py) are linearised anew in every iteration, with robust weights: Gauss-Newton with a
+line search. gtsam eliminates the keys and computes their covariances.
 """
 
 from collections.abc import Iterator
@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.connectivity import require_connected
-from stillpoint.smoother.spin.blocks import Condensed, condense, inside_of, variances_of
-from stillpoint.smoother.spin.chain import Chain, angles_of
+from stillpoint.smoother.spin.blocks import Condensed, compute_variances, condense, solve_inside
+from stillpoint.smoother.spin.chain import Chain, integrate_angles
 from stillpoint.smoother.spin.once_per_turn import Line
-from stillpoint.smoother.spin.params import RollGraphParams
-from stillpoint.smoother.spin.rows import RollFit, Roots, jacobian
-from stillpoint.smoother.spin.samples import RollSamples
+from stillpoint.smoother.spin.params import SpinGraphParams
+from stillpoint.smoother.spin.rows import Roots, SpinFit, build_jacobian
+from stillpoint.smoother.spin.samples import SpinSamples
 from stillpoint.smoother.spin.state import (
     AMPLITUDE,
     ARM_A,
@@ -40,16 +40,16 @@ from stillpoint.smoother.spin.state import (
     OFFSET,
     SIN_A,
     SIN_S,
-    RollState,
-    in_blocks,
+    SpinState,
+    split_blocks,
 )
 
-HELD = 1e-4  # sd of a constant that is not estimated: as good as none, and no strain on the numbers
-ZERO_SD_RAD = 1e-4  # of the first angle where nothing else says where zero is
-CONSTANT = 1e-3  # of its sd may a constant change from step to step, for the same reason
-CHANGING = 0.3  # of its sd may a vibration
-UNTOLD = 0.9  # of the prior's sd: a constant whose sd is still larger is held
-FREE_SD_RAD = 10.0  # of an angle that the data has to fix
+HELD = 1e-4  # sd of a constant that is not estimated: practically zero, but well conditioned
+ZERO_SD_RAD = 1e-4  # of the first angle if nothing else defines the angle zero
+CONSTANT = 1e-3  # sd of a constant's change from step to step, relative to its sd: practically none
+CHANGING = 0.3  # the same for a vibration
+UNOBSERVABLE_SHARE = 0.9  # of the prior's sd: a constant whose posterior sd is larger is fixed
+FREE_SD_RAD = 10.0  # of an angle that the data must determine
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +63,10 @@ class Prior:
     walk_cov: Floats  # (11, 11) from step to step
 
 
-def prior_of(
-    samples: RollSamples, line: Line | None, encoder: bool, angle_rad: float, params: RollGraphParams
+def make_prior(
+    samples: SpinSamples, line: Line | None, encoder: bool, angle_rad: float, params: SpinGraphParams
 ) -> Prior:
-    """Constants that nothing can tell about are held."""
+    """Return the prior of angle and constants; constants that no data can determine are fixed at their mean."""
     p = params.calibration
     sizes, steps = np.full((2, len(CONSTANTS)), HELD)
     mean = np.zeros(len(CONSTANTS))
@@ -75,10 +75,10 @@ def prior_of(
     if line is not None and line.is_gravity:
         free[AMPLITUDE] = params.harmonic.amplitude_sd_mps2
         mean[AMPLITUDE] = line.gravity_mps2
-        # Each channel sees gravity by its own scale and axis, of which the same is known as of the lever arms.
+        # Each channel sees gravity through its own scale and axis, which are as uncertain as the lever arms.
         squared, accel = (np.linalg.norm(k) for k in (samples.squared_gravity, samples.accel_gravity))
-        for constant, felt in ((COS_S, squared), (SIN_S, squared), (COS_A, accel), (SIN_A, accel)):
-            free[constant] = max(HELD, p.lever_arm_sd * line.gravity_mps2 * float(felt))
+        for constant, gravity_sensitivity in ((COS_S, squared), (SIN_S, squared), (COS_A, accel), (SIN_A, accel)):
+            free[constant] = max(HELD, p.lever_arm_sd * line.gravity_mps2 * float(gravity_sensitivity))
     if encoder:
         free[LATENCY] = params.encoder.latency_sd_s
     if encoder and gravity:
@@ -87,7 +87,7 @@ def prior_of(
         sizes[constant], steps[constant] = sd, CONSTANT * sd
     if line is not None and line.is_vibration:
         shaken = [COS_S, SIN_S, COS_A, SIN_A]
-        mean[shaken], sizes[shaken] = vibration_of(samples, line, params)
+        mean[shaken], sizes[shaken] = expect_vibration(samples, line, params)
         steps[shaken] = CHANGING * sizes[shaken]
     cov, walk = np.diag(sizes**2), np.diag(steps**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
@@ -96,11 +96,11 @@ def prior_of(
     return Prior(angle_rad, FREE_SD_RAD if gravity or encoder else ZERO_SD_RAD, mean, cov, walk)
 
 
-def vibration_of(samples: RollSamples, line: Line, params: RollGraphParams) -> tuple[Floats, Floats]:
-    """Means and sd (4,) of the vibration, cos and sin in the squared rate, then in the acceleration.
+def expect_vibration(samples: SpinSamples, line: Line, params: SpinGraphParams) -> tuple[Floats, Floats]:
+    """Return means and sd (4,) of the vibration: cos and sin in the squared rate, then in the acceleration.
 
-    Each accelerometer may be shaken by any amount, so that the line tells nothing of the rate; the true ripple is then
-    what is usual, and the vibration of the squared rate is the line less such a ripple.
+    Each accelerometer may be shaken by any amount, so the line does not show the rate. The true ripple is assumed to
+    be of the usual size, and the vibration of the squared rate is the line minus such a ripple.
     """
     mean = np.array([line.squared.real, -line.squared.imag, line.accel.real, -line.accel.imag])
     ripple = 2 * line.rate_radps**2 * params.harmonic.ripple
@@ -108,22 +108,22 @@ def vibration_of(samples: RollSamples, line: Line, params: RollGraphParams) -> t
     return mean, np.array([ripple, ripple, free, free])
 
 
-def untold(linear: "Linear", prior: Prior, name: str) -> NDArray[np.bool_]:
-    """Which constants (11,) the samples say next to nothing about: their sd is still that of the prior.
+def find_unobservable_constants(linear: "Linear", prior: Prior, name: str) -> NDArray[np.bool_]:
+    """Return which constants (11,) the samples hardly determine: their sd is still that of the prior.
 
-    A vibration of the squared rate is always among them: what the samples seem to say of it comes from the angle that
-    both vibrations are fitted along, which is not exact. Raises :class:`Unobservable` when the system is singular.
+    A vibration of the squared rate is always among them: what the samples seem to show of it comes from the angle along
+    which both vibrations are fitted, which is not exact. Raises :class:`Unobservable` when the system is singular.
     """
     try:
         found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
     except RuntimeError as error:
         raise _rate_not_fixed(name) from error
-    held = found > UNTOLD * np.sqrt(np.diag(prior.cov))
+    held = found > UNOBSERVABLE_SHARE * np.sqrt(np.diag(prior.cov))
     held[[COS_S, SIN_S]] = True
     return np.asarray(held)
 
 
-def holding(prior: Prior, held: NDArray[np.bool_]) -> Prior:
+def fix_constants(prior: Prior, held: NDArray[np.bool_]) -> Prior:
     """The prior with some constants held at their means."""
 
     def hold(cov: Floats) -> Floats:
@@ -133,10 +133,10 @@ def holding(prior: Prior, held: NDArray[np.bool_]) -> Prior:
     return replace(prior, cov=hold(prior.cov), walk_cov=hold(prior.walk_cov))
 
 
-def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
-    """Where the angle begins, and the constants: around their means, and walking from step to step."""
+def prior_factors(chain: Chain, state: SpinState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
+    """Keep the first angle and the constants near their prior means, and let the constants walk from step to step."""
     first = np.array([[1.0, chain.step_s[0]]]) / prior.angle_sd_rad
-    off = (prior.angle_rad - angles_of(chain, state)[0]) / prior.angle_sd_rad
+    off = (prior.angle_rad - integrate_angles(chain, state)[0]) / prior.angle_sd_rad
     yield gtsam.JacobianFactor(K(0), first, np.array([off]), gtsam.noiseModel.Unit.Create(1))
     unit = gtsam.noiseModel.Unit.Create(len(CONSTANTS))
     root = np.linalg.inv(np.linalg.cholesky(prior.cov))
@@ -146,13 +146,13 @@ def prior_factors(chain: Chain, state: RollState, prior: Prior) -> Iterator[gtsa
         yield gtsam.JacobianFactor(C(s), -root, C(s + 1), root, -root @ change, unit)
 
 
-def prior_cost(chain: Chain, state: RollState, prior: Prior) -> float:
-    """Sum of the squares that the prior leaves at a state."""
+def prior_cost(chain: Chain, state: SpinState, prior: Prior) -> float:
+    """Return the sum of squares of the prior at a state."""
     return float(sum(np.sum(factor.getb() ** 2) for factor in prior_factors(chain, state, prior)))
 
 
 def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
-    """What the samples of each block say about its two keys and the constants."""
+    """Tie the two keys of each block and the constants by the samples of the block."""
     unit = gtsam.noiseModel.Unit.Create(blocks.outer.shape[1])
     for i, (a, b) in enumerate(zip(blocks.outer, blocks.outer_right, strict=True)):
         c = C(int(chain.constants_of[i]))
@@ -169,22 +169,22 @@ def require_connected_chain(chain: Chain, steps: int, name: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The graph linearised at a state, and eliminated."""
+    """The graph, linearised at a state and eliminated."""
 
     blocks: Condensed
     tree: gtsam.GaussianBayesTree
 
 
-def eliminated(chain: Chain, at: RollFit, roots: Roots, prior: Prior, name: str) -> Linear:
-    """Raises :class:`Unobservable` when the system is singular."""
-    blocks = condense(jacobian(chain, at, roots), chain.layout.inside)
+def eliminate(chain: Chain, at: SpinFit, roots: Roots, prior: Prior, name: str) -> Linear:
+    """Linearise and eliminate the graph; raise :class:`Unobservable` when the system is singular."""
+    blocks = condense(build_jacobian(chain, at, roots), chain.layout.inside)
     graph = gtsam.GaussianFactorGraph()
     for factor in block_factors(chain, blocks):
         graph.push_back(factor)
     for factor in prior_factors(chain, at.state, prior):
         graph.push_back(factor)
-    # Nested dissection: the way from any key to the root is short, which is what covariances cost. QR, not Cholesky:
-    # angles at neighbouring keys are tied together 1e6 times as closely as anything ties them to zero.
+    # Nested dissection keeps the path from any key to the root short, which makes covariances cheap. QR, not Cholesky:
+    # angles at neighbouring keys are tied to each other 1e6 times as closely as to zero.
     ordering = gtsam.Ordering.MetisGaussianFactorGraph(graph)
     try:
         return Linear(blocks, graph.eliminateMultifrontal(ordering, gtsam.EliminateQR))
@@ -198,15 +198,15 @@ def _rate_not_fixed(name: str) -> Unobservable:
     )
 
 
-def step_of(chain: Chain, linear: Linear, steps: int) -> RollState:
-    """The change of the state to the linear optimum."""
+def solve_step(chain: Chain, linear: Linear, steps: int) -> SpinState:
+    """Return the change of the state to the linear optimum."""
     found = linear.tree.optimize()
     keys = np.array([found.at(K(i)) for i in range(chain.blocks + 1)])
     constants = np.array([found.at(C(s)) for s in range(steps)])
     shared = np.concatenate([keys[:-1], keys[1:], constants[chain.constants_of]], axis=1)
-    inside = inside_of(linear.blocks, shared)
+    inside = solve_inside(linear.blocks, shared)
     rates = np.append(np.concatenate([keys[:-1, 1:], inside], axis=1).ravel(), keys[-1, 1])
-    return RollState(float(keys[0, 0]), rates[: len(chain.samples) + 1], constants)
+    return SpinState(float(keys[0, 0]), rates[: len(chain.samples) + 1], constants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +218,8 @@ class Accuracy:
     constants_sd: Floats  # (11,) in the first step
 
 
-def accuracy_of(chain: Chain, linear: Linear, name: str) -> Accuracy:
-    """Raises :class:`Unobservable` when there are no covariances: a converged solve is no answer until they exist."""
+def compute_accuracy(chain: Chain, linear: Linear, name: str) -> Accuracy:
+    """Return the sd of angle, rate and constants; raise :class:`Unobservable` when the covariances do not exist."""
     layout, m, n = chain.layout, chain.layout.m, len(chain.samples)
     try:
         shared = np.array([_shared_covariance(chain, linear, i) for i in range(chain.blocks)])
@@ -228,12 +228,12 @@ def accuracy_of(chain: Chain, linear: Linear, name: str) -> Accuracy:
         raise Unobservable(f"{name}: the samples fix the rate, but not how well; look for long gaps") from error
     local = np.arange(m)
     wanted = np.zeros((chain.blocks, 2 * m, layout.inside + layout.shared))
-    steps = in_blocks(chain.step_s[:-1], m, 0.0)
+    steps = split_blocks(chain.step_s[:-1], m, 0.0)
     wanted[:, :m, layout.angle] = 1.0
     wanted[:, :m, layout.rates[:m]] = steps[:, None, :] * np.tril(np.ones((m, m)))
     wanted[:, m + local, layout.rates[:-1]] = chain.before
     wanted[:, m + local, layout.rates[1:]] += 1 - chain.before
-    sd = np.sqrt(variances_of(linear.blocks, shared, wanted))
+    sd = np.sqrt(compute_variances(linear.blocks, shared, wanted))
     return Accuracy(sd[:, :m].ravel()[:n], sd[:, m:].ravel()[:n], np.sqrt(np.diag(constants)))
 
 

@@ -1,4 +1,10 @@
-"""From a recording with a spin stream to angle and rate with their accuracy: the steps in order."""
+"""``method="roll-graph"``: angle and rate of a spinning body from one factor graph over its accelerometers.
+
+gather   acceleration and squared rate of every sample, encoder readings     samples.py, encoder.py, chain.py
+solve    rough fit, what turns once per turn, optimum                        start.py, once_per_turn.py, solve.py
+judge    is the spin fast enough, and do the channels agree?                 zero_rate.py, plausibility.py
+report   angle, rate and their sd at every sample                            factors.py
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,67 +16,67 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.spin.chain import LONG_STEP, Chain, angles_of, chain_of, rates_of
-from stillpoint.smoother.spin.encoder import EncoderReadings, readings_of
+from stillpoint.smoother.spin.chain import LONG_STEP, Chain, build_chain, integrate_angles, interpolate_rates
+from stillpoint.smoother.spin.encoder import EncoderReadings, select_readings
 from stillpoint.smoother.spin.factors import (
     Accuracy,
     Linear,
     Prior,
-    accuracy_of,
-    eliminated,
-    holding,
-    prior_of,
+    compute_accuracy,
+    eliminate,
+    find_unobservable_constants,
+    fix_constants,
+    make_prior,
     require_connected_chain,
-    untold,
 )
-from stillpoint.smoother.spin.once_per_turn import Line, find_line, followed
-from stillpoint.smoother.spin.params import RollGraphParams
+from stillpoint.smoother.spin.once_per_turn import Line, find_line, follow_line
+from stillpoint.smoother.spin.params import SpinGraphParams
 from stillpoint.smoother.spin.plausibility import GLITCH, require_agreement
-from stillpoint.smoother.spin.rows import roots_of
-from stillpoint.smoother.spin.samples import RollSamples, samples_of, sign_of
-from stillpoint.smoother.spin.solve import RollSolution, improved, no_optimum
-from stillpoint.smoother.spin.start import start_of, with_gravity, with_vibration
+from stillpoint.smoother.spin.rows import compute_roots
+from stillpoint.smoother.spin.samples import SpinSamples, find_sign, measure_samples
+from stillpoint.smoother.spin.solve import SpinSolution, improve, make_no_optimum
+from stillpoint.smoother.spin.start import add_gravity, add_vibration, make_start
 from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
-from stillpoint.smoother.spin.zero_rate import least_squared, require_spin, smooth_squared, too_slow
+from stillpoint.smoother.spin.zero_rate import find_least_squared, find_slow_stretch, require_spin, smooth_squared
 
 ROUGH = 3  # iterations before gravity is looked for
-VIBRATION_ROUNDS = 2  # the rates before the first one follow the vibration, and so does the angle it is fitted along
+VIBRATION_ROUNDS = 2  # the vibration disturbs the rates, and through them the angle along which it is fitted
 
 
-def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
-    """Angle and rate about the spin axis at every sample of the accelerometers.
+def make_spin_reference(recording: Recording, params: SpinGraphParams) -> RollReference:
+    """Return angle and rate about the spin axis at every sample of the accelerometers.
 
-    Where gravity shows at the spin frequency the angle is measured from it: at 0 the body's z axis points up, as far as
-    the spin axis allows. With an encoder it is the encoder's. Otherwise it is 0 at the first sample, and drifts.
-    Raises :class:`Unobservable`.
+    If gravity shows at the spin frequency, the angle is measured from it: at 0 the body's z axis points up as far as
+    the spin axis allows. With an encoder it is the encoder's angle. Otherwise it is 0 at the first sample, and drifts.
+    Raises :class:`Unobservable` when the samples do not determine the rate or contradict each other.
     """
-    samples = samples_of(recording, params.noise)
+    samples = measure_samples(recording, params.noise)
     readings = None
     if params.encoder.use:
         if recording.encoder is None:
             raise Unobservable(f"{recording.name}: has no encoder; leave encoder.use off")
-        readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
+        readings = select_readings(recording.encoder, samples.t_ns, params.encoder)
     require_spin(samples, params.calibration, recording.name)
-    known = sign_of(recording.spin, params.calibration) if recording.spin is not None else None
+    known = find_sign(recording.spin, params.calibration) if recording.spin is not None else None
     sign = known or (1.0 if params.direction == "positive" else -1.0)
     try:
-        found = _solved(samples, readings, sign, params, recording.name)
+        found = _solve(samples, readings, sign, params, recording.name)
     except Unobservable as error:
-        squared, least = smooth_squared(samples), least_squared(samples, params.calibration)
-        raise too_slow(samples, squared, least, readings, recording.name) or error from error
+        squared, least = smooth_squared(samples), find_least_squared(samples, params.calibration)
+        raise find_slow_stretch(samples, squared, least, readings, recording.name) or error from error
     chain, solution, line = found.chain, found.solution, found.line
-    least = least_squared(samples, params.calibration, line)
-    slow = too_slow(samples, rates_of(chain, solution.at.state) ** 2, least, readings, recording.name)
+    least = find_least_squared(samples, params.calibration, line)
+    slow = find_slow_stretch(samples, interpolate_rates(chain, solution.at.state) ** 2, least, readings, recording.name)
     if slow is not None:
         raise slow
-    least_radps = float(np.sqrt(least_squared(samples, params.calibration))) / 2
+    least_radps = float(np.sqrt(find_least_squared(samples, params.calibration))) / 2
     require_agreement(chain, solution, found.prior, least_radps, recording.name)
-    linear = _linear(chain, solution, found.prior, recording.name)
-    accuracy = accuracy_of(chain, linear, recording.name)
+    linear = _linearise(chain, solution, found.prior, recording.name)
+    accuracy = compute_accuracy(chain, linear, recording.name)
     return RollReference(
         t_ns=samples.t_ns,
-        angle_rad=angles_of(chain, solution.at.state),
-        rate_radps=rates_of(chain, solution.at.state),
+        angle_rad=integrate_angles(chain, solution.at.state),
+        rate_radps=interpolate_rates(chain, solution.at.state),
         angle_sd_rad=accuracy.angle_sd_rad,
         rate_sd_radps=accuracy.rate_sd_radps,
         method="roll-graph",
@@ -85,55 +91,56 @@ def roll_graph(recording: Recording, params: RollGraphParams) -> RollReference:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """The optimum, and what it is the optimum of."""
+    """The optimum, and the problem that it solves."""
 
     chain: Chain
-    prior: Prior  # with nothing held
-    held: NDArray[np.bool_]  # (11,) constants that the samples do not tell
+    prior: Prior  # before any constant is fixed
+    held: NDArray[np.bool_]  # (11,) constants fixed because the samples do not determine them
     line: Line | None
-    solution: RollSolution
+    solution: SpinSolution
 
 
-def _solved(
-    samples: RollSamples, readings: EncoderReadings | None, sign: float, params: RollGraphParams, name: str
+def _solve(
+    samples: SpinSamples, readings: EncoderReadings | None, sign: float, params: SpinGraphParams, name: str
 ) -> _Solved:
-    chain = chain_of(samples, readings, int(params.block), params.calibration.step_s, params.noise)
-    state = start_of(chain, readings, sign)
+    """Return the optimum, with gravity, vibration and unobservable constants found on the way."""
+    chain = build_chain(samples, readings, int(params.block), params.calibration.step_s, params.noise)
+    state = make_start(chain, readings, sign)
     require_connected_chain(chain, len(state.constants), name)
-    prior = prior_of(samples, None, readings is not None, float(angles_of(chain, state)[0]), params)
-    # Until the harmonic is found the fit's own residuals are the noise: beside a given one too much would be a glitch.
+    prior = make_prior(samples, None, readings is not None, float(integrate_angles(chain, state)[0]), params)
+    # Until the once-per-turn line is found, it would count as glitches beside a given noise: use the residuals.
     loose = replace(params, noise=replace(params.noise, source="data"))
-    rough = improved(chain, state, prior, name, loose, ROUGH)
+    rough = improve(chain, state, prior, name, loose, ROUGH)
     line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
     if line is not None and line.is_gravity:
-        chain, state = with_gravity(chain, rough.at.state, line)
-        prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-        rough = improved(chain, state, prior, name, loose, ROUGH)
+        chain, state = add_gravity(chain, rough.at.state, line)
+        prior = make_prior(samples, line, readings is not None, float(integrate_angles(chain, state)[0]), params)
+        rough = improve(chain, state, prior, name, loose, ROUGH)
     if line is not None and line.is_vibration:
         for _ in range(VIBRATION_ROUNDS):
-            line = followed(chain, rough.at.state, line, params.harmonic)
-            chain, state = with_vibration(chain, rough.at.state, line)
-            prior = prior_of(samples, line, readings is not None, float(angles_of(chain, state)[0]), params)
-            rough = improved(chain, state, prior, name, loose, ROUGH)
-    # A constant that the samples do not tell would follow their noise, and turn the angle by degrees: it is held, and
-    # counts in the covariance all the same.
-    held = untold(_linear(chain, rough, prior, name), prior, name)
+            line = follow_line(chain, rough.at.state, line, params.harmonic)
+            chain, state = add_vibration(chain, rough.at.state, line)
+            prior = make_prior(samples, line, readings is not None, float(integrate_angles(chain, state)[0]), params)
+            rough = improve(chain, state, prior, name, loose, ROUGH)
+    # A constant that the samples do not determine would follow their noise and turn the angle by degrees. It is fixed
+    # at its prior mean; the covariance still includes it.
+    held = find_unobservable_constants(_linearise(chain, rough, prior, name), prior, name)
     state = replace(rough.at.state, constants=np.where(held, prior.mean, rough.at.state.constants))
-    solution = improved(chain, state, holding(prior, held), name, params, int(params.iterations))
+    solution = improve(chain, state, fix_constants(prior, held), name, params, int(params.iterations))
     if not solution.steps_radps[-1] < params.rate_limit_radps:
-        raise no_optimum(name, solution)
+        raise make_no_optimum(name, solution)
     return _Solved(chain, prior, held, line, solution)
 
 
-def _linear(chain: Chain, solution: RollSolution, prior: Prior, name: str) -> Linear:
-    return eliminated(chain, solution.at, roots_of(chain, solution.at, solution.sizes), prior, name)
+def _linearise(chain: Chain, solution: SpinSolution, prior: Prior, name: str) -> Linear:
+    return eliminate(chain, solution.at, compute_roots(chain, solution.at, solution.sizes), prior, name)
 
 
-def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, line: Line | None) -> dict[str, Any]:
+def _diagnostics(chain: Chain, solution: SpinSolution, accuracy: Accuracy, line: Line | None) -> dict[str, Any]:
     samples, sizes, n = chain.samples, solution.sizes, len(chain.samples)
-    roots = roots_of(chain, solution.at, sizes)
+    roots = compute_roots(chain, solution.at, sizes)
     facts = {
-        "angle": _zero(chain, line),
+        "angle": _describe_zero(chain, line),
         "iterations": len(solution.steps_radps),
         "accel_sd_radps2": sizes.accel_radps2,
         "squared_sd_rad2ps2": sizes.squared_rad2ps2,
@@ -142,16 +149,16 @@ def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, line:
         "n_accel_glitches": int(((roots.accel * sizes.accel_radps2 < GLITCH) & chain.accel_seen).sum()),
         "n_squared_glitches": int(((roots.squared * sizes.squared_rad2ps2 < GLITCH) & chain.squared_valid).sum()),
         "n_gaps": int((chain.step_s > LONG_STEP * np.median(chain.step_s)).sum()),
-        **_found(solution, accuracy, CONSTANTS[:AMPLITUDE]),
+        **_list_constants(solution, accuracy, CONSTANTS[:AMPLITUDE]),
     }
     if line is not None:
-        facts |= _turning(line)
+        facts |= _list_once_per_turn(line)
     if line is not None and line.is_gravity:
-        facts |= _found(solution, accuracy, CONSTANTS[AMPLITUDE : AMPLITUDE + 1])
+        facts |= _list_constants(solution, accuracy, CONSTANTS[AMPLITUDE : AMPLITUDE + 1])
     if line is not None and line.is_vibration:
-        facts |= _found(solution, accuracy, CONSTANTS[COS_S:])
+        facts |= _list_constants(solution, accuracy, CONSTANTS[COS_S:])
     if chain.readings is not None and roots.encoder is not None:
-        facts |= _found(solution, accuracy, CONSTANTS[OFFSET:COS_S])
+        facts |= _list_constants(solution, accuracy, CONSTANTS[OFFSET:COS_S])
         facts["encoder_resolution_rad"] = chain.readings.resolution_rad
         facts["encoder_sd_rad"] = sizes.encoder_rad
         facts["n_encoder_outside"] = chain.readings.outside
@@ -159,8 +166,8 @@ def _diagnostics(chain: Chain, solution: RollSolution, accuracy: Accuracy, line:
     return facts
 
 
-def _turning(line: Line) -> dict[str, Any]:
-    """What turns with the shaft, and gravity as each channel shows it by itself."""
+def _list_once_per_turn(line: Line) -> dict[str, Any]:
+    """Return what was found once per turn, and gravity as each channel shows it by itself."""
     return {
         "once_per_turn": line.verdict,
         "once_per_turn_why": line.why,
@@ -171,7 +178,7 @@ def _turning(line: Line) -> dict[str, Any]:
     }
 
 
-def _zero(chain: Chain, line: Line | None) -> str:
+def _describe_zero(chain: Chain, line: Line | None) -> str:
     if line is not None and line.is_gravity:
         return "from gravity: 0 where the z axis points up most"
     if chain.readings is not None:
@@ -182,7 +189,7 @@ def _zero(chain: Chain, line: Line | None) -> str:
     return drifts
 
 
-def _found(solution: RollSolution, accuracy: Accuracy, names: Sequence[str]) -> dict[str, list[float]]:
-    """Value and sd of constants, in their first step."""
+def _list_constants(solution: SpinSolution, accuracy: Accuracy, names: Sequence[str]) -> dict[str, list[float]]:
+    """Return value and sd of constants in their first step."""
     value, sd = solution.at.state.constants[0], accuracy.constants_sd
     return {name: [float(value[k]), float(sd[k])] for k, name in enumerate(CONSTANTS) if name in names}

@@ -1,13 +1,14 @@
-"""What turns with the shaft: gravity, a true ripple of the rate, or a vibration.
+"""Find what occurs once per turn: gravity, a true ripple of the rate, or a vibration.
 
-Written as Re(L exp(i angle)), the channels hold once per turn
+Written as Re(L exp(i angle)), the channels contain once per turn
 
     squared rate:  L_s = 2 w a + G k_s + n_s
     acceleration:  L_a = i w a + G k_a + n_a
 
-with a ripple a of the rate w, gravity G = g sin(tilt) exp(i phase) times what each channel feels of it, k = c - i s,
-and vibrations n. Z = L_s + 2i L_a is free of the ripple. Gravity and a ripple together explain any L_s and L_a, so that
-they do is no sign of gravity; that both channels by themselves, L_s / k_s and L_a / k_a, show the same gravity is one.
+with a ripple a of the rate w, gravity G = g sin(tilt) exp(i phase) times the sensitivity k = c - i s of each channel,
+and vibrations n. Z = L_s + 2i L_a is free of the ripple. Gravity and a ripple together explain any L_s and L_a, which
+therefore proves nothing; but if both channels by themselves, L_s / k_s and L_a / k_a, show the same gravity, it is
+gravity.
 """
 
 from dataclasses import dataclass, replace
@@ -19,16 +20,16 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD, STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
+from stillpoint.smoother.spin.chain import Chain, integrate_angles, interpolate_rates
 from stillpoint.smoother.spin.params import HarmonicParams
-from stillpoint.smoother.spin.samples import RollSamples
-from stillpoint.smoother.spin.state import RollState
+from stillpoint.smoother.spin.samples import SpinSamples
+from stillpoint.smoother.spin.state import SpinState
 
 FEWEST_IN_WINDOW = 48  # valid samples of each channel
 LEAST_TURNS = 2.0  # of the body in a window
 ROBUST_ROUNDS = 4
 ROBUST = 5.0  # sd
-RIPPLE_SD = 4.0  # of Z, as :func:`excess` has it: below, a ripple of the rate explains both channels
+RIPPLE_SD = 4.0  # of Z, as :func:`measure_excess` has it: below, a ripple of the rate explains both channels
 APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
 MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
 NOTHING = 1e-6  # relative: a channel that feels less of gravity feels none
@@ -39,17 +40,16 @@ Verdict = Literal["ripple", "gravity", "vibration"]
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The line at the spin frequency, followed through the recording, and what it is taken for.
+    """The line at the spin frequency, followed through the recording, and its verdict.
 
-    ``phase_rad`` is by which the angle is to be increased so that L_s and L_a are those stated and, for gravity, that 0
-    is where z points up.
+    Adding ``phase_rad`` to the angle makes L_s and L_a those stated; for gravity, angle 0 is then where z points up.
     """
 
     verdict: Verdict
     why: str
     squared: complex  # L_s, rad^2/s^2
     accel: complex  # L_a, rad/s^2
-    significance: float  # sd by which Z differs from nothing, all windows together
+    significance: float  # sd by which Z differs from zero, all windows together
     by_squared_mps2: float | None  # gravity as the squared rate alone shows it; None where it feels none
     by_accel_mps2: float | None
     gravity_mps2: float  # as both show it together, a ripple aside; 0 unless taken for gravity
@@ -59,12 +59,12 @@ class Line:
 
     @property
     def is_gravity(self) -> bool:
-        """Whether the angle counts from it."""
+        """Return whether the line is gravity, from which the angle is measured."""
         return self.verdict == "gravity"
 
     @property
     def is_vibration(self) -> bool:
-        """Whether it is nothing that the body does."""
+        """Return whether the line is a vibration, which is no motion of the body."""
         return self.verdict == "vibration"
 
 
@@ -79,14 +79,14 @@ class Windows:
     accel_var: Floats  # (W,)
 
     def phase(self) -> tuple[Floats, float]:
-        """Phases (W,) by the channel that shows the line best, and by how many sd it does."""
+        """Return the phases (W,) of the channel that shows the line best, and its significance in sd."""
         channels = ((self.squared, self.squared_var), (self.accel, self.accel_var))
-        clear = [excess(np.abs(line) ** 2 / var) for line, var in channels]
+        clear = [measure_excess(np.abs(line) ** 2 / var) for line, var in channels]
         best = int(np.argmax(clear))
         return np.unwrap(np.angle(channels[best][0])), clear[best]
 
     def turned(self, phase_rad: Floats) -> tuple[complex, complex, float, float]:
-        """Means of L_s and L_a with the phases (W,) taken out, and their variances."""
+        """Return the means of L_s and L_a with the phases (W,) removed, and their variances."""
         back = np.exp(-1j * phase_rad)
         by_squared, by_accel = 1 / self.squared_var, 1 / self.accel_var
         squared = np.sum(by_squared * self.squared * back) / by_squared.sum()
@@ -94,10 +94,10 @@ class Windows:
         return complex(squared), complex(accel), float(1 / by_squared.sum()), float(1 / by_accel.sum())
 
 
-def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | None:
-    """The line along a trajectory that knows nothing of it; None where there is none."""
+def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | None:
+    """Return the line along a trajectory that was solved without it; None where there is none."""
     samples = chain.samples
-    windows = windows_of(chain, state, params.window_s)
+    windows = fit_windows(chain, state, params.window_s)
     if windows is None:
         return None
     phase, clear = windows.phase()
@@ -105,11 +105,11 @@ def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | 
         return None
     squared, accel, squared_var, accel_var = windows.turned(phase)
     free = windows.squared + 2j * windows.accel
-    significance = excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
-    k_s, k_a = felt(samples.squared_gravity), felt(samples.accel_gravity)
+    significance = measure_excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
+    k_s, k_a = gravity_sensitivity(samples.squared_gravity), gravity_sensitivity(samples.accel_gravity)
     sd = np.sqrt(sum(var / abs(k) ** 2 for var, k in ((squared_var, k_s), (accel_var, k_a)) if k))
-    verdict, why = judged(squared, accel, k_s, k_a, float(sd), significance, params)
-    gravity, rate = 0j, float(np.median(rates_of(chain, state)))
+    verdict, why = judge_line(squared, accel, k_s, k_a, float(sd), significance, params)
+    gravity, rate = 0j, float(np.median(interpolate_rates(chain, state)))
     if verdict == "gravity":
         phase = np.unwrap(np.angle(free / (k_s + 2j * k_a)))
         squared, accel, _, _ = windows.turned(phase)
@@ -125,33 +125,33 @@ def find_line(chain: Chain, state: RollState, params: HarmonicParams) -> Line | 
         gravity_mps2=abs(gravity),
         ripple_radps=abs(squared - gravity * k_s) / abs(2 * rate) if verdict != "vibration" else None,
         rate_radps=rate,
-        phase_rad=np.interp(seconds_of(samples), windows.middle_s, phase),
+        phase_rad=np.interp(elapsed_s(samples), windows.middle_s, phase),
     )
 
 
-def followed(chain: Chain, state: RollState, line: Line, params: HarmonicParams) -> Line:
-    """The same line along another trajectory."""
-    windows = windows_of(chain, state, params.window_s)
+def follow_line(chain: Chain, state: SpinState, line: Line, params: HarmonicParams) -> Line:
+    """Return the same line, followed along another trajectory."""
+    windows = fit_windows(chain, state, params.window_s)
     if windows is None:
         return line
     phase, _ = windows.phase()
     squared, accel, _, _ = windows.turned(phase)
-    phase = np.interp(seconds_of(chain.samples), windows.middle_s, phase)
+    phase = np.interp(elapsed_s(chain.samples), windows.middle_s, phase)
     return replace(line, squared=squared, accel=accel, phase_rad=phase)
 
 
-def excess(squares: Floats) -> float:
-    """By how many sd the sum of chi-squared numbers (W,) of 2 degrees each is above what noise makes it."""
+def measure_excess(squares: Floats) -> float:
+    """Return by how many sd the sum of chi-squared numbers (W,), 2 degrees of freedom each, exceeds its mean."""
     count = len(squares)
     return float((squares.sum() - 2 * count) / np.sqrt(4 * count))
 
 
-def felt(gravity: Floats) -> complex:
-    """k of a channel, 1/m."""
+def gravity_sensitivity(gravity: Floats) -> complex:
+    """Return the sensitivity k of a channel to gravity, 1/m."""
     return complex(gravity[0], -gravity[1])
 
 
-def judged(
+def judge_line(
     squared: complex,
     accel: complex,
     k_s: complex,
@@ -160,7 +160,7 @@ def judged(
     significance: float,
     p: HarmonicParams,
 ) -> tuple[Verdict, str]:
-    """What a line is, and why. ``apart_sd`` is of the difference of both channels' gravity."""
+    """Return what a line is, and why. ``apart_sd`` is the sd of the difference of the two channels' gravity."""
     if significance < RIPPLE_SD:
         return "ripple", "a ripple of the rate explains both channels"
     together = k_s + 2j * k_a
@@ -189,15 +189,15 @@ def judged(
     return "gravity", f"{shown}: they agree"
 
 
-def seconds_of(samples: RollSamples) -> Floats:
-    """Time (N,) from the first sample."""
+def elapsed_s(samples: SpinSamples) -> Floats:
+    """Return the time (N,) from the first sample."""
     return np.asarray((samples.t_ns - samples.t_ns[0]) / 1e9)
 
 
-def windows_of(chain: Chain, state: RollState, window_s: float) -> Windows | None:
-    """The line along a trajectory, in each window that is long enough; None without any."""
-    samples, angle_rad = chain.samples, angles_of(chain, state)
-    t_s = seconds_of(samples)
+def fit_windows(chain: Chain, state: SpinState, window_s: float) -> Windows | None:
+    """Return the line along a trajectory in each window that is long enough; None if there is no such window."""
+    samples, angle_rad = chain.samples, integrate_angles(chain, state)
+    t_s = elapsed_s(samples)
     edges = np.searchsorted(t_s, np.arange(0.0, t_s[-1] + window_s, window_s))
     found = []
     for first, last in pairwise(edges):
@@ -222,7 +222,10 @@ def windows_of(chain: Chain, state: RollState, window_s: float) -> Windows | Non
 
 
 def _fit(values: Floats, angle_rad: Floats, least_sd: float) -> tuple[complex, float]:
-    """L of a channel beside a parabola, robustly, and the variance of its parts. The noise is at least ``least_sd``."""
+    """Return L of a channel, fitted robustly beside a parabola, and the variance of its real and imaginary parts.
+
+    The noise is taken to be at least ``least_sd``.
+    """
     line = np.linspace(-1, 1, len(values))
     design = np.column_stack([np.cos(angle_rad), np.sin(angle_rad), np.ones(len(values)), line, line**2])
     root = np.ones(len(values))

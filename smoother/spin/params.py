@@ -7,7 +7,7 @@ from stillpoint.datasets.settings import Settings, choice, number
 
 
 @dataclass(frozen=True)
-class RollNoise(Settings):
+class SpinNoise(Settings):
     """Noise of the accelerometers, as the channels of acceleration and squared rate see it."""
 
     source: Literal["data", "given"] = choice("data", "white noise as the recording shows it, or the sizes below")
@@ -18,10 +18,10 @@ class RollNoise(Settings):
 
 
 @dataclass(frozen=True)
-class RollCalibration(Settings):
-    """What is not known of the sensors: sd around zero, of constants unless said otherwise.
+class SpinCalibration(Settings):
+    """Uncertainty of the sensors: sd around zero, of constants unless said otherwise.
 
-    The defaults are those of a part as its data sheet has it, on arms measured with a calliper.
+    The defaults are those of a data sheet, and of arms measured with a calliper.
     """
 
     accel_bias_sd_mps2: float = number(0.4, 1e-6, 10.0, "bias of each accelerometer")
@@ -37,7 +37,7 @@ class HarmonicParams(Settings):
     search: Literal["auto", "gravity", "off"] = choice(
         "auto", "test what it is; take it for gravity without a test; or do not look for it"
     )
-    window_s: float = number(2.0, 0.1, 60.0, "over which its phase is followed to begin with")
+    window_s: float = number(2.0, 0.1, 60.0, "over which its phase is follow_line to begin with")
     significance: float = number(8.0, 2.0, 100.0, "sd by which it must differ from zero")
     agreement: float = number(0.2, 0.01, 1.0, "part of gravity by which both channels may disagree on it")
     amplitude_sd_mps2: float = number(10.0, 0.1, 100.0, "of its amplitude around the start value")
@@ -56,11 +56,11 @@ class EncoderParams(Settings):
 
 
 @dataclass(frozen=True)
-class RollGraphParams(Settings):
+class SpinGraphParams(Settings):
     """Settings of ``method="roll-graph"``."""
 
-    noise: RollNoise = field(default_factory=RollNoise)
-    calibration: RollCalibration = field(default_factory=RollCalibration)
+    noise: SpinNoise = field(default_factory=SpinNoise)
+    calibration: SpinCalibration = field(default_factory=SpinCalibration)
     harmonic: HarmonicParams = field(default_factory=HarmonicParams)
     encoder: EncoderParams = field(default_factory=EncoderParams)
     direction: Literal["positive", "negative"] = choice(

@@ -1,7 +1,7 @@
-"""Whether the optimum of a spinning body's graph is one to trust: what a spin that rests or turns back unseen leaves.
+"""Judge the optimum of a spinning body's graph: does it hide a spin that rests or turns back?
 
-A rate that is mirrored at zero contradicts the angular acceleration for as long as the turn lasts, and the robust
-weights take that for glitches; a rest is explained by biases and arms that no calibration allows.
+A rate that is mirrored at zero contradicts the angular acceleration while it turns back, which the robust weights treat
+as glitches; a rest is explained by biases and arms that no calibration allows.
 """
 
 import numpy as np
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.smoother.spin.chain import Chain
 from stillpoint.smoother.spin.factors import Prior
-from stillpoint.smoother.spin.rows import roots_of
-from stillpoint.smoother.spin.solve import RollSolution
+from stillpoint.smoother.spin.rows import compute_roots
+from stillpoint.smoother.spin.solve import SpinSolution
 from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS
 
-GLITCH = 0.25  # of the weight that a sample without an error has: below it, it counts as a glitch
+GLITCH = 0.25  # of the weight of a sample without error: below, a sample counts as a glitch
 RUN = 8  # glitches in a row are more than that
 APART = 3  # samples between glitches of one run
 BIASED_SD = 5.0  # of the prior: as far as a bias or an arm may be off
@@ -22,12 +22,12 @@ SCATTER = 5.0  # times what the samples show by themselves
 OR_ELSE = "the spin rests, turns back or is too slow for its square"
 
 
-def require_agreement(chain: Chain, solution: RollSolution, prior: Prior, least_radps: float, name: str) -> None:
-    """Raises :class:`Unobservable` where the channels contradict each other, or what is known of the sensors.
+def require_agreement(chain: Chain, solution: SpinSolution, prior: Prior, least_radps: float, name: str) -> None:
+    """Raise :class:`Unobservable` where the channels contradict each other or the calibration.
 
     ``least_radps`` is the change of the rate that a run of glitches may leave unexplained.
     """
-    if chain.readings is not None:  # the encoder has the word
+    if chain.readings is not None:  # the encoder decides
         return
     at, sizes, n = solution.at, solution.sizes, len(chain.samples)
     off = np.abs(at.state.constants - prior.mean)[:, :AMPLITUDE] / np.sqrt(np.diag(prior.cov))[:AMPLITUDE]
@@ -43,10 +43,10 @@ def require_agreement(chain: Chain, solution: RollSolution, prior: Prior, least_
             f"{name}: around the optimum the angular acceleration scatters {ratio:.0f} times as much as by itself: "
             f"{OR_ELSE}; cut the recording to a fast spin, and check lever arms, signs and axes of the geometry"
         )
-    weight = roots_of(chain, at, sizes).accel * sizes.accel_radps2
+    weight = compute_roots(chain, at, sizes).accel * sizes.accel_radps2
     glitch = ((weight < GLITCH) & chain.accel_seen).ravel()[:n]
     missing = (chain.span_s * at.accel_residual).ravel()[:n]
-    for first, last in _runs(glitch):
+    for first, last in _find_runs(glitch):
         change = abs(float(missing[first : last + 1][glitch[first : last + 1]].sum()))
         if glitch[first : last + 1].sum() >= RUN and change > least_radps:
             t_s = (chain.samples.t_ns[[first, last]] - chain.samples.t_ns[0]) / 1e9
@@ -56,8 +56,8 @@ def require_agreement(chain: Chain, solution: RollSolution, prior: Prior, least_
             )
 
 
-def _runs(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last of the samples that are near each other."""
+def _find_runs(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and last of each run of wanted samples; samples up to APART apart belong to one run."""
     rows = np.flatnonzero(wanted)
     if not len(rows):
         return []

@@ -1,13 +1,12 @@
-"""What the samples of a spinning body measure, linearised: one dense whitened Jacobian for each block.
+"""Linearise the measurement equations of a spinning body: one dense whitened Jacobian for each block.
 
 A sample measures, with errors e of the lever arms, biases b, gravity's amplitude g and its parts c and s,
 
     acceleration:  (1 + e_a) (x_{k+1} - x_k) / h_k + b_a + g (c_a cos angle_k + s_a sin angle_k)
     squared rate:  (1 + e_s) rate_k^2              + b_s + g (c_s cos angle_k + s_s sin angle_k)
 
-and an encoder angle(t - latency) + offset. Where a vibration turns with the shaft each channel has it besides, v_c cos
-+ v_s sin of an angle that was found beforehand. x, h and rate are those of roll_chain.py; the columns those of
-``Layout``.
+and an encoder measures angle(t - latency) + offset. A vibration adds v_c cos + v_s sin, of an angle found beforehand,
+to each channel. x, h and rate are those of chain.py; the columns are those of ``Layout``.
 """
 
 from dataclasses import dataclass
@@ -17,9 +16,9 @@ import numpy as np
 
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.spin.chain import Chain, angles_of, rates_of
-from stillpoint.smoother.spin.encoder import encoder_rows, residuals_of
-from stillpoint.smoother.spin.params import RollNoise
+from stillpoint.smoother.spin.chain import Chain, integrate_angles, interpolate_rates
+from stillpoint.smoother.spin.encoder import build_encoder_rows, compute_encoder_residuals
+from stillpoint.smoother.spin.params import SpinNoise
 from stillpoint.smoother.spin.state import (
     AMPLITUDE,
     ARM_A,
@@ -30,18 +29,18 @@ from stillpoint.smoother.spin.state import (
     COS_S,
     SIN_A,
     SIN_S,
-    RollState,
-    in_blocks,
+    SpinState,
+    split_blocks,
 )
 
-LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: so small that it is exact, large enough to factorise
+LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: practically exact, but well conditioned
 
 
 @dataclass(frozen=True, eq=False)
-class RollFit:
-    """The samples beside a trajectory, (B, m) each: what it predicts, and measured less predicted."""
+class SpinFit:
+    """Predictions of a trajectory for the samples, and residuals (measured minus predicted), (B, m) each."""
 
-    state: RollState
+    state: SpinState
     rate_radps: Floats
     change_radps2: Floats  # of the mean rates
     gravity_accel: Floats  # 1/m: of amplitude 1
@@ -53,24 +52,24 @@ class RollFit:
     encoder_residual: Floats | None  # (E,) rad
 
 
-def fit(chain: Chain, state: RollState) -> RollFit:
-    """The trajectory's predictions and what they leave."""
+def fit(chain: Chain, state: SpinState) -> SpinFit:
+    """Return predictions and residuals of a trajectory."""
     n, m, samples = len(chain.samples), chain.layout.m, chain.samples
     c = state.constants[chain.constants_of][:, :, None]
-    angle = angles_of(chain, state)
-    cos, sin = in_blocks(np.cos(angle), m, 0.0), in_blocks(np.sin(angle), m, 0.0)
+    angle = integrate_angles(chain, state)
+    cos, sin = split_blocks(np.cos(angle), m, 0.0), split_blocks(np.sin(angle), m, 0.0)
     (ca, sa), (cs, ss) = samples.accel_gravity, samples.squared_gravity
     gravity_a, gravity_s = ca * cos + sa * sin, cs * cos + ss * sin
-    rate = in_blocks(rates_of(chain, state), m, 0.0)
-    change = in_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
+    rate = split_blocks(interpolate_rates(chain, state), m, 0.0)
+    change = split_blocks(np.diff(state.mean_rate_radps), m, 0.0) / chain.span_s
     accel = chain.accel_radps2 - ((1 + c[:, ARM_A]) * change + c[:, BIAS_A] + c[:, AMPLITUDE] * gravity_a)
-    squared = in_blocks(samples.squared_rad2ps2, m, 0.0)
+    squared = split_blocks(samples.squared_rad2ps2, m, 0.0)
     squared -= (1 + c[:, ARM_S]) * rate**2 + c[:, BIAS_S] + c[:, AMPLITUDE] * gravity_s
     if chain.shaken is not None:
         accel -= c[:, COS_A] * chain.shaken[0] + c[:, SIN_A] * chain.shaken[1]
         squared -= c[:, COS_S] * chain.shaken[0] + c[:, SIN_S] * chain.shaken[1]
     accel.ravel()[n:] = 0.0
-    return RollFit(
+    return SpinFit(
         state=state,
         rate_radps=rate,
         change_radps2=change,
@@ -82,59 +81,59 @@ def fit(chain: Chain, state: RollState) -> RollFit:
         squared_residual=np.where(chain.squared_valid, squared, 0.0),
         encoder_residual=None
         if chain.readings is None
-        else residuals_of(chain.readings, angle, state, np.repeat(chain.constants_of, m)[:n]),
+        else compute_encoder_residuals(chain.readings, angle, state, np.repeat(chain.constants_of, m)[:n]),
     )
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Noise of a sample of each kind."""
+    """Noise sd of a sample of each kind."""
 
     accel_radps2: float
     squared_rad2ps2: float
     encoder_rad: float
 
 
-def sizes_of(chain: Chain, at: RollFit, params: RollNoise) -> Sizes:
-    """The larger of what the samples show and of what the fit leaves, robustly; the former alone if noise is given."""
+def estimate_sizes(chain: Chain, at: SpinFit, params: SpinNoise) -> Sizes:
+    """Return the noise sizes: the larger of the samples' own noise and the residuals'; the former if noise is given."""
     samples, readings = chain.samples, chain.readings
     accel, squared = samples.accel_sd, samples.squared_sd
     encoder = 1.0 if readings is None else readings.sd_rad
     if params.source == "given":
         return Sizes(accel, squared, encoder)
     if at.encoder_residual is not None:
-        encoder = max(encoder, _size(at.encoder_residual))
+        encoder = max(encoder, _median_size(at.encoder_residual))
     return Sizes(
-        max(accel, _size(at.accel_residual[chain.accel_seen])),
-        max(squared, _size(at.squared_residual[chain.squared_valid])),
+        max(accel, _median_size(at.accel_residual[chain.accel_seen])),
+        max(squared, _median_size(at.squared_residual[chain.squared_valid])),
         encoder,
     )
 
 
-def _size(residual: Floats) -> float:
+def _median_size(residual: Floats) -> float:
     return MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(residual))) if len(residual) else 0.0
 
 
 @cache
 def mean_weight(robust: float) -> float:
-    """The mean Geman-McClure weight of a normal residual of sd 1."""
+    """Return the mean Geman-McClure weight of a normal residual of sd 1."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(64)
     return float(np.sum(weights / (1 + (nodes / robust) ** 2) ** 2) / np.sum(weights))
 
 
 @dataclass(frozen=True, eq=False)
 class Roots:
-    """Square roots of the information that each residual has: robust weight and noise together."""
+    """Square roots of each residual's information: robust weight and noise together."""
 
     accel: Floats  # (B, m)
     squared: Floats  # (B, m)
     encoder: Floats | None  # (E,)
 
 
-def roots_of(chain: Chain, at: RollFit, sizes: Sizes) -> Roots:
-    """Geman-McClure weights, 1 on average over normal noise, so that the covariance is that of least squares.
+def compute_roots(chain: Chain, at: SpinFit, sizes: Sizes) -> Roots:
+    """Return Geman-McClure weights that are 1 on average over normal noise, as in least squares.
 
-    An acceleration that is no acceleration, or a glitch, counts as one of ``unseen_radps2``.
+    An acceleration that is missing or a glitch counts as a measurement of 0 with sd ``unseen_radps2``.
     """
     robust, unseen = chain.params.robust, chain.params.unseen_radps2
 
@@ -147,22 +146,22 @@ def roots_of(chain: Chain, at: RollFit, sizes: Sizes) -> Roots:
     return Roots(np.maximum(accel, 1 / max(unseen, sizes.accel_radps2)), squared, encoder)
 
 
-def cost(at: RollFit, roots: Roots) -> float:
-    """Sum of weighted squares. With weights of a state before, where it falls the robust cost has fallen too."""
+def cost(at: SpinFit, roots: Roots) -> float:
+    """Return the sum of weighted squares; if it falls with fixed weights, the robust cost falls too."""
     total = np.sum((roots.accel * at.accel_residual) ** 2) + np.sum((roots.squared * at.squared_residual) ** 2)
     if at.encoder_residual is not None and roots.encoder is not None:
         total += np.sum((roots.encoder * at.encoder_residual) ** 2)
     return float(total)
 
 
-def jacobian(chain: Chain, at: RollFit, roots: Roots) -> Floats:
-    """Whitened rows of the changes of the unknowns and their right sides, (B, rows, columns + 1)."""
+def build_jacobian(chain: Chain, at: SpinFit, roots: Roots) -> Floats:
+    """Return whitened rows for changes of the unknowns, with their right sides, (B, rows, columns + 1)."""
     m, layout = chain.layout.m, chain.layout
     a = np.zeros((chain.blocks, 1 + 2 * m, layout.inside + layout.shared + 1))
     rates, constants = layout.rates, layout.constants
     accel, squared = 1 + np.arange(m), 1 + m + np.arange(m)
     c = at.state.constants[chain.constants_of][:, :, None]
-    steps = in_blocks(chain.step_s[:-1], m, 0.0)
+    steps = split_blocks(chain.step_s[:-1], m, 0.0)
 
     a[:, 0, rates[:m]], a[:, 0, layout.angle], a[:, 0, layout.angle + 2] = -steps, -1.0, 1.0
     a[:, 0] /= LINK_SD_RAD
@@ -172,7 +171,7 @@ def jacobian(chain: Chain, at: RollFit, roots: Roots) -> Floats:
     by_rate = roots.squared * 2 * (1 + c[:, ARM_S]) * at.rate_radps
     a[:, squared, rates[:-1]], a[:, squared, rates[1:]] = by_rate * chain.before, by_rate * (1 - chain.before)
     if at.state.constants[:, AMPLITUDE].any():
-        until = np.tril(np.ones((m, m)))  # the angle at a sample holds the rates before it
+        until = np.tril(np.ones((m, m)))  # the angle at a sample is the sum of the rates before it
         for row, root, turned in (
             (accel, roots.accel, at.turned_accel),
             (squared, roots.squared, at.turned_squared),
@@ -192,5 +191,5 @@ def jacobian(chain: Chain, at: RollFit, roots: Roots) -> Floats:
     a[:, accel, -1], a[:, squared, -1] = roots.accel * at.accel_residual, roots.squared * at.squared_residual
     if chain.readings is None or at.encoder_residual is None or roots.encoder is None:
         return a
-    rows = encoder_rows(chain.readings, at.encoder_residual, roots.encoder, layout, steps)
+    rows = build_encoder_rows(chain.readings, at.encoder_residual, roots.encoder, layout, steps)
     return np.concatenate([a, rows], axis=1)

@@ -1,4 +1,4 @@
-"""What the graph of a spinning body reads: acceleration and squared rate per sample, with validity and noise."""
+"""Measure angular acceleration and squared rate of every sample, with validity and noise."""
 
 from dataclasses import dataclass
 
@@ -10,20 +10,20 @@ from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Recording, Spin, Times
 from stillpoint.datasets.spin import Channel, SpinChannels, channels, find_saturated, measure
-from stillpoint.smoother.spin.params import RollCalibration, RollNoise
+from stillpoint.smoother.spin.params import SpinCalibration, SpinNoise
 
-DIFFERENCE = 4  # order of the differences that leave nothing of a signal but its white noise
+DIFFERENCE = 4  # order of the differences that leave only the white noise of a smooth signal
 ROUNDING = 1e-9  # relative
 RUN = 8  # equal values in a row
 COARSE = 0.3  # share of values that repeat the one before
 LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
 SIGN_SD = 5.0  # by which the products must differ from zero
 FEWEST = 50  # valid samples of a channel
-LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # of the channel: what stamps, arms and axes that are never exact add
+LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # relative noise of the channels from inexact stamps, arms and axes
 
 
 @dataclass(frozen=True, eq=False)
-class RollSamples:
+class SpinSamples:
     """Both channels at N samples. A channel's gravity is ``amplitude * (c cos angle + s sin angle)``."""
 
     t_ns: Times
@@ -42,15 +42,15 @@ class RollSamples:
         return len(self.t_ns)
 
 
-def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
-    """The channels of a recording's spin stream; raises :class:`Unobservable` when too few samples are valid."""
+def measure_samples(recording: Recording, params: SpinNoise) -> SpinSamples:
+    """Return the channels of a recording's spin stream; raise :class:`Unobservable` when too few samples are valid."""
     spin = recording.spin
     if spin is None:
         raise Unobservable(f"{recording.name}: has no spin stream; method roll-graph needs one")
     by = channels(spin.geometry)
     seen = measure(spin, by)
-    accel_valid = seen.omega_dot_valid & ~stuck(seen.omega_dot_radps2)
-    squared_valid = seen.omega_squared_valid & ~stuck(seen.omega_squared_radps2)
+    accel_valid = seen.omega_dot_valid & ~find_frozen(seen.omega_dot_radps2)
+    squared_valid = seen.omega_squared_valid & ~find_frozen(seen.omega_squared_radps2)
     accel = np.where(accel_valid, seen.omega_dot_radps2, 0.0)
     squared = np.where(squared_valid, seen.omega_squared_radps2, 0.0)
     for name, valid in (("angular acceleration", accel_valid), ("squared rate", squared_valid)):
@@ -60,25 +60,25 @@ def samples_of(recording: Recording, params: RollNoise) -> RollSamples:
                 "the others are missing, at the range of an accelerometer, or repeat themselves"
             )
     given = params.source == "given"
-    return RollSamples(
+    return SpinSamples(
         t_ns=spin.t_ns,
         step_s=_steps_s(spin),
         accel_radps2=accel,
         squared_rad2ps2=squared,
         accel_valid=accel_valid,
         squared_valid=squared_valid,
-        accel_sd=params.accel_sd_radps2 if given else white_sd(accel, accel_valid, LEAST_ACCEL),
-        squared_sd=params.squared_sd_rad2ps2 if given else white_sd(squared, squared_valid, LEAST_SQUARED),
-        accel_gravity=_gravity(by, by.omega_dot),
-        squared_gravity=_gravity(by, by.omega_squared),
+        accel_sd=params.accel_sd_radps2 if given else estimate_white_sd(accel, accel_valid, LEAST_ACCEL),
+        squared_sd=params.squared_sd_rad2ps2 if given else estimate_white_sd(squared, squared_valid, LEAST_SQUARED),
+        accel_gravity=_gravity_parts(by, by.omega_dot),
+        squared_gravity=_gravity_parts(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
     )
 
 
-def stuck(values: Floats) -> NDArray[np.bool_]:
-    """Where a channel (N,) repeats itself to the last bit for RUN samples and more, as a sensor that hangs does.
+def find_frozen(values: Floats) -> NDArray[np.bool_]:
+    """Return where a channel (N,) repeats the same value for RUN samples or more, as a frozen sensor does.
 
-    Nowhere in a channel that repeats itself most of the time: its converter is coarser than its noise.
+    In a channel that repeats itself most of the time the converter is coarser than the noise: nothing counts as frozen.
     """
     repeats = np.concatenate([[False], np.diff(values) == 0])
     if repeats.mean() > COARSE:
@@ -87,9 +87,11 @@ def stuck(values: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.bincount(run)[run] >= RUN)
 
 
-def sign_of(spin: Spin, params: RollCalibration) -> float | None:
-    """The sign of the spin about x, +1.0 or -1.0: by the gyro that sees most of it, else by its products with the rates
-    about y and z; None where none tells."""
+def find_sign(spin: Spin, params: SpinCalibration) -> float | None:
+    """Return the sign of the spin about x, +1.0 or -1.0, None where no sensor shows it.
+
+    The gyro that sees most of the spin decides; without one, the products of the spin with the rates about y and z.
+    """
     along = spin.geometry.gyro_axis_b[:, 0]
     if not len(along) or np.abs(along).max() < LEAST_ALONG:
         return sign_by_products(spin, params)
@@ -99,10 +101,10 @@ def sign_of(spin: Spin, params: RollCalibration) -> float | None:
     return float(np.sign(np.median(seen) * along[best])) or None if len(seen) else None
 
 
-def sign_by_products(spin: Spin, params: RollCalibration) -> float | None:
-    """The sign of the sum of w_x w_y * w_y and w_x w_z * w_z over the recording, as accelerometers and gyros show them.
+def sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
+    """Return the sign of the sum of w_x w_y * w_y and w_x w_z * w_z, measured by accelerometers and gyros.
 
-    None where it is not clear beside the noise, the biases and the scales of the accelerometers.
+    None where the noise, biases and scales of the accelerometers could explain the sum.
     """
     by = channels(spin.geometry)
     rates = np.stack([spin.gyro_radps[:, one != 0] @ one[one != 0] for one in by.transverse])  # (2, N)
@@ -119,17 +121,17 @@ def sign_by_products(spin: Spin, params: RollCalibration) -> float | None:
             continue
         shown, rate = shown[good], rate[good]
         total += float(shown @ rate)
-        noise_var += white_sd(shown, np.ones(len(shown), dtype=np.bool_), 0.0) ** 2 * float(rate @ rate)
+        noise_var += estimate_white_sd(shown, np.ones(len(shown), dtype=np.bool_), 0.0) ** 2 * float(rate @ rate)
         by_bias += channel.accel * rate.sum()
         by_scale[used] += channel.accel[used] * (rate @ spin.accel_mps2[good][:, used])
     off_var = params.accel_bias_sd_mps2**2 * by_bias @ by_bias + params.lever_arm_sd**2 * by_scale @ by_scale
     return float(np.sign(total)) if abs(total) > SIGN_SD * np.sqrt(noise_var + off_var) else None
 
 
-def white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
-    """The white noise in a smooth signal (N,), robustly: from its differences of fourth order.
+def estimate_white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
+    """Return the sd of the white noise in a smooth signal (N,), robustly, from its fourth differences.
 
-    Not below ``least`` of the signal.
+    The result is at least the share ``least`` of the signal's RMS.
     """
     whole = np.convolve(valid, np.ones(DIFFERENCE + 1), "valid") == DIFFERENCE + 1
     differences = np.diff(values, DIFFERENCE)[whole]
@@ -142,7 +144,7 @@ def _steps_s(spin: Spin) -> Floats:
     return np.concatenate([[np.median(steps)], steps])
 
 
-def _gravity(by: SpinChannels, channel: Channel) -> Floats:
+def _gravity_parts(by: SpinChannels, channel: Channel) -> Floats:
     """At angle 0 the body's z axis points up as far as the spin axis allows: up = z cos(angle) + y sin(angle)."""
     seen = channel.accel @ by.geometry.accel_axis_b
     seen = np.where(np.abs(seen) > ROUNDING * np.abs(channel.accel).max(), seen, 0.0)  # it cancels where F3 is there

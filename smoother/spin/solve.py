@@ -1,4 +1,4 @@
-"""The optimum of a spinning body's graph: Gauss-Newton with robust weights and a line search."""
+"""Find the optimum of a spinning body's graph: Gauss-Newton with robust weights and a line search."""
 
 from dataclasses import dataclass
 
@@ -6,53 +6,53 @@ import numpy as np
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.smoother.spin.chain import Chain
-from stillpoint.smoother.spin.factors import Prior, eliminated, prior_cost, step_of
-from stillpoint.smoother.spin.params import RollGraphParams
-from stillpoint.smoother.spin.rows import RollFit, Sizes, cost, fit, roots_of, sizes_of
-from stillpoint.smoother.spin.state import RollState
+from stillpoint.smoother.spin.factors import Prior, eliminate, prior_cost, solve_step
+from stillpoint.smoother.spin.params import SpinGraphParams
+from stillpoint.smoother.spin.rows import Sizes, SpinFit, compute_roots, cost, estimate_sizes, fit
+from stillpoint.smoother.spin.state import SpinState
 
-ADAPTING = 6  # iterations, after which the noise is no longer fitted: it and the weights could chase each other
+ADAPTING = 6  # iterations, after which the noise is kept: noise and weights could oscillate
 HALVINGS = 8  # of a step that makes the fit worse
 
 
 @dataclass(frozen=True, eq=False)
-class RollSolution:
+class SpinSolution:
     """The optimum, and how it was found."""
 
-    at: RollFit
+    at: SpinFit
     sizes: Sizes  # of the noise
     steps_radps: tuple[float, ...]  # the change of the rates, RMS, per iteration
 
 
-def improved(
-    chain: Chain, state: RollState, prior: Prior, name: str, params: RollGraphParams, iterations: int
-) -> RollSolution:
-    """Gauss-Newton with a line search, the robust weights renewed in every iteration, until the limit or for so many.
+def improve(
+    chain: Chain, state: SpinState, prior: Prior, name: str, params: SpinGraphParams, iterations: int
+) -> SpinSolution:
+    """Return the state after Gauss-Newton iterations, until the change is small or for ``iterations``.
 
-    The noise of a channel is the larger of what the samples show and of what the fit leaves, unless it is given.
-    Raises :class:`Unobservable`.
+    Each iteration renews the robust weights and searches along its step. Unless the noise of a channel is given, it is
+    the larger of the samples' own noise and the residuals'. Raises :class:`Unobservable` when the system is singular.
     """
     steps: list[float] = []
     at = fit(chain, state)
-    sizes = sizes_of(chain, at, params.noise)
+    sizes = estimate_sizes(chain, at, params.noise)
     while len(steps) < iterations and not (steps and steps[-1] < params.rate_limit_radps):
         if len(steps) < ADAPTING:
-            sizes = sizes_of(chain, at, params.noise)
-        roots = roots_of(chain, at, sizes)
-        step = step_of(chain, eliminated(chain, at, roots, prior, name), len(state.constants))
+            sizes = estimate_sizes(chain, at, params.noise)
+        roots = compute_roots(chain, at, sizes)
+        step = solve_step(chain, eliminate(chain, at, roots, prior, name), len(state.constants))
         before, share = cost(at, roots) + prior_cost(chain, at.state, prior), 1.0
         for _ in range(HALVINGS):
-            after = fit(chain, _plus(at.state, step, share))
+            after = fit(chain, _add_step(at.state, step, share))
             if cost(after, roots) + prior_cost(chain, after.state, prior) <= before * (1 + 1e-9):
                 break
             share /= 2
         at = after
         steps.append(share * float(np.sqrt(np.mean(step.mean_rate_radps**2))))
-    return RollSolution(at, sizes, tuple(steps))
+    return SpinSolution(at, sizes, tuple(steps))
 
 
-def no_optimum(name: str, solution: RollSolution) -> Unobservable:
-    """The error of a solution that has not come to rest."""
+def make_no_optimum(name: str, solution: SpinSolution) -> Unobservable:
+    """Return the error of a solution that did not converge."""
     count, last_degps = len(solution.steps_radps), np.rad2deg(solution.steps_radps[-1])
     return Unobservable(
         f"{name}: no optimum in {count} iterations, the last changed the rate by {last_degps:.2g} deg/s; "
@@ -61,8 +61,8 @@ def no_optimum(name: str, solution: RollSolution) -> Unobservable:
     )
 
 
-def _plus(state: RollState, step: RollState, share: float) -> RollState:
-    return RollState(
+def _add_step(state: SpinState, step: SpinState, share: float) -> SpinState:
+    return SpinState(
         state.start_angle_rad + share * step.start_angle_rad,
         state.mean_rate_radps + share * step.mean_rate_radps,
         state.constants + share * step.constants,

@@ -1,4 +1,4 @@
-"""The unknowns of a spinning body's graph, and where they stand in the rows of a block of samples."""
+"""The unknowns of a spinning body's graph, and their columns in the rows of a block."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ BIAS_S, BIAS_A, ARM_S, ARM_A, AMPLITUDE, OFFSET, LATENCY, COS_S, SIN_S, COS_A, S
 
 
 @dataclass(frozen=True, eq=False)
-class RollState:
+class SpinState:
     """A trajectory: the angle before the first sample, mean rates, and constants that change in steps."""
 
     start_angle_rad: float
@@ -40,32 +40,32 @@ class Layout:
 
     @property
     def inside(self) -> int:
-        """How many unknowns no other block has."""
+        """Return the number of unknowns inside a block."""
         return self.m - 1
 
     @property
     def shared(self) -> int:
-        """How many it shares: both keys and the constants."""
+        """Return the number of unknowns shared with other blocks: both keys and the constants."""
         return 4 + len(CONSTANTS)
 
     @property
     def angle(self) -> int:
-        """The angle at the key before the first sample; that at the key after the last one stands two columns on."""
+        """Return the column of the angle at the first key; that of the second key stands two columns further."""
         return self.inside
 
     @property
     def rates(self) -> NDArray[np.int64]:
-        """Columns of the m + 1 rates in order of time."""
+        """Return the columns of the m + 1 rates in order of time."""
         return np.concatenate([[self.inside + 1], np.arange(self.inside), [self.inside + 3]])
 
     @property
     def constants(self) -> NDArray[np.int64]:
-        """Columns of CONSTANTS."""
+        """Return the columns of CONSTANTS."""
         return np.asarray(self.inside + 4 + np.arange(len(CONSTANTS)))
 
 
-def in_blocks(values: NDArray, m: int, fill: object) -> NDArray:
-    """A column (N,) as (B, m), filled up."""
+def split_blocks(values: NDArray, m: int, fill: object) -> NDArray:
+    """Return a column (N,) as (B, m), padded with ``fill``."""
     whole = np.full(-(-len(values) // m) * m, fill, dtype=values.dtype)
     whole[: len(values)] = values
     return whole.reshape(-1, m)

@@ -1,4 +1,4 @@
-"""The benchmark of paper 002: exact where it must be exact, and as true on real data as was measured."""
+"""The rest-pose benchmark of Elmi Aziz and Mohseni Araste (2021): exact cases, and its accuracy on real data."""
 
 from dataclasses import replace
 
@@ -202,7 +202,7 @@ def test_a_gap_is_counted_and_widens_the_covariance():
 
 @given(st.integers(0, 2**32 - 1))
 def test_the_base_pose_is_that_of_equations_4_to_8(seed):
-    """Paper 002 by its angles: (4) roll and pitch, (5) the levelled field, (6) the azimuth, (8) the declination."""
+    """Their eqs. 4 (roll and pitch), 5 (the levelled field), 6 (the azimuth) and 8 (the declination) agree."""
     rng = np.random.default_rng(seed)
     a, b = Rotation.random(random_state=rng).apply([[0, 0, 9.8], [5.0, 15.0, -40.0]])
     roll, pitch = np.arctan2(-a[1], a[2]), np.arcsin(a[0] / np.linalg.norm(a))

@@ -13,13 +13,13 @@ from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
 from stillpoint.datasets.simulate.spin_sensor import SpinSensor, make_white_noise
 from stillpoint.datasets.spin import BENCH
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.smoother.spin.params import RollCalibration, RollGraphParams, RollNoise
+from stillpoint.smoother.spin.params import SpinCalibration, SpinGraphParams, SpinNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
 VARIABLE = {"radial_var_m2ps4": 0.4, "tangential_var_m2ps4": 3.0}  # R = 40, Q = 12
 QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)
-RIG = RollGraphParams(calibration=RollCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
-GIVEN = RollNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
+RIG = SpinGraphParams(calibration=SpinCalibration(accel_bias_sd_mps2=0.1, lever_arm_sd=1e-3))  # 10 mg, 0.1 %
+GIVEN = SpinNoise(source="given", accel_sd_radps2=0.12**0.5 / 0.5, squared_sd_rad2ps2=0.8**0.5 / 0.1)
 X, Y, Z = np.eye(3)
 SQUARE = SpinGeometry(np.array([0.1 * Z, 0.5 * Z]), np.array([Z, -Y]), np.empty((0, 3)), None, fixed_axis=True)
 
@@ -69,7 +69,7 @@ def absolute_error(made: RollReference, recording: Recording) -> Floats:
     return np.asarray(error - 2 * np.pi * np.round(np.median(error) / (2 * np.pi)))
 
 
-def known(noise: RollNoise) -> RollGraphParams:
+def known(noise: SpinNoise) -> SpinGraphParams:
     """Nothing is unknown but the rate."""
-    calibration = RollCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
-    return RollGraphParams(noise=noise, calibration=calibration, rate_limit_radps=1e-9)
+    calibration = SpinCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
+    return SpinGraphParams(noise=noise, calibration=calibration, rate_limit_radps=1e-9)

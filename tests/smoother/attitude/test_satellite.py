@@ -71,7 +71,7 @@ def test_a_body_under_way_does_not_rest() -> None:
 
 @pytest.mark.parametrize("preset", ["handheld", "vehicle"])
 def test_a_vehicle_that_sails_evenly_for_ten_minutes(preset: str) -> None:
-    """Paper 003's mission: 70 stretches look like rests; taken for such they contradict the fixes by 2 km."""
+    """In the mission of Zia (2022) 70 stretches look like rests; taken for rests they contradict the fixes by 2 km."""
     recording = simulate("auv-dolphin", seed=0)
     made = reference(recording, params=PRESETS[preset])
     assert made.diagnostics["n_rests_under_way"] > 50

@@ -7,7 +7,7 @@ import pytest
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.spin.encoder import resolution_rad
+from stillpoint.smoother.spin.encoder import find_resolution_rad
 
 
 def test_an_encoder_fixes_angle_arm_and_latency():
@@ -29,5 +29,5 @@ def test_an_encoder_fixes_angle_arm_and_latency():
 def test_the_resolution_is_that_of_the_counts(counts):
     angle = np.arange(5000) * 0.141 + 1e-3 * np.sin(np.arange(5000))
     step = 2 * np.pi / counts
-    assert resolution_rad(np.floor(angle / step) * step) == pytest.approx(step, rel=1e-9)
-    assert resolution_rad(angle) == 0.0
+    assert find_resolution_rad(np.floor(angle / step) * step) == pytest.approx(step, rel=1e-9)
+    assert find_resolution_rad(angle) == 0.0

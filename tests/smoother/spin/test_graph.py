@@ -10,14 +10,14 @@ from spins import GIVEN, known
 from stillpoint.datasets import Encoder, Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.spin.chain import angles_of, chain_of
-from stillpoint.smoother.spin.encoder import readings_of
-from stillpoint.smoother.spin.factors import accuracy_of, eliminated, prior_of, step_of
+from stillpoint.smoother.spin.chain import build_chain, integrate_angles
+from stillpoint.smoother.spin.encoder import select_readings
+from stillpoint.smoother.spin.factors import compute_accuracy, eliminate, make_prior, solve_step
 from stillpoint.smoother.spin.once_per_turn import Line
-from stillpoint.smoother.spin.params import RollGraphParams
-from stillpoint.smoother.spin.rows import fit, mean_weight, roots_of, sizes_of
-from stillpoint.smoother.spin.samples import samples_of
-from stillpoint.smoother.spin.state import CONSTANTS, COS_A, COS_S, SIN_A, SIN_S, RollState, in_blocks
+from stillpoint.smoother.spin.params import SpinGraphParams
+from stillpoint.smoother.spin.rows import compute_roots, estimate_sizes, fit, mean_weight
+from stillpoint.smoother.spin.samples import measure_samples
+from stillpoint.smoother.spin.state import CONSTANTS, COS_A, COS_S, SIN_A, SIN_S, SpinState, split_blocks
 
 
 def small(seconds=1.0, seed=1, **sensor):
@@ -36,10 +36,10 @@ def small(seconds=1.0, seed=1, **sensor):
 @pytest.fixture(scope="module")
 def problem():
     """Chain, a state near the truth, and the prior, with all unknowns in play."""
-    recording, params = small(), RollGraphParams()
-    samples = samples_of(recording, params.noise)
-    readings = readings_of(recording.encoder, samples.t_ns, params.encoder)
-    chain = chain_of(samples, readings, 16, 0.5, params.noise)
+    recording, params = small(), SpinGraphParams()
+    samples = measure_samples(recording, params.noise)
+    readings = select_readings(recording.encoder, samples.t_ns, params.encoder)
+    chain = build_chain(samples, readings, 16, 0.5, params.noise)
     rng = np.random.default_rng(3)
     n = len(samples)
     truth = np.interp(samples.t_ns, recording.roll_truth.t_ns, recording.roll_truth.angle_rad)
@@ -48,16 +48,16 @@ def problem():
         [0.3, -0.1, 1e-3, -2e-3, 5.0, 0.02, 6e-4, 1.0, -0.5, 0.2, 0.3], (int(chain.constants_of[-1]) + 1, 1)
     )
     constants += 1e-4 * rng.standard_normal(constants.shape)
-    state = RollState(-0.14, np.append(rates, rates[-1]) + 0.05 * rng.standard_normal(n + 1), constants)
+    state = SpinState(-0.14, np.append(rates, rates[-1]) + 0.05 * rng.standard_normal(n + 1), constants)
     line = Line("gravity", "", 0j, 0j, 100.0, 5.0, 5.0, 5.0, 0.0, 35.0, np.zeros(n))
-    prior = prior_of(samples, line, True, 0.01, params)
+    prior = make_prior(samples, line, True, 0.01, params)
     # A vibration beside gravity, along an angle of its own: all columns of the Jacobian are in use.
     shaken = [COS_S, SIN_S, COS_A, SIN_A]
     free = np.zeros(len(CONSTANTS))
     free[shaken] = [2.0, 2.0, 0.5, 0.5]
     prior = replace(prior, cov=prior.cov + np.diag(free**2), walk_cov=prior.walk_cov + np.diag((0.3 * free) ** 2))
     slow = np.linspace(0.0, 30.0, n)
-    chain = replace(chain, shaken=np.stack([in_blocks(part, 16, 0.0) for part in (np.cos(slow), np.sin(slow))]))
+    chain = replace(chain, shaken=np.stack([split_blocks(part, 16, 0.0) for part in (np.cos(slow), np.sin(slow))]))
     return chain, state, prior, params
 
 
@@ -67,7 +67,7 @@ def as_vector(state):
 
 def as_state(z, chain):
     n = len(chain.samples)
-    return RollState(float(z[0]), z[1 : n + 2], z[n + 2 :].reshape(-1, len(CONSTANTS)))
+    return SpinState(float(z[0]), z[1 : n + 2], z[n + 2 :].reshape(-1, len(CONSTANTS)))
 
 
 def whitened(z, chain, prior, roots):
@@ -81,7 +81,7 @@ def whitened(z, chain, prior, roots):
             (roots.accel * at.accel_residual).ravel()[:n],
             (roots.squared * at.squared_residual).ravel()[:n],
             roots.encoder * at.encoder_residual,
-            [(prior.angle_rad - angles_of(chain, state)[0]) / prior.angle_sd_rad],
+            [(prior.angle_rad - integrate_angles(chain, state)[0]) / prior.angle_sd_rad],
             np.linalg.inv(np.linalg.cholesky(prior.cov)) @ (prior.mean - state.constants[0]),
             *(-walk @ change for change in np.diff(state.constants, axis=0)),
         ]
@@ -101,21 +101,21 @@ def test_step_and_covariance_are_those_of_the_full_problem(problem):
     """Gauss-Newton's step and all standard deviations, against a dense system whose Jacobian is made by differences."""
     chain, state, prior, params = problem
     at = fit(chain, state)
-    roots = roots_of(chain, at, sizes_of(chain, at, params.noise))
+    roots = compute_roots(chain, at, estimate_sizes(chain, at, params.noise))
     z = as_vector(state)
     jacobian_full = differences(z, lambda one: whitened(one, chain, prior, roots))
     step, *_ = np.linalg.lstsq(jacobian_full, -whitened(z, chain, prior, roots), rcond=None)
     cov = np.linalg.inv(jacobian_full.T @ jacobian_full)
 
-    linear = eliminated(chain, at, roots, prior, "test")
-    found = as_vector(step_of(chain, linear, len(state.constants)))
+    linear = eliminate(chain, at, roots, prior, "test")
+    found = as_vector(solve_step(chain, linear, len(state.constants)))
     sd = np.sqrt(np.diag(cov))
     assert np.abs((found - step) / sd).max() < 1e-3
 
     n = len(chain.samples)
     by_rates = np.tril(np.ones((n, n))) * chain.step_s[:-1]
     of_angle = np.hstack([np.ones((n, 1)), by_rates, np.zeros((n, len(z) - n - 1))])
-    accuracy = accuracy_of(chain, linear, "test")
+    accuracy = compute_accuracy(chain, linear, "test")
     expected = np.sqrt(np.einsum("ij,jk,ik->i", of_angle, cov, of_angle))
     np.testing.assert_allclose(accuracy.angle_sd_rad, expected, rtol=1e-3)
     p = chain.before.ravel()[:n]
@@ -129,7 +129,7 @@ def test_step_and_covariance_are_those_of_the_full_problem(problem):
 def test_the_scalar_chain_is_that_of_a_banded_solver():
     """Without biases, gravity and encoder only rates are left: Gauss-Newton on the tridiagonal system, by LAPACK."""
     recording, params = simulate("spin-constant", seed=4, sensor="white"), known(GIVEN)
-    samples = samples_of(recording, params.noise)
+    samples = measure_samples(recording, params.noise)
     y, u, step = samples.squared_rad2ps2, samples.accel_radps2, 0.004
     x = np.full(len(y) + 1, np.sqrt(np.median(y)))
     for _ in range(40):

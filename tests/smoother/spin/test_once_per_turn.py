@@ -12,14 +12,14 @@ from stillpoint.datasets.simulate import spin as simulated
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, make_white_noise
 from stillpoint.filters import estimate
 from stillpoint.smoother import reference
-from stillpoint.smoother.spin.once_per_turn import judged
-from stillpoint.smoother.spin.params import HarmonicParams, RollCalibration, RollGraphParams
+from stillpoint.smoother.spin.once_per_turn import judge_line
+from stillpoint.smoother.spin.params import HarmonicParams, SpinCalibration, SpinGraphParams
 from stillpoint.studies.papers.spin.study import CONSTANT as CONSTANT_SPEED
 from stillpoint.studies.papers.spin.study import VARIABLE as VARIABLE_SPEED
 from stillpoint.studies.papers.spin.study import settings_of
 
-KNOWN = RollGraphParams(
-    calibration=RollCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
+KNOWN = SpinGraphParams(
+    calibration=SpinCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
 )  # the simulated sensor has neither bias nor wrong arms: what is left is noise and vibration
 QUIET = make_white_noise("quiet", 0.06, 0.06, 0.06)
 K_S, K_A = -10 + 0j, 2 + 0j  # of the bench: -1/d1, 1/d2
@@ -51,7 +51,7 @@ def explained(gravity, ripple, n_s=0j, n_a=0j, rate=RATE):
 
 
 def verdict(squared, accel, k_s=K_S, k_a=K_A, **settings):
-    return judged(squared, accel, k_s, k_a, 0.015, 100.0, HarmonicParams(**settings))[0]
+    return judge_line(squared, accel, k_s, k_a, 0.015, 100.0, HarmonicParams(**settings))[0]
 
 
 @pytest.mark.parametrize("scenario", [CONSTANT_SPEED, VARIABLE_SPEED], ids=lambda one: one.name)
@@ -170,7 +170,7 @@ def test_judgement():
         assert verdict(*explained(0, ripple, n_a=1.0 * phase)) == "vibration"
         assert verdict(*explained(0, ripple, n_s=20.0 * phase)) == "vibration"
         assert verdict(*explained(11.0 * phase, ripple)) == "vibration"  # more than g
-    assert judged(*explained(0, ripple), K_S, K_A, 0.015, 2.0, HarmonicParams())[0] == "ripple"
+    assert judge_line(*explained(0, ripple), K_S, K_A, 0.015, 2.0, HarmonicParams())[0] == "ripple"
     squared, accel = explained(9.8, ripple)
     assert verdict(squared, accel * np.exp(0.3j)) == "vibration"  # 17 deg out of phase
     assert verdict(squared, accel * 0.7) == "vibration"

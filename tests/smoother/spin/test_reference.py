@@ -14,8 +14,8 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
 from stillpoint.scripts.pages.settings_pages import refreshed
 from stillpoint.smoother import reference
-from stillpoint.smoother.spin.params import RollGraphParams, RollNoise
-from stillpoint.smoother.spin.samples import samples_of
+from stillpoint.smoother.spin.params import SpinGraphParams, SpinNoise
+from stillpoint.smoother.spin.samples import measure_samples
 
 
 def errors(recording):
@@ -48,7 +48,7 @@ def test_glitches_do_not_reach_the_rate_or_the_angle():
 
 
 @pytest.mark.parametrize(
-    ("params", "bias_mps2", "arm", "degps"), [(RIG, 0.1, 1e-3, 1.3), (RollGraphParams(), 0.4, 5e-3, 6.0)]
+    ("params", "bias_mps2", "arm", "degps"), [(RIG, 0.1, 1e-3, 1.3), (SpinGraphParams(), 0.4, 5e-3, 6.0)]
 )
 def test_on_a_vertical_axis_the_angle_is_said_to_drift(params, bias_mps2, arm, degps):
     """By what an unknown lever arm and bias are worth: the sd of the angle grows by that each second."""
@@ -75,7 +75,7 @@ def test_defaults_cover_a_board_as_it_comes():
 def test_in_flight_there_is_no_harmonic_to_find():
     """The accelerometers at the centre take gravity and drag out of the channels: the geometry shows none."""
     recording = simulate("spin-flight", seed=0, sensor="white")
-    samples = samples_of(recording, RollNoise())
+    samples = measure_samples(recording, SpinNoise())
     assert not samples.accel_gravity.any()
     assert not samples.squared_gravity.any()
     made = reference(recording)

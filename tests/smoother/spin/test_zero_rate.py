@@ -9,9 +9,9 @@ from spins import exact, spoilt
 from stillpoint.datasets import Unobservable, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
-from stillpoint.smoother.spin.params import RollCalibration, RollNoise
-from stillpoint.smoother.spin.samples import samples_of
-from stillpoint.smoother.spin.zero_rate import least_squared, stretches
+from stillpoint.smoother.spin.params import SpinCalibration, SpinNoise
+from stillpoint.smoother.spin.samples import measure_samples
+from stillpoint.smoother.spin.zero_rate import find_least_squared, find_stretches
 
 
 def felt(recording, seed=0, gravity_mps2=0.0):
@@ -137,12 +137,12 @@ def test_a_turn_too_fast_to_be_slow_for_long_is_seen_by_the_acceleration(rate_ra
 
 def test_the_limit_is_three_sd_of_bias_and_noise():
     recording = simulate("spin-constant", seed=0, sensor="white", minutes=0.1)
-    samples = samples_of(recording, RollNoise(source="given", squared_sd_rad2ps2=9.0))
-    least = least_squared(samples, RollCalibration(accel_bias_sd_mps2=0.4))
+    samples = measure_samples(recording, SpinNoise(source="given", squared_sd_rad2ps2=9.0))
+    least = find_least_squared(samples, SpinCalibration(accel_bias_sd_mps2=0.4))
     assert least == pytest.approx(3 * np.hypot(4.0, 9.0 * np.sqrt(np.pi / 50)), rel=1e-9)
 
 
 def test_stretches_that_are_near_are_one():
     t_s = np.arange(10.0) / 2
     wanted = np.array([1, 0, 1, 0, 0, 0, 1, 1, 0, 0], dtype=bool)
-    assert stretches(t_s, wanted) == [(0.0, 1.0), (3.0, 3.5)]
+    assert find_stretches(t_s, wanted) == [(0.0, 1.0), (3.0, 3.5)]
