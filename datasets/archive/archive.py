@@ -327,12 +327,21 @@ class Archive:
             for suffix in ("", "-wal", "-shm"):
                 (self.home / f"{FILE}{suffix}").unlink(missing_ok=True)
             self.catalogue = Catalogue(self.home / FILE)
+            self._sweep_links()
             records.sort(key=lambda record: (record.added, record.sha256))
             for start in range(0, len(records), BATCH):
                 with self.catalogue.change() as connection:
                     for record in records[start : start + BATCH]:
                         put_object(connection, record, self.describe(record), self._link(record))
         return problems
+
+    def _sweep_links(self) -> None:
+        """Delete links under ``names/`` that lead to no object."""
+        folder = self.home / "names"
+        if isinstance(self.storage, FolderStorage) and folder.is_dir():
+            for link in folder.iterdir():
+                if link.is_symlink() and not link.exists():
+                    link.unlink()
 
     def remembered_record(self, sha256: str) -> Record | None:
         """The record of an object as the catalogue remembers it, None when it does not."""

@@ -92,9 +92,17 @@ def _repair_object(archive: Archive, fault: Fault, copies: Copies | None) -> str
         record = archive.read_record(fault.sha256) if fault.sha256 else None
     except StillpointError:
         return None
-    if record is None or record.freed or copies is None:
+    if record is None or record.freed:
         return None
-    source = copies.find_object(record)
+    misnamed = Path(fault.where)
+    if misnamed != archive.storage.path(record.object_key) and isinstance(archive.storage, FolderStorage):
+        if hash_file(misnamed) != record.sha256:
+            return None
+        archive.storage.move_in(misnamed, record.object_key)
+        return f"{misnamed.name} renamed to {record.object_key}"
+    if archive.storage.has(record.object_key) and hash_file(archive.storage.path(record.object_key)) == record.sha256:
+        return f"{record.file_name} is there again"
+    source = None if copies is None else copies.find_object(record)
     if source is None:
         return None
     _put(archive, record, source)

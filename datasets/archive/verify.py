@@ -3,7 +3,7 @@
 import hashlib
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,9 +66,10 @@ def verify_archive(archive: Archive) -> Verified:
         checked = list(pool.map(lambda record: _check_object(archive, record), present))
     for one in checked:
         faults += one.faults
-    described = {one.sha256: one.described for one in checked}
+    damaged = {fault.sha256 for fault in faults}
+    described = {one.sha256: one.described for one in checked if one.sha256 not in damaged}
     faults += _compare_catalogue(archive, records, described)
-    faults += _check_provenance(archive, records, described)
+    faults += _check_provenance(archive, records, described, damaged)
     faults += _check_links(archive, records)
     return Verified(len(present), sum(objects[record.sha256] for record in present), tuple(faults))
 
@@ -168,16 +169,17 @@ def _compare_catalogue(
     fresh = Catalogue(Path(":memory:"))
     with fresh.change() as connection:
         for sha256, record in records.items():
-            known = described.get(sha256) or archive.describe(record)
-            put_object(connection, record, known, links.get(sha256, ""))
+            if sha256 in described or record.freed:
+                known = described.get(sha256) or archive.describe(record)
+                put_object(connection, record, known, links.get(sha256, ""))
     expected = _rows_by_object(fresh)
     fresh.close()
     for sha256 in sorted({*actual, *expected}):
-        if sha256 not in records:
-            continue  # its record is damaged or missing, which is a fault already
+        if sha256 not in expected:
+            continue  # its record or its object is damaged or missing, which is a fault already
         if sha256 not in actual:
             yield Fault("catalogue", sha256, where, f"lacks {records[sha256].file_name}", _REBUILD)
-        elif actual[sha256] != expected[sha256] and (sha256 in described or records[sha256].freed):
+        elif actual[sha256] != expected[sha256]:
             tables = [name for name in TABLES if actual[sha256].get(name) != expected[sha256].get(name)]
             what = f"{records[sha256].file_name}: rows of {', '.join(tables)} differ from the object"
             yield Fault("catalogue", sha256, where, what, _REBUILD)
@@ -195,9 +197,12 @@ def _rows_by_object(catalogue: Catalogue) -> dict[str, dict[str, list[tuple[Any,
 
 
 def _check_provenance(
-    archive: Archive, records: Mapping[str, Record], described: Mapping[str, Description]
+    archive: Archive, records: Mapping[str, Record], described: Mapping[str, Description], damaged: Collection[str]
 ) -> Iterator[Fault]:
-    """Everything that was made must have its parents here, back to a recording."""
+    """Everything that was made must have its parents here, back to a recording.
+
+    What is damaged is a fault already, and no second one of everything that was made from it.
+    """
     for sha256, one in described.items():
         record = records[sha256]
         if one.kind not in MADE or record.removed:
@@ -205,6 +210,8 @@ def _check_provenance(
         where = str(archive.storage.path(record.object_key))
         for name, parent in one.parents:
             kept = records.get(parent)
+            if parent in damaged:
+                continue
             if kept is None:
                 what = f"{record.file_name} was made from {name} ({parent[:12]}…), which is not in the archive"
                 yield Fault("provenance", sha256, where, what, f"stillpoint archive add {name}")
@@ -212,7 +219,8 @@ def _check_provenance(
                 what = f"{record.file_name} was made from {name}, which was removed ({kept.reason})"
                 yield Fault("provenance", sha256, where, what, f"add {name} again, or remove what was made from it")
         kinds = {described[parent].kind for _, parent in one.parents if parent in described}
-        if one.kind in ("reference", "roll reference", "estimate") and kinds and "recording" not in kinds:
+        is_known = all(parent in described for _, parent in one.parents)
+        if one.kind in ("reference", "roll reference", "estimate") and is_known and kinds and "recording" not in kinds:
             what = f"{record.file_name} names no recording among what it was made from"
             yield Fault("provenance", sha256, where, what, "make it anew from its recording")
 
