@@ -27,9 +27,10 @@ def draw_fidelity(fidelity: Fidelity) -> Figure:
 def _draw_judge(ax: Axes, fidelity: Fidelity, judge: JudgeFidelity, estimators: list[str]) -> None:
     for number, estimator in enumerate(estimators):
         rows = [r for r in fidelity.rows if (r.judge, r.estimator) == (judge.judge, estimator) and r.error is None]
-        truth, judged = [r.truth_rmse_deg for r in rows], [r.judge_rmse_deg for r in rows]
-        style = {"marker": MARKERS[number % len(MARKERS)], "color": f"C{number % 10}"}
-        ax.scatter(truth, judged, s=12, alpha=0.7, linewidths=0, label=estimator, **style)
+        truth = np.array([r.truth_rmse_deg for r in rows], dtype=np.float64)
+        judged = np.array([r.judge_rmse_deg for r in rows], dtype=np.float64)
+        marker, color = MARKERS[number % len(MARKERS)], f"C{number % 10}"
+        ax.scatter(truth, judged, s=12, alpha=0.7, linewidths=0, label=estimator, marker=marker, color=color)
     known = [r.truth_rmse_deg for r in fidelity.rows if r.truth_rmse_deg]
     ends = [min(known) * 0.7, max(known) * 1.4] if known else [0.1, 10.0]
     ax.plot(ends, ends, color="0.5", linewidth=0.8)

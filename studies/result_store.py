@@ -67,7 +67,7 @@ class ResultStore:
             handle, name = tempfile.mkstemp(prefix=f".{key[:16]}.", suffix=".part", dir=place.parent)
             try:
                 with open(handle, "wb") as file:
-                    np.savez(file, **{FACTS: text}, **(arrays or {}))
+                    np.savez(file, allow_pickle=False, **{FACTS: text, **(arrays or {})})
                 os.replace(name, place)
             except BaseException:
                 Path(name).unlink(missing_ok=True)

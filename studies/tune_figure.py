@@ -46,7 +46,7 @@ def _draw_map(figure: Figure, ax: Axes, tuning: Tuning) -> None:
     level = np.log10([trial.typical_deg for trial in usable])
     ax.set(xscale="log" if first.log else "linear", yscale="log" if second.log else "linear")
     if len(x) >= LEAST_FOR_CONTOURS and len(tuning.ranges) == 2:
-        filled = ax.tricontourf(x, y, level, levels=LEVELS, cmap="viridis_r")
+        filled: Any = ax.tricontourf(x, y, level, levels=LEVELS, cmap="viridis_r")
     else:
         filled = ax.scatter(x, y, c=level, s=20, cmap="viridis_r")
     bar = figure.colorbar(filled, ax=ax, label="typical RMSE (deg)")

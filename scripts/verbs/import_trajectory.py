@@ -71,7 +71,13 @@ def import_trajectory(
         Also write what was imported as JSON to this file; - is the standard output.
     """
     _check_name(name)
-    options = {"format": format, "time": time, "quaternion": quaternion, "frame": frame, "inverse": inverse}
+    options: dict[str, Any] = {
+        "format": format,
+        "time": time,
+        "quaternion": quaternion,
+        "frame": frame,
+        "inverse": inverse,
+    }
     options |= {"topic": topic, "parent": parent, "child": child, "times": times}
     of = read_recording(recording)
     made = read_trajectory(file, name=name, **{key: value for key, value in options.items() if value is not None})

@@ -78,5 +78,13 @@ def _read_at_truth(judge: Reference | Estimate, truth: Truth) -> Judge:
         return Judge(Truth(t_ns, q_nb, moving), moving)
     cov = covariance_at(source, t_ns)
     assert cov is not None
-    at_truth = Reference(t_ns, q_nb, cov, np.zeros((len(t_ns), 3)), judge.method, judge.name, judge.heading_sd_rad)
+    at_truth = Reference(
+        t_ns=t_ns,
+        q_nb=q_nb,
+        cov_b_rad2=cov,
+        gyro_bias_b_radps=np.zeros((len(t_ns), 3)),
+        method=judge.method,
+        name=judge.name,
+        heading_sd_rad=judge.heading_sd_rad,
+    )
     return Judge(at_truth, moving)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import combinations
 from statistics import fmean, median
 from typing import Any
 
@@ -154,7 +155,7 @@ def _summarise(runs: ScoredRuns, sources: Sequence[Source], label: str, figure: 
 
 def _name_pairs(found: PairTable, labels: Sequence[str], against: str) -> list[Pair]:
     pairs = []
-    for j, k in zip(*np.triu_indices(len(labels), 1), strict=True):
+    for j, k in combinations(range(len(labels)), 2):
         verdict: Verdict = "a" if found.better[j, k] else "b" if found.better[k, j] else "undecided"
         interval = (float(found.low[j, k]), float(found.high[j, k]))
         pairs.append(Pair(labels[j], labels[k], against, float(found.ratio[j, k]), interval, verdict))

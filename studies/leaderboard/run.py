@@ -10,7 +10,7 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
-from stillpoint.studies.leaderboard.board import Leaderboard, Source
+from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source, Table
 from stillpoint.studies.leaderboard.cells import Line, list_lines, make_estimates, plan_cells
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
@@ -130,7 +130,9 @@ def _compare(
     """Make what is missing of these lines, score and rank them."""
     cells = make_estimates(list(plan_cells(sources, lines, references, store)), store, run_jobs)
     rows = [line.empty_row() for line in lines]
-    tables, groups, runs = [], [], []
+    tables: list[Table] = []
+    groups: list[Table] = []
+    runs: list[Run] = []
     for against in (TRUTH, REFERENCE) if study.against == "both" else (study.against,):
         judges = {s.recording: find_judge(s, against, study.against == "both", references) for s in sources}
         scored = score_cells(cells, judges, study.align, store, run_jobs)
