@@ -66,6 +66,12 @@ def plan_cells(
             yield Cell(source, line, job, error)
 
 
+def has_missing(sources: Sequence[Source], lines: Sequence[Line], references: References, store: ResultStore) -> bool:
+    """Return whether an estimate of these lines has not been made yet."""
+    cells = plan_cells(sources, lines, references, store)
+    return any(cell.job is not None and store.facts(cell.job.key) is None for cell in cells)
+
+
 def make_estimates(cells: Sequence[Cell], store: ResultStore, run_jobs: JobRunner) -> list[Cell]:
     """Make the estimates that are missing, fast estimators first; return the cells with the reasons of failures."""
     missing = {cell.job.key: cell for cell in cells if cell.job is not None and store.facts(cell.job.key) is None}

@@ -11,7 +11,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
 from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source, Table
-from stillpoint.studies.leaderboard.cells import Line, list_lines, make_estimates, plan_cells
+from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, make_estimates, plan_cells
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
 from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
@@ -113,8 +113,8 @@ def run_study(
     )
     needed = [source for source in sources if needs_reference(source, study.against, study.calibration)]
     references = find_references(needed, out, store, run_jobs)
-    fast = [entrant for entrant in entrants if not entrant.slow]
-    if publish is not None and 0 < len(fast) < len(entrants):
+    fast, slow = ([each for each in entrants if each.slow is kind] for kind in (False, True))
+    if publish is not None and fast and has_missing(sources, list_lines(slow, study.calibration), references, store):
         publish(_compare(complete, sources, list_lines(fast, study.calibration), references, store, run_jobs))
     return _compare(complete, sources, list_lines(entrants, study.calibration), references, store, run_jobs)
 
