@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick test-data test-wheel lint types format docs clean
+.PHONY: demo test quick fuzz test-data test-wheel lint types format docs clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -17,6 +17,11 @@ test: .venv/.dev
 # All but the tests marked slow: under a minute once the estimators are compiled.
 quick: .venv/.dev
 	$(PYTEST) -q -n auto -m 'not wheel and not slow'
+
+# Damaged inputs of every kind: a recording or one line of error each, within 10 s and 512 MB.
+FUZZ_MINUTES ?= 10
+fuzz: .venv/.dev
+	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES)
 
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data

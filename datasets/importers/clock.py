@@ -80,7 +80,7 @@ def cells_to_ns(cells: list[str], exponent: int, where: str, first_line: int) ->
 
 def _parse_number(cell: str, exponent: int) -> int:
     value = Decimal(cell.strip()).scaleb(9 + exponent)
-    if not abs(value) < LAST_T_NS + 1_000_000_000:  # also NaN; the size is tested before a long integer is made
+    if not abs(value) <= LAST_T_NS + 1_000_000_000:  # also NaN; the size is tested before a long integer is made
         raise ValueError("beyond 2038")
     return int(value.to_integral_value())
 
@@ -117,9 +117,11 @@ def check_rate(clock: Clock, where: str) -> None:
     t_ns = clock.t_ns[clock.known]
     steps = np.diff(t_ns)
     rising = steps[steps > 0]
-    if len(t_ns) < 5 or len(rising) == 0:
+    if len(t_ns) < 5 or (steps < 0).all():
         return
     _check_resolution(steps, where, clock.name)
+    if len(rising) == 0:
+        return
     rate_hz = 1e9 / float(np.median(rising))
     if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
         return
@@ -139,11 +141,12 @@ def check_rate(clock: Clock, where: str) -> None:
 def _check_resolution(steps_ns: NDArray[np.int64], where: str, column: str) -> None:
     """Raise where most stamps equal the one before and the others are whole steps apart, as in a float32 epoch."""
     equal = float((steps_ns == 0).mean())
-    smallest_ns = int(steps_ns[steps_ns > 0].min())
-    if equal > 0.7 and (steps_ns % smallest_ns == 0).all():
+    smallest_ns = int(steps_ns[steps_ns > 0].min(initial=LAST_T_NS))
+    if equal == 1.0 or (equal > 0.7 and (steps_ns % smallest_ns == 0).all()):
+        rounded = "" if equal == 1.0 else f"to {smallest_ns / 1e9:g} s, "
         raise BadSource(
-            f"{where}: {equal:.0%} of the stamps in {column!r} equal the one before; time was rounded to "
-            f"{smallest_ns / 1e9:g} s, as a float32 does; log it as integers or float64, or import with --rate HZ"
+            f"{where}: {equal:.0%} of the stamps in {column!r} equal the one before; time was rounded {rounded}"
+            "as a float32 rounds dates; log it as integers or float64, or import with --rate HZ"
         )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import scipy.io
+from devices import write_euroc, write_ulog
 from known import START_NS, known_recording
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -230,6 +231,52 @@ def _own_mcap(folder: Path) -> tuple[Path, Path]:
     return folder / "x.mcap", folder / "x.mcap"
 
 
+def _ulog(folder: Path) -> tuple[Path, Path]:
+    write_ulog(folder / "x.ulg", KNOWN, count=N)
+    return folder / "x.ulg", folder / "x.ulg"
+
+
+def _euroc(folder: Path) -> tuple[Path, Path]:
+    write_euroc(folder / "mav0", KNOWN)
+    return folder, folder / "mav0" / "imu0" / "data.csv"
+
+
+def _movella(folder: Path) -> tuple[Path, Path]:
+    names = ",".join(f"{what}_{axis}" for what in ("Acc", "Gyr", "Mag") for axis in "XYZ")
+    text = _table(f"SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,{names}", T_NS / 1e3, Q, ACCEL, np.rad2deg(GYRO), MAG)
+    (folder / "dot.csv").write_text("DeviceTag: ,Left\n" + text)
+    return folder / "dot.csv", folder / "dot.csv"
+
+
+def _xio(folder: Path) -> tuple[Path, Path]:
+    names = [
+        f"{what} {axis} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for axis in "XYZ"
+    ]
+    header = ",".join(["Timestamp (us)", *names])
+    (folder / "Inertial.csv").write_text(_table(header, T_NS / 1e3, np.rad2deg(GYRO), ACCEL / 9.80665))
+    (folder / "Quaternion.csv").write_text(_table("Timestamp (us),W,X,Y,Z", T_NS / 1e3, Q))
+    return folder, folder / "Inertial.csv"
+
+
+def _sensorlog(folder: Path) -> tuple[Path, Path]:
+    gyro = ["gyroTimestamp_sinceReboot(s)", *(f"gyroRotation{axis}(rad/s)" for axis in "XYZ")]
+    accel = ["accelerometerTimestamp_sinceReboot(s)", *(f"accelerometerAcceleration{axis}(G)" for axis in "XYZ")]
+    file = folder / "log.csv"
+    file.write_text(_table(",".join([*gyro, *accel]), T_NS / 1e9, GYRO, T_NS / 1e9, -ACCEL / 9.80665))
+    return file, file
+
+
+def _kitti(folder: Path) -> tuple[Path, Path]:
+    (folder / "oxts" / "data").mkdir(parents=True)
+    numbers = np.zeros((20, 30))
+    numbers[:, 11:14], numbers[:, 17:20] = ACCEL[:20], GYRO[:20]
+    for k, row in enumerate(numbers):
+        (folder / "oxts" / "data" / f"{k:010d}.txt").write_text(" ".join(map(repr, row.tolist())))
+    stamps = [f"2011-09-26 13:02:25.{k * 10_000_000:09d}" for k in range(20)]
+    (folder / "oxts" / "timestamps.txt").write_text("\n".join(stamps))
+    return folder, folder / "oxts" / "timestamps.txt"
+
+
 def _poses(name: str, text: str) -> Callable[[Path], tuple[Path, Path]]:
     def make(folder: Path) -> tuple[Path, Path]:
         (folder / name).write_text(text)
@@ -264,6 +311,12 @@ def list_seeds() -> list[Seed]:
         Seed("foreign MCAP", "ros", _foreign_mcap(True), RosOptions()),
         Seed("foreign MCAP, unchecked", "ros", _foreign_mcap(False), RosOptions()),
         Seed("own MCAP", "mcap", _own_mcap),
+        Seed("ulog", "ulog", _ulog),
+        Seed("euroc", "euroc", _euroc, text=True),
+        Seed("movella", "movella", _movella, text=True),
+        Seed("ximu3", "ximu3", _xio, text=True),
+        Seed("sensorlog", "sensorlog", _sensorlog, text=True),
+        Seed("kitti", "kitti", _kitti, text=True),
         Seed("TUM", "poses", _poses("a.tum", tum), text=True),
         Seed("EuRoC", "poses", _poses("data.csv", euroc), text=True),
         Seed("bag poses", "poses", _bag, poses={"topic": "/pose"}),

@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillpoint.datasets import BadParameter, BadSource
-from stillpoint.datasets.importers.clock import cells_to_ns
+from stillpoint.datasets.importers.clock import (
+    cells_to_ns,
+    check_rate,
+    find_wild_stamps,
+    parse_times,
+    unwrap_counter,
+)
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, parse_unit
 from stillpoint.datasets.importers.delimited import parse
 from stillpoint.datasets.importers.series import Log, Series, fit_even_times, merge_imu, sort_by_time
@@ -141,3 +147,99 @@ def test_units_and_raw_counts(text, table, factor):
 def test_an_unknown_unit_is_refused_with_those_there_are(text):
     with pytest.raises(BadParameter, match="--x"):
         parse_unit(text, RATE, "--x")
+
+
+# --- wrong units, wraps and wild stamps
+
+STEPS = np.arange(1000, dtype=np.int64) * 10_000_000  # 100 Hz
+
+
+@pytest.mark.parametrize(
+    ("declared", "shown", "true"),
+    [
+        ("s", "milliseconds", "ms"),
+        ("ms", "microseconds", "us"),
+        ("us", "milliseconds", "ms"),
+        ("us", "nanoseconds", "ns"),
+    ],
+)
+def test_a_wrong_unit_is_named_with_the_one_that_fits(declared, shown, true):
+    exponents = {"s": 0, "ms": 3, "us": 6, "ns": 9}
+    cells = [str(k * 10 ** exponents[true] // 100) for k in range(100)]  # 100 Hz in the true unit
+    clock = parse_times(cells, declared, "f", list(range(1, 101)), "t")
+    with pytest.raises(BadParameter, match=rf"this looks like {shown} \(100 Hz\): --time t:{true}"):
+        check_rate(clock, "f")
+
+
+@pytest.mark.parametrize(
+    ("cell", "declared", "advice"),
+    [
+        ("1623484800011828668", "s", "nanoseconds: --time t:ns"),
+        ("1623484800011", "s", "milliseconds: --time t:ms"),
+        ("2021-06-12 08:00:00.011829", "ms", "dates: --time t:iso"),
+    ],
+)
+def test_a_stamp_beyond_its_unit_names_the_one_that_makes_it_a_date(cell, declared, advice):
+    with pytest.raises(BadSource, match=f"line 7: .*{advice}"):
+        parse_times([cell], declared, "f", [7], "t")
+
+
+@pytest.mark.parametrize(("rate_hz", "says"), [(2.0, r"\d\d% .* to 128 s, as a float32"), (100.0, "100%")])
+def test_stamps_rounded_by_float32_are_recognised(rate_hz, says):
+    """A float32 holds seconds since 1970 to 128 s only."""
+    cells = [repr(float(np.float32(1.7e9 + k / rate_hz))) for k in range(1000)]
+    with pytest.raises(BadSource, match=says):
+        check_rate(parse_times(cells, "s", "f", list(range(1000)), "t"), "f")
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("2021-06-12T08:00:00.123456789Z", 1623484800_123456789),
+        ("2021-06-12 10:00:00.5+02:00", 1623484800_500000000),
+        ("2021-06-12 10:00:00,25 +0200", 1623484800_250000000),
+        ("2021-06-12", 1623456000_000000000),
+        ("2021-06-12T08:00:00", 1623484800_000000000),
+    ],
+)
+def test_dates_are_exact_to_the_nanosecond(text, ns):
+    assert parse_times([text], "iso", "f", [1]).t_ns.tolist() == [ns]
+
+
+@given(st.sampled_from([(16, 1), (24, 1000), (32, 1000), (16, 1_000_000)]), st.integers(0, 999), st.integers(1, 50))
+def test_a_counter_that_overflows_is_unwrapped(counter, at, step_of):
+    """Whatever the width and unit: the steps across the overflow are the same as all others."""
+    bits, unit_ns = counter
+    span_ns = unit_ns << bits
+    step_ns = max(span_ns // (2000 * step_of) // unit_ns, 1) * unit_ns
+    true_ns = np.arange(1000, dtype=np.int64) * step_ns + span_ns - at * step_ns
+    log = Log()
+    found = unwrap_counter(true_ns % span_ns, "t", log)
+    assert (np.diff(found) == step_ns).all()
+    assert len(log.notes) == int((np.diff(true_ns % span_ns) < 0).sum())
+
+
+def test_disorder_is_not_taken_for_an_overflow():
+    t_ns = STEPS.copy()
+    t_ns[[500, 501]] = t_ns[[501, 500]]
+    assert (unwrap_counter(t_ns, "t", Log()) == t_ns).all()
+
+
+@pytest.mark.parametrize("offset_ns", [10**12, -(10**12), 1_700_000_000 * 10**9])
+@pytest.mark.parametrize("at", [0, 3, 500, 998, 999])
+def test_a_single_wild_stamp_is_dropped(offset_ns, at):
+    t_ns = STEPS + 2 * 10**12
+    t_ns[at] += offset_ns
+    wild = find_wild_stamps(t_ns)
+    expected = np.zeros(1000, dtype=bool)
+    # A first or last stamp 1000 s away may also be a sample before or after a gap: a day tells.
+    expected[at] = 0 < at < 999 or abs(offset_ns) > 86_400 * 10**9
+    if at in (3, 998) and abs(offset_ns) < 86_400 * 10**9:
+        assert not (wild & ~expected).any()
+    else:
+        assert (wild == expected).all()
+
+
+def test_gaps_hold_no_wild_stamps():
+    t_ns = np.concatenate([STEPS, STEPS[:3] + 10**13, STEPS + 2 * 10**13])
+    assert not find_wild_stamps(t_ns).any()

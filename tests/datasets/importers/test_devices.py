@@ -1,13 +1,12 @@
 """The known recording through the logs of devices: its attitude distinguishes every axis, sign and order."""
 
-import struct
-
 import numpy as np
 import pytest
+from devices import table, write_euroc, write_ulog
 from known import START_NS, G, Known, assert_known
 
 from stillpoint.datasets import BadSource
-from stillpoint.datasets.frames import local_from_enu, quaternion, rotation, to_xyzw
+from stillpoint.datasets.frames import quaternion, rotation, to_xyzw
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.movella import MovellaOptions
 from stillpoint.datasets.importers.table import IMPORTERS
@@ -16,19 +15,6 @@ from stillpoint.datasets.importers.table import IMPORTERS
 def read_one(kind: str, source, options=None) -> Imported:
     (imported,) = IMPORTERS[kind].read_all(source, options)
     return imported
-
-
-def table(header: str, *columns: list[str] | np.ndarray, delimiter: str = ",") -> str:
-    """A text of 600 rows; a column is a list of texts, or numbers (600,) or (600, k)."""
-    parts = [
-        [[text] for text in column] if isinstance(column, list) else np.reshape(column, (600, -1)).tolist()
-        for column in columns
-    ]
-    rows = [
-        [cell if isinstance(cell, str) else repr(cell) for part in row for cell in part]
-        for row in zip(*parts, strict=True)
-    ]
-    return "\n".join([header, *(delimiter.join(row) for row in rows)])
 
 
 def assert_device(imported: Imported, known: Known, start_ns: int = 0, near: float = 1e-6) -> None:
@@ -44,29 +30,6 @@ def assert_device(imported: Imported, known: Known, start_ns: int = 0, near: flo
 
 
 # --- ASL folders
-
-
-def write_euroc(folder, known: Known, turn=None) -> None:
-    stamps = [str(START_NS + t) for t in known.t_ns.tolist()]
-    gyro, accel = known.gyro_b_radps, known.accel_b_mps2
-    if turn is not None:
-        gyro, accel = turn.inv().apply(gyro), turn.inv().apply(accel)
-    (folder / "imu0").mkdir(parents=True)
-    header = "#timestamp [ns]," + ",".join(f"w_RS_S_{a} [rad s^-1]" for a in "xyz")
-    header += "," + ",".join(f"a_RS_S_{a} [m s^-2]" for a in "xyz")
-    (folder / "imu0" / "data.csv").write_text(table(header, stamps, gyro, accel))
-    if turn is not None:
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn.as_matrix()
-        data = ", ".join(map(repr, matrix.ravel().tolist()))
-        text = f"sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{data}]\nrate_hz: 200\n"
-        (folder / "imu0" / "sensor.yaml").write_text(text)
-    (folder / "mag0").mkdir()
-    (folder / "mag0" / "data.csv").write_text(table("#timestamp [ns],x [uT],y [uT],z [uT]", stamps, known.mag_b_ut))
-    (folder / "state_groundtruth_estimate0").mkdir()
-    header = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
-    truth = table(header, stamps, np.tile([1.0, 2.0, 3.0], (600, 1)), known.q_nb)
-    (folder / "state_groundtruth_estimate0" / "data.csv").write_text(truth)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -240,34 +203,6 @@ def test_kitti_oxts(known, tmp_path):
 
 
 # --- PX4
-
-
-def ulog_message(kind: str, body: bytes) -> bytes:
-    return struct.pack("<HB", len(body), ord(kind)) + body
-
-
-def write_ulog(path, known: Known) -> None:
-    """Samples of the known recording as a log of PX4, whose world is North-East-Down."""
-    formats = {
-        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
-        "float[3] accelerometer_m_s2;",
-        "vehicle_magnetometer": "uint64_t timestamp;float[3] magnetometer_ga;",
-        "vehicle_attitude": "uint64_t timestamp;float[4] q;",
-        "vehicle_attitude_groundtruth": "uint64_t timestamp;float[4] q;",
-    }
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + ulog_message("B", bytes(40))
-    for name, fields in formats.items():
-        out += ulog_message("F", f"{name}:{fields}".encode())
-    for number, name in enumerate(formats):
-        out += ulog_message("A", struct.pack("<BH", 0, number) + name.encode())
-    q_ned = quaternion(local_from_enu("ned") * rotation(known.q_nb))
-    for k, t in enumerate((known.t_ns // 1000 + 1_000_000).tolist()):
-        stamp = struct.pack("<Q", t)
-        imu = struct.pack("<3fi3f", *known.gyro_b_radps[k], 0, *known.accel_b_mps2[k])
-        bodies = (imu, struct.pack("<3f", *(known.mag_b_ut[k] / 100)), struct.pack("<4f", *q_ned[k]))
-        for number, body in enumerate((*bodies, bodies[2])):
-            out += ulog_message("D", struct.pack("<H", number) + stamp + body)
-    path.write_bytes(out)
 
 
 def test_a_log_of_px4(known, tmp_path):

@@ -2,62 +2,15 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from bags import write_bag
 from known import START_NS, Known, assert_known, only
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from stillpoint.datasets.frames import to_xyzw
 from stillpoint.datasets.importers.ros import GPS, GPS_LEAVES, IMU, IMU_LEAVES, MAG, MAG_LEAVES, POSES, TF, RosOptions
-
-
-def write_bag(store, writer, known: Known, ros1: bool, truth: str = "geometry_msgs/msg/PoseStamped") -> None:
-    types = store.types
-    stamp, point = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Point"]
-    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    nine = np.zeros(9)
-    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    kinds = {"/imu": "sensor_msgs/msg/Imu", "/mag": "sensor_msgs/msg/MagneticField", "/truth": truth}
-    kinds |= {"/fix": "sensor_msgs/msg/NavSatFix"}
-    to = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
-
-    def header(t: int, frame: str):
-        at = stamp(sec=t // 10**9, nanosec=t % 10**9)
-        extra = {"seq": 0} if ros1 else {}
-        return types["std_msgs/msg/Header"](stamp=at, frame_id=frame, **extra)
-
-    for k, t in enumerate((known.t_ns + START_NS).tolist()):
-        q = turn(*to_xyzw(known.q_nb[k]).tolist())
-        messages = {
-            "/imu": types["sensor_msgs/msg/Imu"](
-                header(t, "imu"),
-                turn(0.0, 0.0, 0.0, 1.0),
-                nine,
-                vector(*known.gyro_b_radps[k]),
-                nine,
-                vector(*known.accel_b_mps2[k]),
-                nine,
-            ),
-            "/mag": types["sensor_msgs/msg/MagneticField"](header(t, "imu"), vector(*(known.mag_b_ut[k] * 1e-6)), nine),
-        }
-        if truth.startswith("geometry_msgs"):
-            pose = types["geometry_msgs/msg/Pose"](point(1.0, 2.0, 3.0), q)
-            messages["/truth"] = types[truth](header(t, "map"), pose)
-        else:
-            transform = types["geometry_msgs/msg/Transform"](vector(1.0, 2.0, 3.0), q)
-            still = types["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), turn(0.0, 0.0, 0.0, 1.0))
-            stamped = types["geometry_msgs/msg/TransformStamped"]
-            pair = [stamped(header(t, "map"), "table", still), stamped(header(t, "map"), "phone", transform)]
-            messages["/truth"] = types[truth](pair[k % 2 :])
-        if k % 100 == 0:
-            status = types["sensor_msgs/msg/NavSatStatus"](status=-1 if k == 100 else 0, service=1)
-            messages["/fix"] = types["sensor_msgs/msg/NavSatFix"](header(t, "gps"), status, 52.5, 13.3, 80.0, nine, 0)
-        for topic, message in messages.items():
-            # Logged 5 ms late: the stamps of the headers are what counts.
-            writer.write(to[topic], t + 5_000_000, serialize(message, kinds[topic]))
 
 
 def ros_source(tmp_path: Path, variant: str, known: Known, truth: str) -> Path:

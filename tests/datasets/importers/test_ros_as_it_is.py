@@ -1,0 +1,297 @@
+"""ROS files as people have them: several frames, missing parts, odd stamps, cut files."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from bags import write_bag
+from known import START_NS, Known, only
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from stillpoint.datasets import BadParameter, BadSource
+from stillpoint.datasets.frames import rotation, to_xyzw
+from stillpoint.datasets.importers.ros import RosOptions
+from stillpoint.datasets.importers.table import IMPORTERS
+
+IMU, TF, ODOMETRY = "sensor_msgs/msg/Imu", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+ROS2, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+NINE = np.zeros(9)
+NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
+
+
+class Ros:
+    """Builds messages of one ROS version and writes them to an MCAP file."""
+
+    def __init__(self, store=ROS2, ros1: bool = False) -> None:
+        self.types, self.store, self.ros1 = store.types, store, ros1
+        self.messages: list[tuple[str, str, int, object]] = []
+
+    def header(self, t_ns: int, frame: str):
+        stamp = self.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+        return self.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **({"seq": 0} if self.ros1 else {}))
+
+    def quaternion(self, q_wxyz):
+        return self.types["geometry_msgs/msg/Quaternion"](*to_xyzw(np.asarray(q_wxyz, float)).tolist())
+
+    def vector(self, values):
+        return self.types["geometry_msgs/msg/Vector3"](*map(float, values))
+
+    def imu(self, topic, t_ns, gyro, accel, frame="imu", q=(1.0, 0, 0, 0), given=(NINE, NINE, NINE), logged=None):
+        parts = (self.quaternion(q), given[0], self.vector(gyro), given[1], self.vector(accel), given[2])
+        self.messages.append(
+            (topic, IMU, logged or t_ns or START_NS, self.types[IMU](self.header(t_ns, frame), *parts))
+        )
+
+    def tf(self, topic, t_ns, *transforms):
+        """Transforms are (parent, child, quaternion)."""
+        stamped, moved = self.types["geometry_msgs/msg/TransformStamped"], self.types["geometry_msgs/msg/Transform"]
+        parts = [
+            stamped(self.header(t_ns, parent), child, moved(self.vector((0, 0, 0)), self.quaternion(q)))
+            for parent, child, q in transforms
+        ]
+        self.messages.append((topic, TF, t_ns, self.types[TF](parts)))
+
+    def odometry(self, topic, t_ns, q):
+        types = self.types
+        pose = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), self.quaternion(q))
+        covered = types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36))
+        twist = types["geometry_msgs/msg/Twist"](self.vector((0, 0, 0)), self.vector((0, 0, 0)))
+        moved = types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36))
+        message = types[ODOMETRY](self.header(t_ns, "odom"), "base_link", covered, moved)
+        self.messages.append((topic, ODOMETRY, t_ns, message))
+
+    def write(self, path, empty_schema: bool = False, chunk_size: int = 1 << 20):
+        with path.open("wb") as file:
+            writer = McapWriter(file, chunk_size=chunk_size, compression=CompressionType.ZSTD)
+            writer.start(profile="ros1" if self.ros1 else "ros2")
+            channels = {}
+            for topic, kind, t_ns, message in self.messages:
+                if topic not in channels:
+                    text = self.store.generate_msgdef(kind, ros_version=1 if self.ros1 else 2)[0]
+                    name = kind.replace("/msg/", "/") if self.ros1 else kind
+                    data = b"" if empty_schema else text.encode()
+                    schema = writer.register_schema(name, "ros1msg" if self.ros1 else "ros2msg", data)
+                    channels[topic] = writer.register_channel(topic, "ros1" if self.ros1 else "cdr", schema)
+                serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+                writer.add_message(channels[topic], t_ns, bytes(serialize(message, kind)), t_ns)
+            writer.finish()
+        return path
+
+
+def samples(known: Known) -> Iterable[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    t_ns = (known.t_ns + START_NS).tolist()
+    return zip(t_ns, known.gyro_b_radps, known.accel_b_mps2, known.q_nb, strict=True)
+
+
+def refuse(source, options: RosOptions | None, kind: type[Exception], *said: str) -> None:
+    with pytest.raises(kind) as caught:
+        list(IMPORTERS["ros"](source, options))
+    for word in said:
+        assert word in str(caught.value), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- frames
+
+
+def test_two_imus_on_one_topic_are_told_apart_by_their_frames(known, tmp_path):
+    ros, turn = Ros(), Rotation.from_euler("z", 90, degrees=True)
+    for k, (t, gyro, accel, _) in enumerate(samples(known)):
+        other = k % 2
+        ros.imu("/imu", t, turn.apply(gyro) if other else gyro, accel, frame="imu_b" if other else "imu_a")
+    file = ros.write(tmp_path / "run.mcap")
+    refuse(file, None, BadParameter, "imu_a (300)", "imu_b (300)", "--frame")
+    refuse(file, RosOptions(frame="imu_c"), BadParameter, "--frame imu_c", "imu_a (300)")
+    recording = only("ros", file, RosOptions(frame="imu_b"))
+    np.testing.assert_allclose(recording.imu.gyro_b_radps, turn.apply(known.gyro_b_radps[1::2]))
+
+
+def test_a_child_of_tf_with_two_parents_is_chosen_by_its_parent(known, tmp_path):
+    ros = Ros()
+    for k, (t, gyro, accel, q) in enumerate(samples(known)):
+        ros.imu("/imu", t, gyro, accel)
+        ros.tf("/tf", t, ("odom" if k % 2 else "map", "phone", q), ("map", "table", (1.0, 0, 0, 0)))
+    file = ros.write(tmp_path / "run.mcap")
+    assert only("ros", file).truth is None  # TF holds whatever moves
+    refuse(file, RosOptions(truth_topic="/tf"), BadParameter, "phone (600)", "table (600)", "--truth-child")
+    refuse(file, RosOptions(truth_child="phone"), BadParameter, "map (300)", "odom (300)", "--truth-parent")
+    truth = only("ros", file, RosOptions(truth_child="phone", truth_parent="odom")).truth
+    assert (truth.t_ns == known.t_ns[1::2] + START_NS).all()
+    assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb[1::2]).inv()).magnitude().max() < 1e-9
+
+
+def test_static_transforms_turn_the_sensors_into_the_body(known, tmp_path):
+    """base_link <- mast <- imu: two turns that do not commute."""
+    mast_from_imu = Rotation.from_euler("ZYX", [30, -20, 10], degrees=True)
+    base_from_mast = Rotation.from_euler("ZYX", [-70, 40, 5], degrees=True)
+    imu_from_base = (base_from_mast * mast_from_imu).inv()
+    ros = Ros()
+    ros.tf("/tf_static", START_NS, ("base_link", "mast", base_from_mast.as_quat(scalar_first=True)))
+    ros.tf("/tf_static", START_NS + 1, ("/mast", "/imu", mast_from_imu.as_quat(scalar_first=True)))
+    for t, gyro, accel, q in samples(known):
+        device = (rotation(q) * imu_from_base.inv()).as_quat(scalar_first=True)
+        ros.imu("/imu", t, imu_from_base.apply(gyro), imu_from_base.apply(accel), q=device)
+    file = ros.write(tmp_path / "run.mcap")
+    (imported,) = IMPORTERS["ros"].read_all(file, RosOptions(body_frame="base_link"))
+    np.testing.assert_allclose(imported.recording.imu.gyro_b_radps, known.gyro_b_radps, atol=1e-12)
+    np.testing.assert_allclose(imported.recording.imu.accel_b_mps2, known.accel_b_mps2, atol=1e-11)
+    (device,) = imported.estimates
+    assert (rotation(device.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-9
+    refuse(file, RosOptions(body_frame="camera"), BadParameter, "--body-frame camera", "base_link, imu, mast")
+
+
+# --- what a message does not give
+
+
+def test_gyro_and_accelerometer_that_alternate_on_one_topic(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, _ in samples(known):
+        ros.imu("/imu", t, gyro, (0, 0, 0), given=(NOT_GIVEN, NINE, NOT_GIVEN))
+        ros.imu("/imu", t + 1_000_000, (0, 0, 0), accel, given=(NOT_GIVEN, NOT_GIVEN, NINE))
+    (imported,) = IMPORTERS["ros"].read_all(ros.write(tmp_path / "run.mcap"))
+    imu = imported.recording.imu
+    np.testing.assert_array_equal(imu.gyro_b_radps, known.gyro_b_radps[1:])
+    assert np.abs(imu.accel_b_mps2 - known.accel_b_mps2[1:]).max() < 0.05  # interpolated over 10 ms
+    assert imported.estimates == ()
+
+
+def test_gyro_and_accelerometer_on_two_topics_are_united(known, tmp_path):
+    ros = Ros()
+    for k, (t, gyro, accel, _) in enumerate(samples(known)):
+        ros.imu("/camera/gyro/sample", t, gyro, (0, 0, 0), frame="gyro_frame")
+        if k % 2 == 0:
+            ros.imu("/camera/accel/sample", t, (0, 0, 0), accel, frame="accel_frame")
+    file = ros.write(tmp_path / "run.mcap")
+    given = RosOptions(gyro_topic="/camera/gyro/sample", accel_topic="/camera/accel/sample")
+    for options in (None, given):
+        recording = only("ros", file, options)
+        np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps[:-1])
+        np.testing.assert_array_equal(recording.imu.accel_b_mps2[::2], known.accel_b_mps2[::2])
+    refuse(file, RosOptions(imu_topic="/camera/gyro/sample"), BadSource, "no linear acceleration")
+    refuse(file, RosOptions(gyro_topic="/camera/gyro/sample"), BadParameter, "belong together")
+
+
+def test_two_whole_imus_are_not_united(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, _ in samples(known):
+        ros.imu("/left", t, gyro, accel)
+        ros.imu("/right", t, -gyro, accel)
+    refuse(ros.write(tmp_path / "run.mcap"), None, BadParameter, "/left, /right", "--imu-topic")
+
+
+def test_the_attitude_of_a_device_becomes_an_estimate(known, tmp_path):
+    ros = Ros()
+    for k, (t, gyro, accel, q) in enumerate(samples(known)):
+        ros.imu("/imu", t, gyro, accel, q=(0, 0, 0, 0) if k < 5 else 0.5 * q * (2 if k % 2 else -2))
+    (imported,) = IMPORTERS["ros"].read_all(ros.write(tmp_path / "run.mcap"))
+    (device,) = imported.estimates
+    assert (device.name, device.recording) == ("device", "run")
+    assert (device.t_ns == known.t_ns[5:] + START_NS).all()
+    assert (rotation(device.q_nb.copy()) * rotation(known.q_nb[5:]).inv()).magnitude().max() < 1e-9
+    assert any("5 of 600 samples without an attitude" in note for note in imported.recording.info.notes)
+
+
+def test_odometry_is_the_truth_only_when_asked_for(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, q in samples(known):
+        ros.imu("/imu", t, gyro, accel)
+        ros.odometry("/odom", t, q)
+    file = ros.write(tmp_path / "run.mcap")
+    recording = only("ros", file)
+    assert recording.truth is None
+    assert any("/odom is odometry" in note for note in recording.info.notes)
+    asked = only("ros", file, RosOptions(truth_topic="/odom"))
+    assert len(asked.truth.t_ns) == 600
+    assert any("odometry, which drifts" in note for note in asked.info.notes)
+    assert asked.info.extra["truth_type"] == "nav_msgs/Odometry"
+
+
+# --- stamps
+
+
+@pytest.mark.parametrize("wild_ns", [0, 12_345, 2_000_000_000 * 10**9])
+def test_a_single_absurd_stamp_does_not_decide_the_clock(known, tmp_path, wild_ns):
+    ros = Ros()
+    for k, (t, gyro, accel, _) in enumerate(samples(known)):
+        ros.imu("/imu", wild_ns if k == 300 else t, gyro, accel, logged=t + 1_000_000)
+    recording = only("ros", ros.write(tmp_path / "run.mcap"))
+    assert recording.duration_s == pytest.approx(5.99)
+    assert len(recording.imu.t_ns) == 599
+    assert any("1 of 600 messages" in note for note in recording.info.notes)
+
+
+def test_without_any_stamp_the_times_of_receipt_are_used(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, _ in samples(known):
+        ros.imu("/imu", 0, gyro, accel, logged=t)
+    recording = only("ros", ros.write(tmp_path / "run.mcap"))
+    assert (recording.imu.t_ns == known.t_ns + START_NS).all()
+    assert any("times of receipt" in note for note in recording.info.notes)
+
+
+# --- containers
+
+
+def test_an_mcap_file_of_ros1_messages(known, tmp_path):
+    ros = Ros(ROS1, ros1=True)
+    for t, gyro, accel, q in samples(known):
+        ros.imu("/imu", t, gyro, accel)
+        ros.tf("/tf", t, ("map", "phone", q))
+    recording = only("ros", ros.write(tmp_path / "run.mcap"), RosOptions(truth_child="phone"))
+    np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps)
+    assert (rotation(recording.truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-9
+
+
+def test_a_common_type_needs_no_definition(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, _ in samples(known):
+        ros.imu("/imu", t, gyro, accel)
+    recording = only("ros", ros.write(tmp_path / "run.mcap", empty_schema=True))
+    np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps)
+
+
+def test_a_cut_mcap_file_gives_its_whole_chunks_with_the_truth_of_tf(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, q in samples(known):
+        ros.imu("/imu", t, gyro, accel)
+        ros.tf("/tf", t, ("map", "phone", q), ("map", "table", q)) if t % 2 else ros.tf("/tf", t, ("map", "phone", q))
+    file = ros.write(tmp_path / "run.mcap", chunk_size=20_000)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    recording = only("ros", file, RosOptions(truth_child="phone"))
+    assert 100 < len(recording.truth.t_ns) < 500
+    n = len(recording.imu.t_ns)
+    np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps[:n])
+    assert any("cut short" in note for note in recording.info.notes)
+    file.write_bytes(file.read_bytes()[:400])
+    refuse(file, None, BadSource, "cut short", "no chunk of it is whole")
+
+
+def test_a_cut_bag_gives_its_whole_chunks(known, tmp_path):
+    from rosbags.rosbag1 import Writer as Writer1
+
+    with Writer1(tmp_path / "run.bag") as writer:
+        writer.chunk_threshold = 20_000
+        write_bag(ROS1, writer, known, ros1=True)
+    data = (tmp_path / "run.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: len(data) // 2])
+    recording = only("ros", tmp_path / "cut.bag")
+    n = len(recording.imu.t_ns)
+    assert 100 < n < 500
+    np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps[:n])
+    assert any("cut short" in note for note in recording.info.notes)
+
+
+def test_a_folder_without_metadata(known, tmp_path):
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
+    with Writer2(tmp_path / "run", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        write_bag(ROS2, writer, known, ros1=False)
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    recording = only("ros", tmp_path / "run")
+    np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps)
+    assert any("no metadata.yaml" in note for note in recording.info.notes)
