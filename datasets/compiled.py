@@ -9,7 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
 from numba import njit, types
+from numba.core import ir
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import IRProcessing
 from numba.extending import overload
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -63,7 +68,51 @@ def _with_numba(function: Callable[..., Any], inline: bool, has_entry: bool, cac
     # Steps are chains of small functions that hand structures on: without inlining these go through memory. Nothing
     # takes a function as an argument, so none needs the entry for that.
     wrappers: dict[str, Any] = {"no_cpython_wrapper": not has_entry, "no_cfunc_wrapper": True}
-    return njit(cache=cache, error_model="numpy", nogil=True, forceinline=inline, **wrappers)(function)
+    options: dict[str, Any] = {"cache": cache, "error_model": "numpy", "nogil": True, "forceinline": inline}
+    return njit(pipeline_class=_Compiler, **options, **wrappers)(function)
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _RoundConstants(FunctionPass):
+    """Give the float constants of a function single precision when it is compiled for float32 arguments.
+
+    numba takes 0.5 for a double, and a product with a double is a double. With this pass an equation reads the same in
+    both precisions. Whole numbers stay integers, which numba promotes to double too: write 2.0, not 2.
+    """
+
+    _name = "stillpoint_round_constants"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        if not any(_has_single(kind) for kind in state.args):
+            return False
+        for block in state.func_ir.blocks.values():
+            for statement in block.find_insts(ir.Assign):
+                constant = statement.value
+                if isinstance(constant, ir.Const | ir.Global | ir.FreeVar) and isinstance(constant.value, float):
+                    statement.value = ir.Const(np.float32(constant.value), constant.loc)
+        return True
+
+
+class _Compiler(CompilerBase):  # type: ignore[misc]
+    """numba's compiler with :class:`_RoundConstants`."""
+
+    def define_pipelines(self) -> list[Any]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_RoundConstants, IRProcessing)
+        passes.finalize()
+        return [passes]
+
+
+def _has_single(kind: Any) -> bool:
+    """Whether a numba type is float32, or holds one."""
+    if isinstance(kind, types.Float):
+        return bool(kind == types.float32)
+    if isinstance(kind, types.BaseTuple):
+        return any(_has_single(part) for part in kind)
+    return isinstance(kind, types.Array | types.ListType) and _has_single(kind.dtype)
 
 
 def _without_entry(function: Function) -> Function:
@@ -118,7 +167,7 @@ _CHECKED: set[Path] = set()
 
 
 def like(x: float, value: float) -> float:
-    """``value`` in the precision of ``x``: a bare 0.5 would turn a single-precision filter into a double one."""
+    """Return ``value``, a whole number or a double, in the precision of ``x``."""
     return type(x)(value)
 
 

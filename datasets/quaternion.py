@@ -8,7 +8,7 @@ nanoseconds, there it takes microseconds. Not imported by what only reads and wr
 from math import atan2, cos, sin, sqrt
 from typing import TypeAlias
 
-from stillpoint.datasets.compiled import compiled, like
+from stillpoint.datasets.compiled import compiled
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]
@@ -42,16 +42,16 @@ def half_angle(square: float) -> tuple[float, float]:
 
     The series of small angles are summed in pairs, which wait for each other less than term after term would.
     """
-    if square < like(square, HALF_SERIES_BELOW):
+    if square < HALF_SERIES_BELOW:
         fourth = square * square
-        cosine = like(square, 1 / 384) - square * like(square, 1 / 46080) + fourth * like(square, 1 / 10321920)
-        share = like(square, 1 / 3840) - square * like(square, 1 / 645120) + fourth * like(square, 1 / 185794560)
+        cosine = (1 / 384) - square * (1 / 46080) + fourth * (1 / 10321920)
+        share = (1 / 3840) - square * (1 / 645120) + fourth * (1 / 185794560)
         return (
-            like(square, 1.0) - square * like(square, 1 / 8) + fourth * cosine,
-            like(square, 0.5) - square * like(square, 1 / 48) + fourth * share,
+            1.0 - square * (1 / 8) + fourth * cosine,
+            0.5 - square * (1 / 48) + fourth * share,
         )
     angle = sqrt(square)
-    half = angle * like(angle, 0.5)
+    half = angle * 0.5
     return cos(half), sin(half) / angle
 
 
@@ -65,13 +65,13 @@ def exp(v: Vector) -> Quaternion:
 @compiled
 def log(q: Quaternion) -> Vector:
     """The rotation vector of ``q``, at most pi long: the inverse of :func:`exp` up to whole turns."""
-    sign = like(q[0], 1.0) if q[0] >= 0 else like(q[0], -1.0)
+    sign = 1.0 if q[0] >= 0 else -1.0
     w = q[0] * sign
     square = q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    if square < like(square, LOG_SERIES_BELOW):
-        share = (like(w, 2.0) - square * like(w, 2 / 3) / (w * w)) / w
+    if square < LOG_SERIES_BELOW:
+        share = (2.0 - square * (2 / 3) / (w * w)) / w
     else:
         sine = sqrt(square)
-        share = like(w, 2.0) * atan2(sine, w) / sine
+        share = 2.0 * atan2(sine, w) / sine
     share *= sign
     return q[1] * share, q[2] * share, q[3] * share

@@ -13,7 +13,7 @@ from typing import Any, cast
 from numba import boolean, float64, int64, typeof
 from numba.typed import List
 
-from stillpoint.filters.compiled import compiled_entry, like
+from stillpoint.filters.compiled import compiled_entry
 from stillpoint.filters.front import front
 from stillpoint.filters.front.front import State
 from stillpoint.filters.front.guard import Fix, Raw
@@ -31,10 +31,9 @@ def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
 
     @compiled_entry
     def begin(front_c: Any, c: Any) -> Any:
-        zero = like(front_c.guard.gyro_radps, 0.0)
-        none = (zero, zero, zero)
+        none = (0.0, 0.0, 0.0)
         # What is said before the first sample is what is said after nothing.
-        _, output = estimator.step(estimator.start(c), Sample(zero, none, none, none, False, False, none), c)
+        _, output = estimator.step(estimator.start(c), Sample(0.0, none, none, none, False, False, none), c)
         cell = List()
         cell.append((front_c, c, front.start(front_c), estimator.start(c), output))
         return cell

@@ -4,7 +4,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from stillpoint.datasets.quaternion import half_angle
-from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
+from stillpoint.filters.compiled import compiled_apart, compiled_inside
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, cross
 
@@ -12,6 +12,7 @@ from stillpoint.filters.rotation import Quaternion, Vector, cross
 GIMBAL = 0.02
 # And below which roll and heading begin to be: it is within 14 deg.
 STEEP = 0.25
+PER_STEEP = 1 / STEEP
 
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]  # a 3 x 3 by rows
@@ -29,14 +30,13 @@ class Frame(NamedTuple):
 def frame_of(q: Quaternion) -> Frame:
     """Where the Euler angles of an attitude turn; the pitch's axis is arbitrary where x is vertical."""
     w, x, y, z = q
-    one, two = like(w, 1.0), like(w, 2.0)
-    up_x, up_y, up_z = (x * z - w * y) * two, (y * z + w * x) * two, one - (x * x + y * y) * two
+    up_x, up_y, up_z = (x * z - w * y) * 2.0, (y * z + w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0
     square = up_y * up_y + up_z * up_z
     cos_pitch = sqrt(square)
-    if cos_pitch < like(w, GIMBAL):
-        return Frame((up_x, up_y, up_z), (one - one, one, one - one), cos_pitch)
-    share = cos_pitch * (one / square)  # sooner there than 1 / cos_pitch
-    return Frame((up_x, up_y, up_z), (one - one, up_z * share, -up_y * share), cos_pitch)
+    if cos_pitch < GIMBAL:
+        return Frame((up_x, up_y, up_z), (1.0 - 1.0, 1.0, 1.0 - 1.0), cos_pitch)
+    share = cos_pitch * (1.0 / square)  # sooner there than 1 / cos_pitch
+    return Frame((up_x, up_y, up_z), (1.0 - 1.0, up_z * share, -up_y * share), cos_pitch)
 
 
 @compiled_inside
@@ -72,9 +72,9 @@ def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
     """The most that turns about the body's axes, of either sign, make of roll, pitch and heading: (1)."""
     up, (_, across_y, across_z), cos_pitch = frame_of(q_nb)
     x, y, z = hidden_b_rad
-    least = like(x, GIMBAL)
+    least = GIMBAL
     if cos_pitch < least:  # any horizontal axis may be that of pitch
-        across_y = across_z = like(x, 1.0)
+        across_y = across_z = 1.0
     heading = (abs(up[1]) * y + abs(up[2]) * z) / max(cos_pitch * cos_pitch, least * least)
     return x + abs(up[0]) * heading, abs(across_y) * y + abs(across_z) * z, heading
 
@@ -92,13 +92,12 @@ def grown_by(cov: Nine, variance: float, axis: Vector) -> Nine:
 def steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
     """As :func:`covariance`, near the vertical."""
     (ux, uy, uz), across, cos_pitch = frame
-    zero, one, two = like(roll, 0.0), like(roll, 1.0), like(roll, 2.0)
-    share = cos_pitch * like(roll, 1 / STEEP)
-    mirrored = min(roll, like(roll, ANY_ANGLE_RAD2)) * (one - share * share) / two
-    tilt = max(pitch - roll * cos_pitch * cos_pitch, zero) * (one - share * share)
-    cov = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
-    cov = grown_by(cov, min(roll, like(roll, ANY_ANGLE_RAD2)) - mirrored, (one, zero, zero))
-    cov = grown_by(cov, mirrored, (one - two * ux * ux, -two * ux * uy, -two * ux * uz))
+    share = cos_pitch * PER_STEEP
+    mirrored = min(roll, ANY_ANGLE_RAD2) * (1.0 - share * share) / 2.0
+    tilt = max(pitch - roll * cos_pitch * cos_pitch, 0.0) * (1.0 - share * share)
+    cov = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    cov = grown_by(cov, min(roll, ANY_ANGLE_RAD2) - mirrored, (1.0, 0.0, 0.0))
+    cov = grown_by(cov, mirrored, (1.0 - 2.0 * ux * ux, -2.0 * ux * uy, -2.0 * ux * uz))
     cov = grown_by(cov, pitch, across)
     cov = grown_by(cov, heading, (ux, uy, uz))
     return grown_by(cov, tilt, cross((ux, uy, uz), across))
@@ -115,7 +114,7 @@ def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
     And the tilt is never known better than that about the axis of pitch, by the same sensor.
     """
     up, (_, py, pz) = frame.up_b, frame.pitch_b
-    if frame.cos_pitch < like(roll, STEEP):
+    if frame.cos_pitch < STEEP:
         return steep_covariance(roll, pitch, heading, frame)
     xy, xz, yz = heading * up[0] * up[1], heading * up[0] * up[2], heading * up[1] * up[2] + pitch * py * pz
     xx, yy = roll + heading * up[0] * up[0], pitch * py * py + heading * up[1] * up[1]

@@ -3,7 +3,7 @@
 from math import atan2, pi, sqrt
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, compiled_inside, like
+from stillpoint.filters.compiled import compiled, compiled_inside
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
@@ -20,10 +20,12 @@ from stillpoint.filters.sample import GAP_S, Sample
 
 # Less specific force than that is free fall: its direction says nothing about up.
 FREE_FALL_MPS2 = 1.0
+FREE_FALL_M2PS4 = FREE_FALL_MPS2**2
 # Body x within 0.006 deg of the vertical (the square of the sine) has no azimuth to speak of.
 STEEP = 1e-8
 # A field whose horizontal part is a smaller share than that points nowhere: at the poles, or shaken along the field.
 LEAST_HORIZONTAL = 0.01
+LEAST_HORIZONTAL_SQUARE = LEAST_HORIZONTAL**2
 # Up this close to straight down: the smallest turn to the true up has no axis of its own, and the one about x is taken.
 UPSIDE_DOWN = -1 + 1e-6
 # One field stands for at most that long: after a pause of the magnetometer, a single sample is not taken at its word.
@@ -67,7 +69,7 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
     The first sample, and the first after a gap, stand alone. Samples that are not usable take no part.
     """
     raw_accel, raw_mag, accel, mag, since_accel_s, since_mag_s, has_accel, has_mag, n_free_fall, n_no_field = fields
-    gap_s, zero = like(sample.dt_s, GAP_S), like(sample.dt_s, 0.0)
+    gap_s = GAP_S
     since_accel_s += sample.dt_s
     since_mag_s += sample.dt_s
     hold_s = since_mag_s
@@ -75,16 +77,16 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
     if sample.has_accel:
         follows = has_accel and since_accel_s <= gap_s
         smooth = blend(sample.accel_b_mps2, raw_accel if follows else sample.accel_b_mps2, kappa)
-        least = like(kappa, FREE_FALL_MPS2 * FREE_FALL_MPS2)
+        least = FREE_FALL_M2PS4
         if dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least and dot(smooth, smooth) >= least:
-            raw_accel, accel, since_accel_s, has_accel, new_accel = sample.accel_b_mps2, smooth, zero, True, True
+            raw_accel, accel, since_accel_s, has_accel, new_accel = sample.accel_b_mps2, smooth, 0.0, True, True
         else:
             n_free_fall += 1
     if sample.has_mag:
         if dot(sample.mag_b_ut, sample.mag_b_ut) > 0:
             follows = has_mag and since_mag_s <= gap_s
             mag = blend(sample.mag_b_ut, raw_mag if follows else sample.mag_b_ut, kappa)
-            raw_mag, since_mag_s, has_mag, new_mag = sample.mag_b_ut, zero, True, True
+            raw_mag, since_mag_s, has_mag, new_mag = sample.mag_b_ut, 0.0, True, True
         else:
             n_no_field += 1
     return (
@@ -96,21 +98,19 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
 @compiled
 def level(accel_b: Vector) -> Quaternion:
     """Eq (4) as a rotation: the attitude with this up and the body's x axis over north (the paper's yaw is 0)."""
-    up = scale(accel_b, like(accel_b[0], 1.0) / norm(accel_b))
-    one, zero = like(up[0], 1.0), like(up[0], 0.0)
-    if up[1] * up[1] + up[2] * up[2] > like(zero, STEEP):
-        west = cross(up, (one, zero, zero))
+    up = scale(accel_b, 1.0 / norm(accel_b))
+    if up[1] * up[1] + up[2] * up[2] > STEEP:
+        west = cross(up, (1.0, 0.0, 0.0))
     else:  # x is vertical, its azimuth undefined: y over west, where eq (4) has roll 0
-        west = cross(cross(up, (zero, one, zero)), up)
-    west = scale(west, one / norm(west))
+        west = cross(cross(up, (0.0, 1.0, 0.0)), up)
+    west = scale(west, 1.0 / norm(west))
     return from_rows((-west[0], -west[1], -west[2]), cross(west, up), up)
 
 
 @compiled
 def uprighting(q_nb: Quaternion, accel_b: Vector) -> Quaternion:
     """The smallest turn of n that brings the measured up of an attitude to the true one: about a horizontal axis."""
-    zero = like(q_nb[0], 0.0)
-    return between(rotate(q_nb, accel_b), (zero, zero, like(zero, 1.0)))
+    return between(rotate(q_nb, accel_b), (0.0, 0.0, 1.0))
 
 
 @compiled
@@ -118,7 +118,7 @@ def tilt_of(up_n: Vector) -> tuple[float, float]:
     """The same turn as a rotation vector, whose third component is 0; ``up_n`` is the measured up, of any length."""
     flat = sqrt(up_n[0] * up_n[0] + up_n[1] * up_n[1])
     if flat == 0:
-        return like(flat, 0.0) if up_n[2] > 0 else like(flat, pi), flat
+        return 0.0 if up_n[2] > 0 else pi, flat
     share = atan2(flat, up_n[2]) / flat
     return up_n[1] * share, -up_n[0] * share
 
@@ -126,10 +126,10 @@ def tilt_of(up_n: Vector) -> tuple[float, float]:
 @compiled
 def levelled(v_n: Vector, up_n: Vector) -> Vector:
     """Eq (5): ``v_n`` after that turn (Rodrigues' formula); ``up_n`` is of length 1."""
-    one, along = like(v_n[0], 1.0), up_n[0] * v_n[0] + up_n[1] * v_n[1]
-    if up_n[2] < like(one, UPSIDE_DOWN):
+    along = up_n[0] * v_n[0] + up_n[1] * v_n[1]
+    if up_n[2] < UPSIDE_DOWN:
         return v_n[0], -v_n[1], -v_n[2]
-    share = v_n[2] + along / (one + up_n[2])
+    share = v_n[2] + along / (1.0 + up_n[2])
     return v_n[0] - up_n[0] * share, v_n[1] - up_n[1] * share, along + up_n[2] * v_n[2]
 
 
@@ -140,9 +140,9 @@ def turn_to_north(field_n: Vector, declination_rad: float) -> tuple[float, bool]
     The declination is east of true north. False where the field has no horizontal part.
     """
     east, north, up = field_n
-    flat, least = east * east + north * north, like(east, LEAST_HORIZONTAL * LEAST_HORIZONTAL)
+    flat, least = east * east + north * north, LEAST_HORIZONTAL_SQUARE
     turn = atan2(east, north) - declination_rad
-    whole, half = like(turn, 2 * pi), like(turn, pi)
+    whole, half = 2.0 * pi, pi
     if turn > half:
         turn -= whole
     elif turn <= -half:

@@ -8,7 +8,7 @@ works in the precision of its arguments. Whole columns belong to scipy's ``Rotat
 from math import cos, sin, sqrt
 
 from stillpoint.datasets.quaternion import Quaternion, Vector, conjugate, exp, log, multiply
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled
 
 __all__ = [
     "Quaternion",
@@ -61,7 +61,7 @@ def add(u: Vector, v: Vector) -> Vector:
 @compiled
 def blend(u: Vector, v: Vector, share: float) -> Vector:
     """``share * u + (1 - share) * v``."""
-    rest = like(share, 1.0) - share
+    rest = 1.0 - share
     return u[0] * share + v[0] * rest, u[1] * share + v[1] * rest, u[2] * share + v[2] * rest
 
 
@@ -74,7 +74,7 @@ def norm(v: Vector) -> float:
 @compiled
 def normalise(q: Quaternion) -> Quaternion:
     """The quaternion of length 1 in the direction of ``q``, which may have any length but 0."""
-    size = like(q[0], 1.0) / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    size = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * size, q[1] * size, q[2] * size, q[3] * size
 
 
@@ -93,9 +93,8 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 @compiled
 def about_up(angle: float) -> Quaternion:
     """The rotation by ``angle`` rad about the third axis, counter-clockwise seen from its tip."""
-    half = angle * like(angle, 0.5)
-    zero = like(angle, 0.0)
-    return cos(half), zero, zero, sin(half)
+    half = angle * 0.5
+    return cos(half), 0.0, 0.0, sin(half)
 
 
 @compiled
@@ -107,8 +106,8 @@ def between(u: Vector, v: Vector) -> Quaternion:
     size = sqrt(dot(u, u) * dot(v, v))
     w = size + dot(u, v)
     x, y, z = cross(u, v)
-    if w < size * like(w, 0.5) * like(w, PARALLEL_BELOW):
-        w = like(w, 0.0)
+    if w < size * 0.5 * PARALLEL_BELOW:
+        w = 0.0
         if abs(u[0]) < abs(u[2]):
             x, y, z = w, u[2], -u[1]
         else:
@@ -123,13 +122,12 @@ def from_rows(first: Vector, second: Vector, third: Vector) -> Quaternion:
     Divides by the largest of the four components (Shepperd 1978), so that no rotation is singular.
     """
     a, b, c = first[0], second[1], third[2]
-    one = like(a, 1.0)
     if a + b + c > 0:
-        q = one + a + b + c, third[1] - second[2], first[2] - third[0], second[0] - first[1]
+        q = 1.0 + a + b + c, third[1] - second[2], first[2] - third[0], second[0] - first[1]
     elif a >= b and a >= c:
-        q = third[1] - second[2], one + a - b - c, second[0] + first[1], first[2] + third[0]
+        q = third[1] - second[2], 1.0 + a - b - c, second[0] + first[1], first[2] + third[0]
     elif b >= c:
-        q = first[2] - third[0], second[0] + first[1], one - a + b - c, third[1] + second[2]
+        q = first[2] - third[0], second[0] + first[1], 1.0 - a + b - c, third[1] + second[2]
     else:
-        q = second[0] - first[1], first[2] + third[0], third[1] + second[2], one - a - b + c
+        q = second[0] - first[1], first[2] + third[0], third[1] + second[2], 1.0 - a - b + c
     return normalise(q)

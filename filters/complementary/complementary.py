@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside
 from stillpoint.filters.complementary.pi_observer import (
     Observer,
     begun,
@@ -79,22 +79,21 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    return unlevelled(like(c.kappa, 0.0))
+    return unlevelled(0.0)
 
 
 @compiled
 def transition(dt_s: float, c: Coefficients) -> tuple[float, float, float, float]:
     """Rows of exp(A dt) with A = [[-2 zeta w0, -1], [w0^2, 0]]: what becomes of (e, b) while the difference stands."""
     square = c.split * dt_s * dt_s
-    one, half = like(square, 1.0), like(square, 0.5)
-    if abs(square) < like(square, 1e-4):  # short intervals, and zeta = 1 where the two poles meet
+    if abs(square) < 1e-4:  # short intervals, and zeta = 1 where the two poles meet
         even = exp(-c.damping_radps * dt_s)
-        odd = even * dt_s * (one + square * (like(square, 1 / 6) + square * like(square, 1 / 120)))
-        even *= one + square * (half + square * like(square, 1 / 24))
+        odd = even * dt_s * (1.0 + square * ((1 / 6) + square * (1 / 120)))
+        even *= 1.0 + square * (0.5 + square * (1 / 24))
     elif square > 0:
         root = sqrt(c.split)
         slow, fast = exp((root - c.damping_radps) * dt_s), exp(-(root + c.damping_radps) * dt_s)
-        even, odd = (slow + fast) * half, (slow - fast) * half / root
+        even, odd = (slow + fast) * 0.5, (slow - fast) * 0.5 / root
     else:
         root, decay = sqrt(-c.split), exp(-c.damping_radps * dt_s)
         even, odd = decay * cos(root * dt_s), decay * sin(root * dt_s) / root
@@ -116,9 +115,9 @@ def correct(e: float, b: float, dt_s: float, rows: tuple[float, float, float, fl
 def pulled(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
     """The predicted state turned towards the attitude of the fields."""
     fields, q_nb, is_headed, n_no_north = state.fields, state.q_nb, state.is_headed, 0
-    up_n = rotate(q_nb, scale(fields.accel_b_mps2, like(dt_s, 1.0) / norm(fields.accel_b_mps2)))
+    up_n = rotate(q_nb, scale(fields.accel_b_mps2, 1.0 / norm(fields.accel_b_mps2)))
     tilt_x, tilt_y = tilt_of(up_n)
-    turn = like(dt_s, 0.0)
+    turn = 0.0
     b_east, b_north, b_up = rotate(q_nb, state.b_radps)
     rows = transition(dt_s, c)
     tilt_x, b_east = correct(tilt_x, b_east, dt_s, rows)
@@ -129,7 +128,7 @@ def pulled(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
         if not found:
             n_no_north = 1
         elif is_headed:
-            hold_s = min(fresh.mag_hold_s, max(dt_s, like(dt_s, LONGEST_HOLD_S)))
+            hold_s = min(fresh.mag_hold_s, max(dt_s, LONGEST_HOLD_S))
             turn, b_up = correct(error, b_up, hold_s, rows if hold_s == dt_s else transition(hold_s, c))
         else:  # the first heading is taken, not approached
             turn, is_headed = error, True

@@ -42,7 +42,7 @@ from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.complementary.pi_observer import (
     Observer,
     begun,
@@ -101,7 +101,7 @@ def settling_s(kp_per_s: float) -> float:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    return unlevelled(like(c.kp_per_s, 0.0))
+    return unlevelled(0.0)
 
 
 @compiled_inside
@@ -109,8 +109,8 @@ def error_of(
     q_nb: Quaternion, fields: Fields, fresh: Fresh, accel_s: float, is_headed: bool, declination_rad: float
 ) -> Error:
     """The rotation from an attitude to that of the fields; ``accel_s`` since the accelerometer sample before."""
-    zero, longest_s = like(accel_s, 0.0), like(accel_s, LONGEST_HOLD_S)
-    tilt_x = tilt_y = tilt_s = turn = turn_s = zero
+    longest_s = LONGEST_HOLD_S
+    tilt_x = tilt_y = tilt_s = turn = turn_s = 0.0
     is_first, n_no_north = False, 0
     if fresh.accel:
         tilt_x, tilt_y = tilt_of(rotate(q_nb, fields.accel_b_mps2))
@@ -127,8 +127,7 @@ def error_of(
 @compiled_inside
 def shares(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float]:
     """Of an error that stands for ``dt_s``: what to turn the estimate by, and what to add to the bias, 1/s."""
-    one = like(dt_s, 1.0)
-    return min(kp_per_s * dt_s, one), min(ki_per_s2 * dt_s, one / max(dt_s, like(dt_s, 1e-9)))
+    return min(kp_per_s * dt_s, 1.0), min(ki_per_s2 * dt_s, 1.0 / max(dt_s, 1e-9))
 
 
 @compiled_inside
@@ -138,7 +137,7 @@ def pulled(state: State, error: Error, c: Coefficients) -> State:
     tilted, tilt_bias = shares(c.kp_per_s, c.ki_per_s2, error.tilt_s)
     turned, turn_bias = shares(c.kp_per_s, c.ki_per_s2, error.turn_s)
     if error.is_first:
-        turned, turn_bias, is_headed = like(error.turn, 1.0), like(error.turn, 0.0), True
+        turned, turn_bias, is_headed = 1.0, 0.0, True
     gained_n = error.tilt_x * tilt_bias, error.tilt_y * tilt_bias, error.turn * turn_bias
     turn_n = error.tilt_x * tilted, error.tilt_y * tilted, error.turn * turned
     b_radps = add(state.b_radps, rotate(conjugate(q_nb), gained_n))
@@ -149,7 +148,7 @@ def pulled(state: State, error: Error, c: Coefficients) -> State:
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
     accel_s = state.fields.since_accel_s + sample.dt_s
-    fields, fresh = low_pass(state.fields, sample, like(sample.dt_s, 1.0))
+    fields, fresh = low_pass(state.fields, sample, 1.0)
     state = moved_on(state, fields, sample, c.settling_s)
     if not state.is_level:
         state = begun(state, fresh, c.declination_rad)

@@ -7,7 +7,7 @@ Each row of H and S comes times T, as the filter adds it in one step; forgetting
 from math import exp
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled_inside, like
+from stillpoint.filters.compiled import compiled_inside
 from stillpoint.filters.complementary.fixed_gain import shares
 
 # 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
@@ -53,8 +53,7 @@ class Part(NamedTuple):
 @compiled_inside
 def unfitted(kp_per_s: float, ki_per_s2: float) -> Part:
     """Before the first sample, with these gains."""
-    zero = like(kp_per_s, 0.0)
-    return Part(Fit(zero, zero, zero, zero, zero, 0, kp_per_s, ki_per_s2, 0, 0), zero, zero, zero, ki_per_s2)
+    return Part(Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0, kp_per_s, ki_per_s2, 0, 0), 0.0, 0.0, 0.0, ki_per_s2)
 
 
 @compiled_inside
@@ -67,12 +66,12 @@ def fitted(fit: Fit, error: float, integral: float, added: float, dt_s: float, c
     samples += 1
     if samples >= c.fixed_samples:
         determinant = ee * ii - ei * ei
-        if determinant > like(ee, LEAST_INDEPENDENT) * ee * ii:
+        if determinant > LEAST_INDEPENDENT * ee * ii:
             kp, ki = (ii * es - ei * si) / determinant, (ee * si - ei * es) / determinant
             if not c.as_printed:
                 best_kp, best_ki = kp, ki
                 kp = min(max(kp, c.kp_low_per_s), c.kp_high_per_s)
-                ki = min(max(ki, c.ki_low_per_s2), kp * kp * like(kp, 0.25))
+                ki = min(max(ki, c.ki_low_per_s2), kp * kp * 0.25)
                 clipped += 1 if kp != best_kp or ki != best_ki else 0
         else:
             undetermined += 1
@@ -97,5 +96,4 @@ def after_sample(part: Part, error: float, integral: float, dt_s: float, follows
 @compiled_inside
 def interrupted(part: Part) -> Part:
     """After a gap: the fit goes on, but its next row has no correction before it."""
-    zero = like(part.error_rad_s, 0.0)
-    return Part(part.fit, zero, part.integral_rad_s, zero, part.ki_per_s2)
+    return Part(part.fit, 0.0, part.integral_rad_s, 0.0, part.ki_per_s2)

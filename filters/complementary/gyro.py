@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from stillpoint.datasets.settings import Settings, choice
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.euler_axes import GIMBAL, frame_of, tilting, turned_about_up
 from stillpoint.filters.fields import Fields, low_pass, no_fields, turn_to_north, uprighting
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, blend, multiply, normalise, rotate, scale
@@ -58,8 +58,8 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, half = like(c.newest, 0.0), like(c.newest, 0.5**0.5)
-    return State(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), False, False, 0, 0)
+    half = 0.5**0.5
+    return State(no_fields(0.0), (half, 0.0, 0.0, half), (0.0, 0.0, 0.0), False, False, 0, 0)
 
 
 @compiled_inside
@@ -72,7 +72,7 @@ def turned(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quaternion:
 def turned_by_euler(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
     """Eq (1) of paper 004, each angle by its rate at the beginning; one rotation and True where it is singular."""
     up, across, cos_pitch = frame_of(q_nb)
-    if cos_pitch < like(cos_pitch, GIMBAL):
+    if cos_pitch < GIMBAL:
         return turned(q_nb, rate_b_radps, dt_s), True
     heading = (up[1] * rate_b_radps[1] + up[2] * rate_b_radps[2]) / (cos_pitch * cos_pitch)
     pitch = across[1] * rate_b_radps[1] + across[2] * rate_b_radps[2]
@@ -92,10 +92,10 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         else:
             q_nb = turned(q_nb, rate, sample.dt_s)
         q_nb = normalise(q_nb)
-    if sample.dt_s > like(sample.dt_s, GAP_S):
+    if sample.dt_s > GAP_S:
         n_gaps += 1
     if not (is_level and is_headed):
-        fields, fresh = low_pass(fields, sample, like(c.newest, 1.0))
+        fields, fresh = low_pass(fields, sample, 1.0)
         if fresh.accel and not is_level:
             q_nb, is_level = multiply(uprighting(q_nb, fields.accel_b_mps2), q_nb), True
         if fresh.mag and is_level:

@@ -55,7 +55,7 @@ from typing import NamedTuple
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.complementary.fixed_gain import Error, error_of, settling_s
 from stillpoint.filters.complementary.gain_fit import Part, Regression, after_sample, interrupted, unfitted
 from stillpoint.filters.complementary.pi_observer import (
@@ -147,20 +147,19 @@ def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coeff
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, part = like(c.kp_per_s, 0.0), unfitted(c.kp_per_s, c.ki_per_s2)
-    return State(unlevelled(zero), (zero, zero, zero), Parts(part, part, part), 0, 0)
+    part = unfitted(c.kp_per_s, c.ki_per_s2)
+    return State(unlevelled(0.0), (0.0, 0.0, 0.0), Parts(part, part, part), 0, 0)
 
 
 @compiled_inside
 def forward_of(q_nb: Quaternion) -> tuple[float, float]:
     """The horizontal direction (east, north) of the body's x axis; east where that is vertical."""
     w, x, y, z = q_nb
-    one = like(w, 1.0)
-    half_east, half_north = one * like(w, 0.5) - y * y - z * z, x * y + w * z
+    half_east, half_north = 1.0 * 0.5 - y * y - z * z, x * y + w * z
     flat = half_east * half_east + half_north * half_north
-    if flat < like(flat, LEAST_FORWARD):
-        return one, like(w, 0.0)
-    size = one / sqrt(flat)
+    if flat < LEAST_FORWARD:
+        return 1.0, 0.0
+    size = 1.0 / sqrt(flat)
     return half_east * size, half_north * size
 
 
@@ -183,10 +182,10 @@ def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: 
     ``follow_...``: the sample of that sensor before is recent enough for a row of (21).
     """
     q_nb, is_headed, (roll, pitch, heading) = state.observer.q_nb, state.observer.is_headed, state.parts
-    zero, forward = like(error.turn, 0.0), forward_of(q_nb)
+    forward = forward_of(q_nb)
     e_roll, e_pitch, e_turn = to_parts((error.tilt_x, error.tilt_y, error.turn), forward)
     i_roll, i_pitch, i_turn = to_parts(rotate(q_nb, state.integral_b_rad_s), forward)
-    roll_turn = pitch_turn = turn = zero
+    roll_turn = pitch_turn = turn = 0.0
     if error.tilt_s > 0:
         roll = after_sample(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
         pitch = after_sample(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
@@ -194,7 +193,7 @@ def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: 
         i_pitch, pitch_turn = pitch.integral_rad_s, pitch.turned_rad
     if error.is_first:
         turn, is_headed = e_turn, True
-        heading = Part(heading.fit, zero, i_turn, zero, heading.ki_per_s2)
+        heading = Part(heading.fit, 0.0, i_turn, 0.0, heading.ki_per_s2)
     elif error.turn_s > 0:
         heading = after_sample(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
         i_turn, turn = heading.integral_rad_s, heading.turned_rad
@@ -214,8 +213,8 @@ def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: 
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
     observer, integral, parts, n_clipped, n_undetermined = state
-    accel_s, gap_s = observer.fields.since_accel_s + sample.dt_s, like(sample.dt_s, GAP_S)
-    fields, fresh = low_pass(observer.fields, sample, like(sample.dt_s, 1.0))
+    accel_s, gap_s = observer.fields.since_accel_s + sample.dt_s, GAP_S
+    fields, fresh = low_pass(observer.fields, sample, 1.0)
     observer = moved_on(observer, fields, sample, c.settling_s)
     if not observer.is_level:
         observer = begun(observer, fresh, c.declination_rad)

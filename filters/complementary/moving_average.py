@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside
 from stillpoint.filters.complementary import tilt
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
@@ -69,10 +69,9 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over east."""
-    one, zero = like(c.tilt.kappa, 1.0), like(c.tilt.kappa, 0.0)
-    none = (zero, zero, zero)
-    window = Window(np.full((c.room, 6), zero), np.full(c.room, 0), 0, 0, none, none, False, 0)
-    return State(tilt.start(c.tilt), window, 0, (one, zero, zero, zero), 0)
+    none = (0.0, 0.0, 0.0)
+    window = Window(np.full((c.room, 6), 0.0), np.full(c.room, 0), 0, 0, none, none, False, 0)
+    return State(tilt.start(c.tilt), window, 0, (1.0, 0.0, 0.0, 0.0), 0)
 
 
 @compiled
@@ -84,16 +83,15 @@ def row_at(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
 @compiled
 def slide(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
     """The window with one attitude more at its end, and without those that are now too old."""
-    one, zero = like(q_nb[0], 1.0), like(q_nb[0], 0.0)
     ring, stamps_ns, oldest, held, up_sum, east_sum, is_full, n_cut = window
     while held > 0 and (t_ns - stamps_ns[oldest] >= c.window_ns or held == c.room):
         if t_ns - stamps_ns[oldest] < c.window_ns:
             n_cut += 1
         up, east = row_at(ring, oldest)
-        up_sum, east_sum = add(up_sum, scale(up, -one)), add(east_sum, scale(east, -one))
+        up_sum, east_sum = add(up_sum, scale(up, -1.0)), add(east_sum, scale(east, -1.0))
         oldest, held, is_full = (oldest + 1) % c.room, held - 1, True
     row, q_bn = (oldest + held) % c.room, conjugate(q_nb)
-    up, east = rotate(q_bn, (zero, zero, one)), rotate(q_bn, (one, zero, zero))
+    up, east = rotate(q_bn, (0.0, 0.0, 1.0)), rotate(q_bn, (1.0, 0.0, 0.0))
     ring[row, 0], ring[row, 1], ring[row, 2] = up
     ring[row, 3], ring[row, 4], ring[row, 5] = east
     stamps_ns[row] = t_ns
@@ -103,17 +101,16 @@ def slide(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Windo
 @compiled
 def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     """The attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
-    one = like(q_nb[0], 1.0)
-    least = one * window.held * like(one, LEAST_SUM)
+    least = 1.0 * window.held * LEAST_SUM
     height = norm(window.up_sum_b)
     if height < least:
         return q_nb, False
-    up = scale(window.up_sum_b, one / height)
+    up = scale(window.up_sum_b, 1.0 / height)
     north = cross(up, window.east_sum_b)
     length = norm(north)
     if length < least:
         return q_nb, False
-    north = scale(north, one / length)
+    north = scale(north, 1.0 / length)
     return from_rows(cross(north, up), north, up), True
 
 

@@ -8,7 +8,7 @@ is, and b is kept.
 from typing import NamedTuple
 
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_inside, like
+from stillpoint.filters.compiled import compiled_inside
 from stillpoint.filters.fields import Fields, Fresh, no_fields, turn_to_north, uprighting
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, add, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Output, Sample
@@ -30,7 +30,7 @@ class Observer(NamedTuple):
 @compiled_inside
 def unlevelled(zero: float) -> Observer:
     """Before the first sample: level, x over north."""
-    half = like(zero, 0.5**0.5)
+    half = 0.5**0.5
     return Observer(no_fields(zero), (half, zero, zero, half), (zero, zero, zero), zero, False, False, 0, 0)
 
 
@@ -39,9 +39,9 @@ def moved_on(before: Observer, fields: Fields, sample: Sample, settling_s: float
     """The prediction: turned by rate and b over the interval, not yet brought to length 1; after a gap not level."""
     _, q_nb, b_radps, age_s, is_level, is_headed, n_gaps, n_no_north = before
     dt_s = sample.dt_s
-    if is_level and dt_s > like(dt_s, GAP_S):
+    if is_level and dt_s > GAP_S:
         is_level, is_headed, n_gaps = False, False, n_gaps + 1
-    age_s = min(age_s + dt_s, settling_s) if is_level else like(dt_s, 0.0)
+    age_s = min(age_s + dt_s, settling_s) if is_level else 0.0
     if is_level:
         q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, b_radps), dt_s)))
     return Observer(fields, q_nb, b_radps, age_s, is_level, is_headed, n_gaps, n_no_north)
@@ -75,6 +75,5 @@ def uncorrected(observer: Observer) -> Observer:
 @compiled_inside
 def said(observer: Observer, settling_s: float) -> Output:
     """The estimate: attitude and gyro bias, ready once the first error is forgotten."""
-    one = like(settling_s, 1.0)
     is_ready = observer.is_level and observer.age_s >= settling_s
-    return Output(observer.q_nb, scale(observer.b_radps, -one), None, None, is_ready)
+    return Output(observer.q_nb, scale(observer.b_radps, -1.0), None, None, is_ready)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.fields import Fields, level, low_pass, no_fields, turn_to_north
 from stillpoint.filters.rotation import Quaternion, about_up, multiply, rotate
 from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
@@ -44,8 +44,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over east."""
-    one, zero = like(c.kappa, 1.0), like(c.kappa, 0.0)
-    return State(no_fields(zero), (one, zero, zero, zero), 0)
+    return State(no_fields(0.0), (1.0, 0.0, 0.0, 0.0), 0)
 
 
 @compiled_inside

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.front.guard import Fix, Raw
 from stillpoint.filters.sample import Log, Sample, put
@@ -45,7 +45,7 @@ class RawLog(NamedTuple):
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    return State(guard.start(c.guard), heading_source.start(like(c.guard.gyro_radps, 0.0)))
+    return State(guard.start(c.guard), heading_source.start(0.0))
 
 
 @compiled_inside

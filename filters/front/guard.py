@@ -138,7 +138,7 @@ def on_time() -> Late:
 @compiled_inside
 def start(c: Coefficients) -> Guard:
     """Before the first sample."""
-    none = like(c.gyro_radps, nan)  # the same as no vector
+    none = nan  # the same as no vector
     last = (none, none, none)
     gyro = Gyro(last, NEVER_NS, 0, 0, 0)
     return Guard(NEVER_NS, on_time(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
@@ -156,7 +156,7 @@ def read(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
 @compiled_inside
 def clipped(rate: float, limit: float) -> float:
     """What a component at the end of its range may hide: as much again."""
-    return limit if abs(rate) >= limit else like(limit, 0.0)
+    return limit if abs(rate) >= limit else 0.0
 
 
 @compiled_inside
@@ -186,8 +186,8 @@ def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro
         x, y, z = reading.vector
         hidden = clipped(x, limit), clipped(y, limit), clipped(z, limit)
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
-    zero, unseen = like(limit, 0.0), like(limit, UNSEEN_RADPS)
-    rate, hidden = (zero, zero, zero), (unseen, unseen, unseen)
+    unseen = UNSEEN_RADPS
+    rate, hidden = (0.0, 0.0, 0.0), (unseen, unseen, unseen)
     if last_ns != NEVER_NS and elapsed_ns(t_ns, last_ns) <= HOLD_NS:
         rate = last
     elif last_ns != NEVER_NS:  # it may still turn as it did
@@ -211,18 +211,17 @@ def counted(reading: Reading) -> tuple[int, int, int]:
 def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     """The sample that an estimator gets; False: none, as time has not risen."""
     t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps = guard
-    zero = like(c.gyro_radps, 0.0)
-    none = (zero, zero, zero)
+    none = (0.0, 0.0, 0.0)
     if raw.t_ns <= t_ns:
         late, is_clock = later(late, raw.t_ns)
         if not is_clock:
             guard = Guard(t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order + 1, n_clock_steps)
-            return guard, Sample(zero, none, none, none, False, False, none), False
+            return guard, Sample(0.0, none, none, none, False, False, none), False
         # What was left out took that long; a rate from before it is no longer held.
         t_ns, n_clock_steps = late.first_ns, n_clock_steps + 1
         gyro = Gyro(gyro.last_b_radps, NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
-    dt_s = like(zero, elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else zero
-    n_gaps += 1 if dt_s > like(zero, GAP_S) else 0
+    dt_s = like(0.0, elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else 0.0
+    n_gaps += 1 if dt_s > GAP_S else 0
     reading = read(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
     gyro, rate, hidden = rate_of(gyro, reading, raw.t_ns, c.gyro_radps)
     force = read(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)

@@ -28,7 +28,7 @@ from typing import Literal, NamedTuple
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
 from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.fields import FREE_FALL_MPS2, tilt_of
+from stillpoint.filters.fields import FREE_FALL_M2PS4, tilt_of
 from stillpoint.filters.front.guard import Fix
 from stillpoint.filters.front.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, dot, multiply, normalise, rotate, scale
@@ -124,7 +124,7 @@ def coefficients(params: Params, declination_rad: float | None) -> Coefficients:
 @compiled_inside
 def start(zero: float) -> State:
     """Before the first sample."""
-    attitude = Attitude((like(zero, 1.0), zero, zero, zero), (zero, zero, zero), False, zero)
+    attitude = Attitude((1.0, zero, zero, zero), (zero, zero, zero), False, zero)
     return State(attitude, Courses(zero, 0, 0, 0), uncalibrated(zero), zero, 0, 0)
 
 
@@ -134,9 +134,9 @@ def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
 
     A critically damped PI filter of this time constant, and at first, up to this age, the mean of what there is.
     """
-    one, longest_s = like(error_s, 1.0), max(time_s, error_s)
-    turn = error_s / max(min(age_s, longest_s), error_s) if error_s > 0 else one
-    bias = error_s / (like(error_s, 4.0) * longest_s * longest_s) if error_s > 0 else like(error_s, 0.0)
+    longest_s = max(time_s, error_s)
+    turn = error_s / max(min(age_s, longest_s), error_s) if error_s > 0 else 1.0
+    bias = error_s / (4.0 * longest_s * longest_s) if error_s > 0 else 0.0
     return turn, bias
 
 
@@ -152,34 +152,33 @@ def turned(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> A
 def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
     """Turn with the rate less its bias, then towards the accelerometer's up."""
     q_nb, bias, is_level, age_s = attitude
-    dt_s, zero, one = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, 1.0)
-    if dt_s > like(dt_s, GAP_S):
+    dt_s = sample.dt_s
+    if dt_s > GAP_S:
         is_level = False
     if is_level:
-        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, scale(bias, -one)), dt_s)))
+        q_nb = multiply(q_nb, rotation.exp(scale(add(sample.gyro_b_radps, scale(bias, -1.0)), dt_s)))
         age_s = min(age_s + dt_s, c.tilt_time_s)
-    if not sample.has_accel or dot(sample.accel_b_mps2, sample.accel_b_mps2) < like(dt_s, FREE_FALL_MPS2**2):
+    if not sample.has_accel or dot(sample.accel_b_mps2, sample.accel_b_mps2) < FREE_FALL_M2PS4:
         return Attitude(normalise(q_nb), bias, is_level, age_s)
     tilt_x, tilt_y = tilt_of(rotate(q_nb, sample.accel_b_mps2))
-    share = shares(dt_s, age_s, c.tilt_time_s) if is_level else (one, zero)
-    return turned(Attitude(q_nb, bias, True, age_s if is_level else zero), (tilt_x, tilt_y, zero), share)
+    share = shares(dt_s, age_s, c.tilt_time_s) if is_level else (1.0, 0.0)
+    return turned(Attitude(q_nb, bias, True, age_s if is_level else 0.0), (tilt_x, tilt_y, 0.0), share)
 
 
 @compiled_inside
 def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
     """Turn towards the course of one fix; False where it does not count."""
     since_s, in_row, n_used, n_left_out = courses
-    zero, one = like(since_s, 0.0), like(since_s, 1.0)
-    east, north, _ = rotate(attitude.q_nb, (one, zero, zero))
-    is_steep = east * east + north * north < like(since_s, STEEP)
+    east, north, _ = rotate(attitude.q_nb, (1.0, 0.0, 0.0))
+    is_steep = east * east + north * north < STEEP
     course_rad, speed_mps = like(since_s, fix.course_rad), like(since_s, fix.speed_mps)
-    counts = attitude.is_level and not is_steep and abs(course_rad) < like(since_s, 1e3)
+    counts = attitude.is_level and not is_steep and abs(course_rad) < 1e3
     if not (counts and speed_mps >= c.least_speed_mps):
         return attitude, Courses(since_s, in_row, n_used, n_left_out + 1), False
     behind = course_rad + c.mounting_yaw_rad - atan2(east, north)
-    error_n = (zero, zero, -atan2(sin(behind), cos(behind)))
-    share = shares(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (one, zero)
-    return turned(attitude, error_n, share), Courses(zero, in_row + 1, n_used + 1, n_left_out), True
+    error_n = (0.0, 0.0, -atan2(sin(behind), cos(behind)))
+    share = shares(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (1.0, 0.0)
+    return turned(attitude, error_n, share), Courses(0.0, in_row + 1, n_used + 1, n_left_out), True
 
 
 @compiled_inside
@@ -193,7 +192,7 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients 
     dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
     attitude, (since_s, in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
     since_s += dt_s
-    if since_s > c.longest_age_s or dt_s > like(dt_s, GAP_S):
+    if since_s > c.longest_age_s or dt_s > GAP_S:
         in_row = 0
     courses, is_new = Courses(since_s, in_row, n_used, n_left_out), False
     if has_fix:
@@ -214,8 +213,8 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients 
         mag = corrected(calibration, attitude.q_nb, mag, c.prior)
         n_corrected += 1
     if is_field:
-        since_mag_s = like(dt_s, 0.0)
+        since_mag_s = 0.0
     if c.removes_bias:
-        gyro = add(gyro, scale(attitude.bias_b_radps, like(dt_s, -1.0)))
+        gyro = add(gyro, scale(attitude.bias_b_radps, -1.0))
     state = State(attitude, courses, calibration, since_mag_s, n_by_course, n_corrected)
     return state, Sample(dt_s, gyro, accel, mag, has_accel, has_mag, hidden)

@@ -16,19 +16,22 @@ import numpy as np
 
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled_inside, like
+from stillpoint.filters.compiled import compiled_inside
 from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, dot, rotate
 
 # Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
 INDEPENDENT_S = 1.0
 # How far F may be from the first field besides the hard iron, uT.
 FIRST_FIELD_SD_UT = 5.0
+FIRST_FIELD_UT2 = FIRST_FIELD_SD_UT**2
 # F and h wander that much, uT/sqrt(s): old fields are forgotten over hours, and the covariance stays positive.
 WALK_UT_RTS = 0.01
+WALK_UT2PS = WALK_UT_RTS**2
 # The horizontal field where there is no magnetometer, uT; only its direction matters.
 NOMINAL_UT = 20.0
 # A component of a field further off its expectation than so many sd counts less.
 GATE_SD = 5.0
+PER_GATE = 1 / GATE_SD**2
 
 
 class Prior(NamedTuple):
@@ -61,7 +64,7 @@ def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior)
 
     A field above the Earth's largest with three sd of hard iron on it does not begin it.
     """
-    largest = like(prior.hard_iron_sd_ut, FIELD_RANGE_UT[1]) + prior.hard_iron_sd_ut * like(prior.hard_iron_sd_ut, 3.0)
+    largest = FIELD_RANGE_UT[1] + prior.hard_iron_sd_ut * 3.0
     if calibration.is_begun or dot(mag, mag) > largest * largest:
         return calibration
     x, cov = calibration.x_ut, calibration.cov_ut2
@@ -70,7 +73,7 @@ def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior)
     e, n = sin(prior.declination_rad), cos(prior.declination_rad)
     x[0], x[1], x[2] = flat * e, flat * n, up
     iron = prior.hard_iron_sd_ut * prior.hard_iron_sd_ut
-    along = iron + like(flat, FIRST_FIELD_SD_UT**2)
+    along = iron + FIRST_FIELD_UT2
     across = flat * flat * prior.declination_sd_rad * prior.declination_sd_rad
     cov[0, 0], cov[1, 1] = along * e * e + across * n * n, along * n * n + across * e * e
     cov[0, 1] = cov[1, 0] = (along - across) * e * n
@@ -86,20 +89,19 @@ def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: floa
     x, cov, is_begun, n_learnt = calibration
     if not is_begun:
         return calibration
-    zero, one = like(since_s, 0.0), like(since_s, 1.0)
-    q_bn, independent_s = conjugate(q_nb), like(since_s, INDEPENDENT_S)
-    east, north, up = rotate(q_bn, (one, zero, zero)), rotate(q_bn, (zero, one, zero)), rotate(q_bn, (zero, zero, one))
-    stands_s = min(max(since_s, like(since_s, 1e-3)), independent_s)
+    q_bn, independent_s = conjugate(q_nb), INDEPENDENT_S
+    east, north, up = rotate(q_bn, (1.0, 0.0, 0.0)), rotate(q_bn, (0.0, 1.0, 0.0)), rotate(q_bn, (0.0, 0.0, 1.0))
+    stands_s = min(max(since_s, 1e-3), independent_s)
     variance = prior.field_sd_ut * prior.field_sd_ut * independent_s / stands_s
-    moved = np.full(6, zero)
+    moved = np.full(6, 0.0)
     for i in range(6):
-        cov[i, i] += like(since_s, WALK_UT_RTS**2) * stands_s
+        cov[i, i] += WALK_UT2PS * stands_s
     for axis in range(3):
         for i in range(6):
             moved[i] = cov[i, 0] * east[axis] + cov[i, 1] * north[axis] + cov[i, 2] * up[axis] + cov[i, 3 + axis]
         spread = moved[0] * east[axis] + moved[1] * north[axis] + moved[2] * up[axis] + moved[3 + axis] + variance
         left = mag[axis] - (x[0] * east[axis] + x[1] * north[axis] + x[2] * up[axis] + x[3 + axis])
-        spread = max(spread, left * left * like(since_s, 1 / GATE_SD**2))
+        spread = max(spread, left * left * PER_GATE)
         for i in range(6):
             x[i] += moved[i] * left / spread
             for j in range(6):
@@ -110,10 +112,10 @@ def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: floa
 @compiled_inside
 def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector:
     """The field in b that F makes at this attitude, with its azimuth at the declination."""
-    x, zero = calibration.x_ut, like(prior.declination_rad, 0.0)
+    x = calibration.x_ut
     flat, up = sqrt(x[0] * x[0] + x[1] * x[1]), x[2]
     if not calibration.is_begun:
-        flat, up = like(zero, NOMINAL_UT), zero
+        flat, up = NOMINAL_UT, 0.0
     return rotate(conjugate(q_nb), (flat * sin(prior.declination_rad), flat * cos(prior.declination_rad), up))
 
 

@@ -106,29 +106,27 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    zero = like(c.largest_alpha, 0.0)
-    velocity, heading = np.full(c.innovations, zero), np.full(c.innovations, zero)
+    velocity, heading = np.full(c.innovations, 0.0), np.full(c.innovations, 0.0)
     return State(error_state.start(c.ekf), Memory(velocity, 0), Memory(heading, 0))
 
 
 @compiled_apart
 def adapted(memory: Memory, nis: float, explained: float, noise: float, c: Coefficients) -> tuple[Memory, Trust]:
     """alpha by (17) and lambda by (23) with this innovation; ``explained`` and ``noise`` are tr(H P H') and tr(R)."""
-    one = like(nis, 1.0)
     memory.nis[memory.seen % c.innovations] = nis
     seen = memory.seen + 1 if memory.seen < 2 * c.innovations - 1 else c.innovations  # stays right modulo M
-    total = like(nis, 0.0)
+    total = 0.0
     for each in memory.nis:
         total += each
     full = seen >= c.innovations
-    raw = max(one, total / like(nis, c.innovations)) if full else one
+    raw = max(1.0, total / like(nis, c.innovations)) if full else 1.0
     alpha = min(raw, c.largest_alpha)
     at_limit = raw >= c.largest_alpha and full
     memory = Memory(memory.nis, seen)
     if not c.fades:
-        return memory, Trust(alpha, one, at_limit)
-    fade = alpha + (alpha - one) * noise / explained
-    return memory, Trust(one, min(fade, c.largest_lambda), at_limit)
+        return memory, Trust(alpha, 1.0, at_limit)
+    fade = alpha + (alpha - 1.0) * noise / explained
+    return memory, Trust(1.0, min(fade, c.largest_lambda), at_limit)
 
 
 @compiled_inside
@@ -137,9 +135,8 @@ def trust_velocity(
 ) -> tuple[Memory, Trust]:
     """By both innovations of the velocity."""
     east, north = innovations
-    half, two = like(east, 0.5), like(east, 2.0)
     explained = p[VELOCITY, VELOCITY] + p[VELOCITY + 1, VELOCITY + 1]
-    memory, trust = adapted(memory, (east * east + north * north) * half, explained, two * variance, c)
+    memory, trust = adapted(memory, (east * east + north * north) * 0.5, explained, 2.0 * variance, c)
     if trust.fade > 1:
         for i in range(HEADING):
             widen(p, i, trust.fade)
@@ -153,7 +150,7 @@ def trust_heading(
 ) -> tuple[Memory, Trust]:
     """By the innovation of the heading; as it was where there is none."""
     if not m.is_there:
-        return memory, Trust(like(nu, 1.0), like(nu, 1.0), False)
+        return memory, Trust(1.0, 1.0, False)
     explained = innovation(x, p, m)[1] - m.variance
     memory, trust = adapted(memory, nu * nu, explained, m.variance, c)
     if trust.fade > 1:

@@ -8,7 +8,7 @@
 from math import sqrt
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled_inside, like
+from stillpoint.filters.compiled import compiled_inside
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 
 
@@ -35,9 +35,9 @@ def correct(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float
     P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
     """
     p_angle, p_cross, p_bias = axis
-    per_s = like(r, 1.0) / (p_angle + r)  # one division: they are slow
+    per_s = 1.0 / (p_angle + r)  # one division: they are slow
     left, to_angle, to_bias = r * per_s, p_angle * per_s, p_cross * per_s
-    determinant = max(p_angle * p_bias - p_cross * p_cross, like(r, 0.0))
+    determinant = max(p_angle * p_bias - p_cross * p_cross, 0.0)
     new = Axis(p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
     return new, to_angle * innovation, to_bias * innovation, innovation * sqrt(per_s)
 
@@ -46,10 +46,10 @@ def correct(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float
 def widened(axis: Axis, turn: float) -> Axis:
     """P after a turn that the gyro did not tell (sd), which goes on as it began: standard deviations add."""
     root = sqrt(axis.p_angle) + turn
-    return Axis(max(axis.p_angle, min(root * root, like(turn, ANY_ANGLE_RAD2))), axis.p_cross, axis.p_bias)
+    return Axis(max(axis.p_angle, min(root * root, ANY_ANGLE_RAD2)), axis.p_cross, axis.p_bias)
 
 
 @compiled_inside
 def renewed(p_angle: float, p_bias: float) -> Axis:
     """A P whose angle and bias have nothing to do with each other."""
-    return Axis(p_angle, like(p_angle, 0.0), p_bias)
+    return Axis(p_angle, 0.0, p_bias)

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.compiled import compiled, compiled_apart
 from stillpoint.filters.rotation import Quaternion, Vector, dot
 
 Matrix: TypeAlias = NDArray[Any]  # float64 or float32
@@ -22,7 +22,7 @@ Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, 
 # The variance of an angle of which nothing is known: even over a whole turn.
 ANY_ANGLE_RAD2 = pi * pi / 3
 # So many units of rounding are added to each variance at a prediction: more than products of this size lose.
-ROUNDINGS = 16
+ROUNDINGS = 16.0
 
 
 @compiled
@@ -30,7 +30,7 @@ def identity(p: Matrix) -> Matrix:
     """Of the size and precision of P."""
     a = np.zeros_like(p)
     for i in range(len(p)):
-        a[i, i] = like(p[0, 0], 1.0)
+        a[i, i] = 1.0
     return a
 
 
@@ -41,13 +41,13 @@ def congruence(a: Matrix, p: Matrix) -> None:
     ap = np.empty_like(p)
     for i in range(n):
         for j in range(n):
-            total = like(p[0, 0], 0.0)
+            total = 0.0
             for k in range(n):
                 total += a[i, k] * p[k, j]
             ap[i, j] = total
     for i in range(n):
         for j in range(i, n):
-            total = like(p[0, 0], 0.0)
+            total = 0.0
             for k in range(n):
                 total += ap[i, k] * a[j, k]
             p[i, j] = total
@@ -57,9 +57,7 @@ def congruence(a: Matrix, p: Matrix) -> None:
 @compiled
 def round_up(p: Matrix) -> None:
     """Make each variance larger by a few units of its rounding: 4e-15 of it in double precision, 2e-6 in single."""
-    one = like(p[0, 0], 1.0)
-    is_single = one + like(one, 1e-9) == one
-    larger = one + like(one, ROUNDINGS) * (like(one, 1.2e-7) if is_single else like(one, 2.3e-16))
+    larger = 1.0 + ROUNDINGS * (1.2e-7 if p.itemsize == 4 else 2.3e-16)
     for i in range(len(p)):
         p[i, i] *= larger
 
@@ -69,7 +67,7 @@ def times(p: Matrix, h: Matrix) -> Matrix:
     """P h' of a row h."""
     ph = np.empty_like(h)
     for i in range(len(h)):
-        total = like(h[0], 0.0)
+        total = 0.0
         for k in range(len(h)):
             total += p[i, k] * h[k]
         ph[i] = total
@@ -96,15 +94,15 @@ def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
 def forget(p: Matrix, i: int, variance: float) -> None:
     """Error i becomes unknown: of this variance, and independent of all others."""
     for j in range(len(p)):
-        p[i, j] = like(p[0, 0], 0.0)
-        p[j, i] = like(p[0, 0], 0.0)
+        p[i, j] = 0.0
+        p[j, i] = 0.0
     p[i, i] = variance
 
 
 @compiled_apart
 def grown(variance: float, sd: float) -> float:
     """After an error of this sd that goes the way of the one before: standard deviations add, not variances."""
-    root = sqrt(max(variance, like(variance, 0.0))) + sd
+    root = sqrt(max(variance, 0.0)) + sd
     return root * root
 
 
@@ -169,9 +167,8 @@ def in_body_axes(p: Matrix, spread_s: Axes, variance: float, q_nb: Quaternion) -
 def axes_in_n(q_nb: Quaternion) -> Axes:
     """The body's three axes in n: columns of the rotation matrix."""
     w, x, y, z = q_nb
-    one, two = like(w, 1.0), like(w, 2.0)
     return (
-        (one - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)),
-        (two * (x * y - w * z), one - two * (x * x + z * z), two * (y * z + w * x)),
-        (two * (x * z + w * y), two * (y * z - w * x), one - two * (x * x + y * y)),
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
     )

@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside, like
+from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.euler_axes import (
     GIMBAL,
     Frame,
@@ -36,7 +36,7 @@ from stillpoint.filters.euler_axes import (
     tilting,
     turned_about_up,
 )
-from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north, uprighting
+from stillpoint.filters.fields import FREE_FALL_M2PS4, turn_to_north, uprighting
 from stillpoint.filters.kalman.angle_and_bias import Axis, correct, predict, renewed, widened
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, multiply, rotate, scale
@@ -136,18 +136,17 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Before the first sample: level, x over north."""
-    zero, half = like(c.tilt_rad2, 0.0), like(c.tilt_rad2, 0.5**0.5)
-    tilt = Axis(c.tilt_rad2, zero, c.bias_rad2ps2)
-    heading = Axis(like(zero, ANY_ANGLE_RAD2), zero, c.bias_rad2ps2)
-    none = (zero, zero, zero)
-    return State((half, zero, zero, half), none, tilt, tilt, heading, zero, zero, False, False, 0, 0, 0, 0, 0)
+    half = 0.5**0.5
+    tilt = Axis(c.tilt_rad2, 0.0, c.bias_rad2ps2)
+    heading = Axis(ANY_ANGLE_RAD2, 0.0, c.bias_rad2ps2)
+    none = (0.0, 0.0, 0.0)
+    return State((half, 0.0, 0.0, half), none, tilt, tilt, heading, 0.0, 0.0, False, False, 0, 0, 0, 0, 0)
 
 
 @compiled_inside
 def unit(q: Quaternion) -> Quaternion:
     """Length 1 for a quaternion that is off by rounding only: one Newton step, with neither root nor division."""
-    half = like(q[0], 0.5)
-    share = like(q[0], 1.5) - half * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    share = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * share, q[1] * share, q[2] * share, q[3] * share
 
 
@@ -156,7 +155,7 @@ def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
     """(14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
     fx, fy, fz = force
     up, cos_pitch = frame.up_b, frame.cos_pitch
-    g = like(fx, STANDARD_GRAVITY_MPS2)
+    g = STANDARD_GRAVITY_MPS2
     if form == EULER:
         roll, pitch = (fy, fz), (-fx, sqrt(fy * fy + fz * fz))
     elif form == ROOTS:
@@ -178,12 +177,12 @@ def without_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
 @compiled_inside
 def moved(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Moved:
     """The attitude by the gyro, then roll and pitch by the accelerometer."""
-    dt_s, none = sample.dt_s, like(sample.dt_s, nan)
+    dt_s, none = sample.dt_s, nan
     bias = state.bias_b_radps
-    rate = add(sample.gyro_b_radps, scale(bias, like(dt_s, -1.0)))
+    rate = add(sample.gyro_b_radps, scale(bias, -1.0))
     q_nb = multiply(unit(state.q_nb), rotation.exp(scale(rate, dt_s)))
     frame = frame_of(q_nb)
-    if frame.cos_pitch < like(dt_s, GIMBAL):
+    if frame.cos_pitch < GIMBAL:
         return Moved(q_nb, bias, state.roll, state.pitch, none, none, True)
     if not has_accel:
         return Moved(q_nb, bias, state.roll, state.pitch, none, none, False)
@@ -211,7 +210,7 @@ def predicted(state: State, sample: Sample, is_headed: bool, c: Coefficients) ->
         by_roll, by_pitch, by_heading = hidden_turns(state.q_nb, scale(sample.hidden_b_radps, dt_s))
         roll, pitch, heading = widened(roll, by_roll), widened(pitch, by_pitch), widened(heading, by_heading)
     if c.reset_s > 0 and since_reset_s >= c.reset_s:
-        since_reset_s = like(dt_s, 0.0)
+        since_reset_s = 0.0
         roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)
         heading = renewed(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
     return roll, pitch, heading, since_reset_s
@@ -220,25 +219,25 @@ def predicted(state: State, sample: Sample, is_headed: bool, c: Coefficients) ->
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Predict all three angles, correct roll and pitch, then the heading."""
-    dt_s, zero, nu_heading = sample.dt_s, like(sample.dt_s, 0.0), like(sample.dt_s, nan)
+    dt_s, nu_heading = sample.dt_s, nan
     q_nb, bias, _, _, _, age_s, _, is_level, is_headed = state[:9]
     n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north = state[9:]
-    least = like(dt_s, FREE_FALL_MPS2 * FREE_FALL_MPS2)
+    least = FREE_FALL_M2PS4
     has_accel = sample.has_accel and dot(sample.accel_b_mps2, sample.accel_b_mps2) >= least
     has_mag = sample.has_mag and dot(sample.mag_b_ut, sample.mag_b_ut) > 0
     n_free_fall += sample.has_accel and not has_accel
     n_no_field += sample.has_mag and not has_mag
-    if is_level and dt_s > like(dt_s, GAP_S):
-        is_level, is_headed, age_s, n_gaps = False, False, zero, n_gaps + 1
-    age_s = min(age_s + dt_s, like(dt_s, START_S))
+    if is_level and dt_s > GAP_S:
+        is_level, is_headed, age_s, n_gaps = False, False, 0.0, n_gaps + 1
+    age_s = min(age_s + dt_s, START_S)
     roll, pitch, heading, since_reset_s = predicted(state, sample, is_headed, c)
     nu_roll = nu_pitch = nu_heading
     if is_level:
-        before = State(q_nb, bias, roll, pitch, heading, zero, zero, True, is_headed, 0, 0, 0, 0, 0)
+        before = State(q_nb, bias, roll, pitch, heading, 0.0, 0.0, True, is_headed, 0, 0, 0, 0, 0)
         q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = moved(before, sample, has_accel, c)
         n_gimbal += is_gimbal
     elif has_accel:
-        q_nb, is_level, age_s = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, zero
+        q_nb, is_level, age_s = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, 0.0
         roll, pitch = renewed(c.tilt_rad2, roll.p_bias), renewed(c.tilt_rad2, pitch.p_bias)
     frame = frame_of(q_nb)  # a turn about up, as that of the heading is, leaves it as it is
     if is_level and has_mag:
@@ -254,7 +253,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
     state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)
     cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
-    ready = is_level and age_s >= like(dt_s, START_S)
+    ready = is_level and age_s >= START_S
     return state, Output(q_nb, bias, cov_b, (nu_roll, nu_pitch, nu_heading), ready)
 
 

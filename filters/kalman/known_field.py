@@ -14,7 +14,7 @@ from math import atan2, pi, sqrt
 from typing import NamedTuple
 
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
-from stillpoint.filters.compiled import compiled, compiled_inside, like
+from stillpoint.filters.compiled import compiled, compiled_inside
 from stillpoint.filters.rotation import Vector, norm
 
 # Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
@@ -72,7 +72,7 @@ def alike(a: Looks, b: Looks, c: Tolerance) -> bool:
 @compiled_inside
 def is_earthly(a: Looks) -> bool:
     """Whether the Earth has a field of this size."""
-    return a.size_ut > like(a.size_ut, FIELD_RANGE_UT[0]) and a.size_ut < like(a.size_ut, FIELD_RANGE_UT[1])
+    return a.size_ut > FIELD_RANGE_UT[0] and a.size_ut < FIELD_RANGE_UT[1]
 
 
 @compiled_inside
@@ -86,27 +86,26 @@ def disturbance_ut2(field: KnownField, seen: Looks) -> float:
     """Mean square of one component of a disturbance, by the two that show; 0 before anything is known."""
     known = field.known if field.known.seen_s > 0 else seen
     longer, higher = seen.size_ut - known.size_ut, (seen.dip_rad - known.dip_rad) * known.size_ut
-    return (longer * longer + higher * higher) * like(longer, 0.5)
+    return (longer * longer + higher * higher) * 0.5
 
 
 @compiled_inside
 def learn(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance) -> KnownField:
     """What is known after the mean field of a window, in which the body turned at this rate."""
     known, other, n_disturbed, n_new_fields = field
-    zero = like(seen.seen_s, 0.0)
     if known.seen_s == 0:
         return KnownField(seen, other, n_disturbed, n_new_fields)
     if alike(known, seen, c):  # the mean of all at first, of the last memory_s later on
         seen_s = min(known.seen_s + seen.seen_s, max(c.memory_s, seen.seen_s))
         known = towards(known, seen, seen.seen_s / seen_s, seen_s)
-        return KnownField(known, Looks(zero, zero, zero), n_disturbed, n_new_fields)
-    shows = rate_radps > like(zero, TURNING_RADPS) or (is_earthly(seen) and not is_earthly(known))
-    stood_s = seen.seen_s if shows else zero
+        return KnownField(known, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields)
+    shows = rate_radps > TURNING_RADPS or (is_earthly(seen) and not is_earthly(known))
+    stood_s = seen.seen_s if shows else 0.0
     n_disturbed += 1
     if not alike(other, seen, c):
         other = Looks(seen.size_ut, seen.dip_rad, stood_s)
     elif other.seen_s + stood_s < c.admission_s:
-        other = towards(other, seen, like(zero, SHARE_OF_NEWEST), other.seen_s + stood_s)
+        other = towards(other, seen, SHARE_OF_NEWEST, other.seen_s + stood_s)
     else:
-        return KnownField(other, Looks(zero, zero, zero), n_disturbed, n_new_fields + 1)
+        return KnownField(other, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields + 1)
     return KnownField(known, other, n_disturbed, n_new_fields)

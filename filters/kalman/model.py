@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stillpoint.datasets.settings import Settings, degrees, number
-from stillpoint.filters.compiled import compiled, compiled_apart, like
+from stillpoint.filters.compiled import compiled, compiled_apart
 from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
@@ -66,8 +66,10 @@ HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
 LOST_MPS2 = 5.0
 # The mean of the heading's innovations, in its own sd, from which on the heading is wrong and not they.
 OFF_SD = 6.0
+OFF_SQUARE = OFF_SD**2 / 2
 # And as an angle: less than that is what iron in a room does, and no reason to begin again.
 OFF_RAD = pi / 18
+OFF_RAD2 = OFF_RAD**2
 
 
 @dataclass(frozen=True)
@@ -208,13 +210,13 @@ def coefficients(params: ErrorStateParams, declination_rad: float) -> Coefficien
 @compiled_apart
 def transition(window: Window, p: Matrix) -> Matrix:
     """Of the errors over a window: see the first lines."""
-    a, half = identity(p), like(p[0, 0], 0.5)
+    a = identity(p)
     spread_s, up_mps = window.turning.spread_s, window.forces.push_n_mps[2]
     a[VELOCITY, 1], a[VELOCITY + 1, 0] = up_mps, -up_mps
     for j in range(3):
         axis = spread_s[j]
         a[0, BIAS + j], a[1, BIAS + j], a[2, BIAS + j] = -axis[0], -axis[1], -axis[2]
-        a[VELOCITY, BIAS + j], a[VELOCITY + 1, BIAS + j] = -half * up_mps * axis[1], half * up_mps * axis[0]
+        a[VELOCITY, BIAS + j], a[VELOCITY + 1, BIAS + j] = -0.5 * up_mps * axis[1], 0.5 * up_mps * axis[0]
     return a
 
 
@@ -222,7 +224,7 @@ def transition(window: Window, p: Matrix) -> Matrix:
 def attitude_noise(turning: Turning, c: Coefficients) -> float:
     """What the attitude's variance has gained since P by noise, per axis."""
     length_s = turning.length_s
-    walked = c.bias_walk * length_s * length_s * length_s * like(length_s, 1 / 3)
+    walked = c.bias_walk * length_s * length_s * length_s * (1 / 3)
     return c.gyro_noise * length_s + c.turn_error * turning.turned_rad + walked
 
 
@@ -230,15 +232,15 @@ def attitude_noise(turning: Turning, c: Coefficients) -> float:
 def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
     """What the window's noise adds to P: the model's densities integrated with its transition."""
     length_s, spread_s, up_mps = window.turning.length_s, window.turning.spread_s, window.forces.push_n_mps[2]
-    half, turn, walk = like(length_s, 0.5), attitude_noise(window.turning, c), c.bias_walk * length_s
-    lost_mps = like(length_s, LOST_MPS2) * (length_s - window.forces.time_s)
-    push = c.accel_noise * length_s + lost_mps * lost_mps + turn * up_mps * up_mps * like(length_s, 1 / 3)
-    tilted = half * turn * up_mps
+    turn, walk = attitude_noise(window.turning, c), c.bias_walk * length_s
+    lost_mps = LOST_MPS2 * (length_s - window.forces.time_s)
+    push = c.accel_noise * length_s + lost_mps * lost_mps + turn * up_mps * up_mps * (1 / 3)
+    tilted = 0.5 * turn * up_mps
     for i in range(3):
         p[i, i] += turn
         p[BIAS + i, BIAS + i] += walk
         for j in range(3):
-            p[i, BIAS + j] -= half * walk * spread_s[j][i]
+            p[i, BIAS + j] -= 0.5 * walk * spread_s[j][i]
             p[BIAS + j, i] = p[i, BIAS + j]
     for i in range(2):
         p[VELOCITY + i, VELOCITY + i] += push
@@ -249,10 +251,10 @@ def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
 @compiled_apart
 def hide(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
     """A turn about this axis that the gyro did not tell has entered attitude and, half as long, velocity."""
-    total = like(hidden_rad, 0.0)
+    total = 0.0
     for i in range(3):
         total += axis_n[i] * (p[i, 0] * axis_n[0] + p[i, 1] * axis_n[1] + p[i, 2] * axis_n[2])
-    added, lever = grown(total, hidden_rad) - total, like(up_mps, 0.5) * up_mps
+    added, lever = grown(total, hidden_rad) - total, 0.5 * up_mps
     entry = np.zeros_like(p[0])
     entry[0], entry[1], entry[2] = axis_n
     entry[VELOCITY], entry[VELOCITY + 1] = lever * axis_n[1], -lever * axis_n[0]
@@ -275,7 +277,7 @@ def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficie
         hide(p, y_n, y_rad, push[2])
         hide(p, z_n, z_rad, push[2])
     round_up(p)
-    unknown = like(c.gate, ANY_ANGLE_RAD2)
+    unknown = ANY_ANGLE_RAD2
     for i in range(BIAS):
         if p[i, i] > unknown:
             widen(p, i, unknown / p[i, i])

@@ -5,8 +5,8 @@ from math import cos, pi, sin
 import numpy as np
 
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
-from stillpoint.filters.fields import FREE_FALL_MPS2, turn_to_north
+from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside
+from stillpoint.filters.fields import FREE_FALL_M2PS4, turn_to_north
 from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
@@ -21,8 +21,8 @@ from stillpoint.filters.kalman.known_field import alike, is_earthly, learn, look
 from stillpoint.filters.kalman.model import (
     BIAS,
     HEADING,
-    OFF_RAD,
-    OFF_SD,
+    OFF_RAD2,
+    OFF_SQUARE,
     SIZE,
     VELOCITY,
     Body,
@@ -62,22 +62,22 @@ from stillpoint.filters.sample import GAP_S, Output, Sample
 LEAST_FORCE_MPS2 = 5.0
 OBLIQUE = 0.5
 # A tilt known to that (sd per axis, 2 deg) is no longer a beginning.
-READY_RAD2 = (pi / 90) ** 2
+READY_RAD2 = 2 * (pi / 90) ** 2
 
 
 @compiled_entry
 def start(c: Coefficients) -> Body:
     """Before the first sample: level, x over north, and nothing known of it."""
-    zero, half = like(c.gate, 0.0), like(c.gate, 0.5**0.5)
-    x, p = np.full(SIZE, zero), np.full((SIZE, SIZE), zero)
+    half = 0.5**0.5
+    x, p = np.full(SIZE, 0.0), np.full((SIZE, SIZE), 0.0)
     for i in range(BIAS):
-        p[i, i] = like(zero, ANY_ANGLE_RAD2)
+        p[i, i] = ANY_ANGLE_RAD2
         p[BIAS + i, BIAS + i] = c.bias_variance
     for i in range(VELOCITY, SIZE):
         p[i, i] = c.velocity_variance
-    status = Status(False, False, False, zero, zero, zero, zero)
+    status = Status(False, False, False, 0.0, 0.0, 0.0, 0.0)
     met = Met(0, 0, 0, 0, 0, 0, 0)
-    return Body((half, zero, zero, half), x, p, no_samples(zero), moving(zero), no_field(zero), status, met)
+    return Body((half, 0.0, 0.0, half), x, p, no_samples(0.0), moving(0.0), no_field(0.0), status, met)
 
 
 @compiled_inside
@@ -85,12 +85,12 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
     """Turn by the rate, and add the sample to the window; or, as long as there is no attitude, begin one."""
     q_nb, x, p, window, still, field, status, met = body
     dt_s, gyro, accel, mag, has_accel, has_mag, _ = sample
-    use_accel = has_accel and dot(accel, accel) >= like(dt_s, FREE_FALL_MPS2**2)
+    use_accel = has_accel and dot(accel, accel) >= FREE_FALL_M2PS4
     use_mag = has_mag and dot(mag, mag) > 0
     n_free_fall = met.n_free_fall + (1 if has_accel and not use_accel else 0)
     n_no_field = met.n_no_field + (1 if has_mag and not use_mag else 0)
     met = Met(n_free_fall, n_no_field, met[2], met[3], met[4], met[5], met[6])
-    is_gap = dt_s > like(dt_s, GAP_S)
+    is_gap = dt_s > GAP_S
     if status.is_level and not is_gap:
         (turning, forces, fields), before = window, q_nb
         rate = add(gyro, (-x[BIAS], -x[BIAS + 1], -x[BIAS + 2]))
@@ -102,11 +102,10 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
             fields = with_field(fields, rotate(q_nb, mag), mag)
         window = Window(turning, forces, fields)
     if is_gap or not status.is_level or (use_mag and not status.is_headed):
-        zero = like(dt_s, 0.0)
-        window = no_samples(zero)
+        window = no_samples(0.0)
         if is_gap:
             lose(x, p, dt_s, c)
-            still = moving(zero)
+            still = moving(0.0)
         q_nb, status, found = begin(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
         met = Met(met[0], met[1], met[2] + (0 if found else 1), met[3] + (1 if is_gap else 0), met[4], met[5], met[6])
     return Body(q_nb, x, p, window, still, field, status, met)
@@ -116,7 +115,7 @@ def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
 def lose(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
     """After a gap: the bias has walked, all else is unknown."""
     for i in range(BIAS):
-        forget(p, i, like(gap_s, ANY_ANGLE_RAD2))
+        forget(p, i, ANY_ANGLE_RAD2)
         p[BIAS + i, BIAS + i] += c.bias_walk * gap_s
     stop(x, p, c)
 
@@ -126,7 +125,7 @@ def stop(x: Matrix, p: Matrix, c: Coefficients) -> None:
     """Nothing is known of the velocity but how large it may be."""
     for i in range(VELOCITY, SIZE):
         forget(p, i, c.velocity_variance)
-        x[i] = like(c.gate, 0.0)
+        x[i] = 0.0
 
 
 @compiled_apart
@@ -142,7 +141,7 @@ def begin(
     """Tilt and heading, as far as they are missing and there is a sample to tell them; False: a field without north."""
     use_accel, use_mag, is_gap = use
     is_level, is_headed, is_ready, since_s, _, _, _ = status
-    zero, found = like(c.gate, 0.0), True
+    found = True
     if is_gap:
         is_level, is_headed, is_ready = False, False, False
     if use_accel and not is_level:
@@ -151,7 +150,7 @@ def begin(
         turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if found:
             q_nb, is_headed = to_north(q_nb, turn, x, p, c), True
-    return q_nb, Status(is_level, is_headed, is_ready, since_s, zero, zero, zero), found
+    return q_nb, Status(is_level, is_headed, is_ready, since_s, 0.0, 0.0, 0.0), found
 
 
 @compiled_apart
@@ -160,8 +159,7 @@ def upright(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coeffici
     for i in range(HEADING):
         forget(p, i, c.tilt_variance)
     stop(x, p, c)
-    zero = like(c.gate, 0.0)
-    return normalise(multiply(between(force_n, (zero, zero, like(zero, 1.0))), q_nb))
+    return normalise(multiply(between(force_n, (0.0, 0.0, 1.0)), q_nb))
 
 
 @compiled_apart
@@ -182,14 +180,14 @@ def to_north(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coeffic
 @compiled_inside
 def is_due(turning: Turning, c: Coefficients) -> bool:
     """Whether the window is as long as wanted, but for rounding."""
-    return turning.length_s > 0 and turning.length_s >= c.window_s * like(c.window_s, 1 - 1e-5)
+    return turning.length_s > 0 and turning.length_s >= c.window_s * (1 - 1e-5)
 
 
 @compiled_inside
 def is_oblique(forces: Forces) -> bool:
     """Whether the mean specific force points where it cannot for long, if the estimate is right."""
     up, size = forces.push_n_mps[2], norm(forces.push_n_mps)
-    return up < size * like(size, OBLIQUE) and size > forces.time_s * like(size, LEAST_FORCE_MPS2)
+    return up < size * OBLIQUE and size > forces.time_s * LEAST_FORCE_MPS2
 
 
 @compiled_apart
@@ -208,7 +206,7 @@ def add_curvature(x: Matrix, p: Matrix) -> None:
 
     A hundredth of a degree at 1 deg. After a large turn that the gyro hid, several windows so come to what one says.
     """
-    bent = like(x[0], 0.5) * (x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    bent = 0.5 * (x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     for i in range(BIAS):
         p[i, i] += bent * bent
 
@@ -216,7 +214,7 @@ def add_curvature(x: Matrix, p: Matrix) -> None:
 @compiled_apart
 def doubt_heading(p: Matrix, c: Coefficients) -> None:
     """Nothing is known of the heading, nor of the bias that followed it."""
-    forget(p, HEADING, like(c.gate, ANY_ANGLE_RAD2))
+    forget(p, HEADING, ANY_ANGLE_RAD2)
     for i in range(3):
         forget(p, BIAS + i, c.bias_variance)
 
@@ -227,40 +225,38 @@ def corrected(body: Body, at: Due, nu_heading: float, beyond: tuple[bool, bool],
     q_nb, x, p, window, _, field, status, met = body
     is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off = status
     n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = met
-    length_s, zero = window.turning.length_s, like(c.gate, 0.0)
+    length_s = window.turning.length_s
     q_nb = normalise(multiply(rotation.exp((x[0], x[1], x[2])), q_nb))
     add_curvature(x, p)
-    x[0], x[1], x[2] = zero, zero, zero
-    is_ready = is_ready or p[0, 0] + p[1, 1] < like(zero, 2 * READY_RAD2)
+    x[0], x[1], x[2] = 0.0, 0.0, 0.0
+    is_ready = is_ready or p[0, 0] + p[1, 1] < READY_RAD2
     n_beyond += (1 if beyond[0] else 0) + (1 if beyond[1] else 0)
-    tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or is_oblique(window.forces) else zero
+    tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or is_oblique(window.forces) else 0.0
     if tilt_doubt_s >= c.tilt_patience_s:
         q_nb = upright(q_nb, window.forces.push_n_mps, x, p, c)
-        tilt_doubt_s, n_tilt = zero, n_tilt + 1
+        tilt_doubt_s, n_tilt = 0.0, n_tilt + 1
     since_s += length_s
     if at.heading.is_there:
         n_heading += 1 if heading_doubt_s >= c.heading_patience_s else 0
-        heading_doubt_s = min(heading_doubt_s, c.heading_patience_s) + length_s if beyond[1] else zero
-        seen = looks(scale(window.fields.sum_n_ut, like(zero, 1.0) / window.fields.how_many), length_s)
+        heading_doubt_s = min(heading_doubt_s, c.heading_patience_s) + length_s if beyond[1] else 0.0
+        seen = looks(scale(window.fields.sum_n_ut, 1.0 / window.fields.how_many), length_s)
         known, n_known = field.known, field.n_new_fields
         field = learn(field, seen, window.turning.turned_rad / length_s, c.tolerance)
-        since_s = zero
-        share = min(length_s / c.heading_patience_s, like(zero, 1.0))
+        since_s = 0.0
+        share = min(length_s / c.heading_patience_s, 1.0)
         if alike(field.known, seen, c.tolerance):
             heading_off += (nu_heading - heading_off) * share
         square = heading_off * heading_off
-        is_off = square > share * like(zero, OFF_SD * OFF_SD / 2) and square * at.heading.variance > like(
-            zero, OFF_RAD**2
-        )
+        is_off = square > share * OFF_SQUARE and square * at.heading.variance > OFF_RAD2
         is_away = field.n_new_fields > n_known and not is_earthly(known)  # from the iron at which it began
         if is_off or is_away:
             doubt_heading(p, c)
-            heading_off, n_heading = zero, n_heading + 1
+            heading_off, n_heading = 0.0, n_heading + 1
     elif window.fields.how_many > 0:
         n_no_north += 1
     status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off)
     met = Met(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
-    return Body(q_nb, x, p, no_samples(zero), at.still, field, status, met)
+    return Body(q_nb, x, p, no_samples(0.0), at.still, field, status, met)
 
 
 @compiled_inside

@@ -8,11 +8,12 @@ than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t
 from math import pi
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled_inside, like
+from stillpoint.filters.compiled import compiled_inside
 from stillpoint.filters.rotation import Vector, cross, dot
 
 # Up and field are seen to turn from there on: noise of a mean over a window is far less.
 TURN_RAD = pi / 180
+TURN_RAD2 = TURN_RAD**2
 
 
 class Means(NamedTuple):
@@ -53,17 +54,16 @@ def moving(zero: float) -> Stillness:
 def has_turned(before: Vector, now: Vector) -> bool:
     """Whether a direction differs by more than ``TURN_RAD``; one that is not known does not."""
     across = cross(before, now)
-    most = like(now[0], TURN_RAD * TURN_RAD) * dot(before, before) * dot(now, now)
+    most = TURN_RAD2 * dot(before, before) * dot(now, now)
     return dot(across, across) > most
 
 
 @compiled_inside
 def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
     """The rest after one more window."""
-    zero = like(means.length_s, 0.0)
     quiet = means.gyro_variance < c.gyro_variance and means.accel_variance < c.accel_variance
     if not quiet or dot(means.gyro_b_radps, means.gyro_b_radps) > c.rate_radps * c.rate_radps:
-        return moving(zero)
+        return moving(0.0)
     accel_b, mag_b, lasted_s = still
     turned = has_turned(accel_b, means.accel_b_mps2) or has_turned(mag_b, means.mag_b_ut)
     if lasted_s == 0 or turned:
@@ -82,4 +82,4 @@ def is_resting(still: Stillness, c: Limits) -> bool:
 @compiled_inside
 def rate_sd(still: Stillness) -> float:
     """How fast the body may turn for all that up and field show, rad/s."""
-    return like(still.lasted_s, TURN_RAD) / still.lasted_s
+    return TURN_RAD / still.lasted_s

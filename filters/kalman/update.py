@@ -4,7 +4,7 @@ from math import cos, nan, sin, sqrt
 
 import numpy as np
 
-from stillpoint.filters.compiled import compiled_apart, compiled_inside, like
+from stillpoint.filters.compiled import compiled_apart, compiled_inside
 from stillpoint.filters.fields import LONGEST_HOLD_S, turn_to_north
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2, Matrix, forget, joseph, times
 from stillpoint.filters.kalman.known_field import KnownField, disturbance_ut2, looks
@@ -27,6 +27,7 @@ from stillpoint.filters.rotation import Vector, norm, scale
 
 # How far from 0 the velocity of a resting body is.
 REST_MPS = 0.02
+REST_M2PS2 = REST_MPS**2
 
 
 @compiled_inside
@@ -53,7 +54,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float,
         variance = square / gate
     gain = times(p, m.row)
     for i in range(SIZE):
-        gain[i] = gain[i] / variance if moves_tilt or i >= HEADING else like(gate, 0.0)
+        gain[i] = gain[i] / variance if moves_tilt or i >= HEADING else 0.0
         x[i] += gain[i] * residual
     joseph(p, m.row, gain, variance - (model - m.variance))
     return is_beyond
@@ -63,7 +64,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float,
 def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
     """A measurement of x[i] itself."""
     row = np.zeros_like(p[0])
-    row[i] = like(variance, 1.0)
+    row[i] = 1.0
     return Measurement(True, row, seen, variance)
 
 
@@ -71,13 +72,13 @@ def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
 def due(body: Body, c: Coefficients) -> Due:
     """Predict to the end of the window, and say what there is to update with."""
     turning = body.window.turning
-    length_s, still = turning.length_s, moving(like(c.gate, 0.0))
+    length_s, still = turning.length_s, moving(0.0)
     if is_measured(turning):
         still = watch(body.still, means(body.window), c.limits)
     heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
     predict(body.x, body.p, body.window, body.q_nb, c)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
-    return Due(still, resting, min(variance, like(variance, REST_MPS * REST_MPS)) if resting else variance, heading)
+    return Due(still, resting, min(variance, REST_M2PS2) if resting else variance, heading)
 
 
 @compiled_inside
@@ -94,7 +95,7 @@ def update_velocity(x: Matrix, p: Matrix, variance: float, alpha: float, gate: f
     """Tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate."""
     beyond = False
     for i in range(VELOCITY, SIZE):
-        beyond = update(x, p, of_one(p, i, like(gate, 0.0), variance), True, alpha, gate) or beyond
+        beyond = update(x, p, of_one(p, i, 0.0, variance), True, alpha, gate) or beyond
     return beyond
 
 
@@ -107,7 +108,7 @@ def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients
     variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
     for i in range(3):
         mean = turning.measured_b_rad[i] / turning.length_s
-        update(x, p, of_one(p, BIAS + i, mean, variance), True, like(mean, 1.0), c.gate)
+        update(x, p, of_one(p, BIAS + i, mean, variance), True, 1.0, c.gate)
 
 
 @compiled_apart
@@ -119,31 +120,31 @@ def heading_measurement(
     It has about half of a turn that the gyro did not tell, which is about up at most.
     """
     turning, fields = window.turning, window.fields
-    one, half, length_s = like(c.gate, 1.0), like(c.gate, 0.5), turning.length_s
-    field_n = scale(fields.sum_n_ut, one / max(fields.how_many, one))
+    length_s = turning.length_s
+    field_n = scale(fields.sum_n_ut, 1.0 / max(fields.how_many, 1.0))
     turn, found = turn_to_north(field_n, c.declination_rad)
     row = np.zeros_like(x)
     if not found:
-        return Measurement(False, row, turn, one)
+        return Measurement(False, row, turn, 1.0)
     square = field_n[0] * field_n[0] + field_n[1] * field_n[1]
     tan_dip = -field_n[2] / sqrt(square)
-    row[0], row[1], row[HEADING] = tan_dip * sin(c.declination_rad), tan_dip * cos(c.declination_rad), one
+    row[0], row[1], row[HEADING] = tan_dip * sin(c.declination_rad), tan_dip * cos(c.declination_rad), 1.0
     for j in range(3):  # the window's mean error is that at its end, and half of what the bias has done
-        row[BIAS + j] = half * turning.spread_s[j][2]
+        row[BIAS + j] = 0.5 * turning.spread_s[j][2]
         turn += row[BIAS + j] * x[BIAS + j]
-    hold_s = min(since_field_s + length_s, max(length_s, like(square, LONGEST_HOLD_S)))
+    hold_s = min(since_field_s + length_s, max(length_s, LONGEST_HOLD_S))
     disturbed = c.unseen * disturbance_ut2(field, looks(field_n, length_s))
     if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
         flat = field.known.size_ut * cos(field.known.dip_rad)
-        square = max(flat * flat, square * like(square, 0.01))
-    missed = half * norm(turning.hidden_b_rad)
+        square = max(flat * flat, square * 0.01)
+    missed = 0.5 * norm(turning.hidden_b_rad)
     return Measurement(True, row, turn, (c.field_variance / hold_s + disturbed) / square + missed * missed)
 
 
 @compiled_inside
 def nothing_new(c: Coefficients) -> Vector:
     """The innovations of a sample that ends no window."""
-    none = like(c.gate, nan)
+    none = nan
     return none, none, none
 
 
@@ -151,7 +152,7 @@ def nothing_new(c: Coefficients) -> Vector:
 def heading_innovation(x: Matrix, p: Matrix, m: Measurement) -> float:
     """Whitened, given what the updates before have moved; NaN without a field."""
     if not m.is_there:
-        return like(m.seen, nan)
+        return nan
     residual, variance = innovation(x, p, m)
     return residual / sqrt(variance)
 
@@ -162,7 +163,7 @@ def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: S
     if not m.is_there:
         return False
     if status.heading_doubt_s >= c.heading_patience_s:
-        forget(p, HEADING, like(c.gate, ANY_ANGLE_RAD2))
+        forget(p, HEADING, ANY_ANGLE_RAD2)
     return update(x, p, m, False, alpha, c.gate)
 
 
@@ -172,13 +173,13 @@ def updated(body: Body, is_in_body: bool, c: Coefficients) -> tuple[Body, Vector
 
     ``is_in_body``: when the attitude is corrected, its covariance stays as it is in the body, not in n.
     """
-    x, p, one = body.x, body.p, like(c.gate, 1.0)
+    x, p = body.x, body.p
     at = due(body, c)
     east, north = velocity_innovations(x, p, at.velocity_variance)
-    velocity_beyond = update_velocity(x, p, at.velocity_variance, one, c.gate)
+    velocity_beyond = update_velocity(x, p, at.velocity_variance, 1.0, c.gate)
     update_bias(x, p, body.window.turning, at, c)
     innovations = (east, north, heading_innovation(x, p, at.heading))
-    heading_beyond = update_heading(x, p, at.heading, one, body.status, c)
+    heading_beyond = update_heading(x, p, at.heading, 1.0, body.status, c)
     if is_in_body:
         turn_errors(x, p)
     return corrected(body, at, innovations[2], (velocity_beyond, heading_beyond), c), innovations

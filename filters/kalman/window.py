@@ -7,7 +7,7 @@ so a body that turns within a window does not blur them (as in VQF, Laidig and S
 
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, compiled_inside, like
+from stillpoint.filters.compiled import compiled, compiled_inside
 from stillpoint.filters.kalman.covariance import Axes, axes_in_n
 from stillpoint.filters.kalman.stillness import Means
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
@@ -102,19 +102,18 @@ def pushed(sums: Forces, force_n: Vector, force_b: Vector, dt_s: float) -> Force
 @compiled
 def with_field(sums: FieldSum, field_n: Vector, field_b: Vector) -> FieldSum:
     """After one more field."""
-    return FieldSum(add(sums.sum_n_ut, field_n), add(sums.sum_b_ut, field_b), sums.how_many + like(sums.how_many, 1.0))
+    return FieldSum(add(sums.sum_n_ut, field_n), add(sums.sum_b_ut, field_b), sums.how_many + 1.0)
 
 
 @compiled_inside
 def means(window: Window) -> Means:
     """In body axes, for a window that has a length; the accelerometer's are 0 where it gave nothing."""
     turning, forces, fields = window
-    one, zero = like(turning.length_s, 1.0), like(turning.length_s, 0.0)
-    per_s = one / turning.length_s
+    per_s = 1.0 / turning.length_s
     gyro = scale(turning.measured_b_rad, per_s)
-    accel, variance = (zero, zero, zero), zero
+    accel, variance = (0.0, 0.0, 0.0), 0.0
     if forces.time_s > 0:
-        accel = scale(forces.push_b_mps, one / forces.time_s)
+        accel = scale(forces.push_b_mps, 1.0 / forces.time_s)
         variance = forces.square / forces.time_s - dot(accel, accel)
     return Means(
         turning.length_s,
@@ -122,5 +121,5 @@ def means(window: Window) -> Means:
         turning.measured_square * per_s - dot(gyro, gyro),
         accel,
         variance,
-        scale(fields.sum_b_ut, one / max(fields.how_many, one)),
+        scale(fields.sum_b_ut, 1.0 / max(fields.how_many, 1.0)),
     )

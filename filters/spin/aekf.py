@@ -13,7 +13,7 @@ and the variance turns negative (``fading = literal``; then the output is no lon
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled
 from stillpoint.filters.spin import ekf as roll_ekf
 from stillpoint.filters.spin.rate import driven, faced, integrated, predicted, tallied
 from stillpoint.filters.spin.sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
@@ -86,7 +86,7 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 @compiled
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    return State(roll_ekf.start(c.ekf), np.full(c.adaptation.window, like(c.adaptation.over, 0.0)), 0, 0)
+    return State(roll_ekf.start(c.ekf), np.full(c.adaptation.window, 0.0), 0, 0)
 
 
 @compiled
@@ -94,17 +94,16 @@ def trust(
     squares: NDArray[np.float64], seen: int, expected: float, of_rate: float, a: Adaptation
 ) -> tuple[float, float]:
     """alpha and lambda by (16), (17), (23); ``expected`` is C and ``of_rate`` its part H P- H."""
-    one = like(expected, 1.0)
     if seen < a.window:
-        return one, one
-    total = like(expected, 0.0)
+        return 1.0, 1.0
+    total = 0.0
     for k in range(a.window):
         total += squares[k]
-    alpha = min(max(one, total / (a.over * expected)), a.largest_alpha)
-    if not a.fades or alpha == one:
-        return alpha, one
-    fade = alpha + (alpha - one) * (expected - of_rate) / of_rate
-    return alpha, min(max(one, fade), a.largest_lambda)  # infinite where the rate is 0: cut off as well
+    alpha = min(max(1.0, total / (a.over * expected)), a.largest_alpha)
+    if not a.fades or alpha == 1.0:
+        return alpha, 1.0
+    fade = alpha + (alpha - 1.0) * (expected - of_rate) / of_rate
+    return alpha, min(max(1.0, fade), a.largest_lambda)  # infinite where the rate is 0: cut off as well
 
 
 @compiled
@@ -112,15 +111,15 @@ def correct(
     rate: float, var: float, residual: float, r: float, alpha: float, fade: float, twice: bool
 ) -> tuple[float, float, float]:
     """(20)-(22): rate, its variance, and the share of its error that is left."""
-    h, one, zero = rate + rate, like(rate, 1.0), like(rate, 0.0)
+    h = rate + rate
     faded, of_rate = fade * var, h * var * h
     if twice:
         gain = fade / alpha * faded * h / (h * faded * h + r)
-        left = one - gain * h
+        left = 1.0 - gain * h
     else:  # left is 1 - K H, put so that rounding cannot take it below 0: lambda is that of (23) or smaller
         total = alpha * (of_rate + r)
         gain = faded * h / total
-        left = (r + max(zero, (alpha - one) * (of_rate + r) - (fade - one) * of_rate)) / total
+        left = (r + max(0.0, (alpha - 1.0) * (of_rate + r) - (fade - 1.0) * of_rate)) / total
     return rate + gain * residual, left * faded, left
 
 
@@ -133,7 +132,7 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         return State(ekf, squares, seen, n_lost), output
     dt_s, r = sample.dt_s, c.ekf.process.noise.square_var * sample.square_widened
     rate, var = predicted(ekf.roll, ekf.drive, dt_s, c.ekf.process.per_step)
-    left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
+    left, innovation = 1.0, nan
     if sample.has_square:
         h = rate + rate
         of_rate = h * var * h
@@ -143,8 +142,8 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         alpha, fade = trust(squares, seen, of_rate + r, of_rate, c.adaptation)
         rate, var, left = correct(rate, var, residual, r, alpha, fade, c.adaptation.twice)
         innovation = residual / sqrt(of_rate + r)
-    if not var > like(dt_s, 0.0):
-        var, left, n_lost = rate_variance(rate, r), like(dt_s, 0.0), n_lost + 1
+    if not var > 0.0:
+        var, left, n_lost = rate_variance(rate, r), 0.0, n_lost + 1
     roll, is_turned_over = faced(integrated(ekf.roll, rate, left, var, dt_s), sample.direction)
     if not is_sound(roll):
         ekf, output = roll_ekf.begin_anew(ekf, sample, c.ekf)

@@ -11,14 +11,12 @@ is the raw observation to 0.1 % (``process_noise = literal``). P starts at R / (
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from typing import Literal, NamedTuple
-
-import numpy as np
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.filters.compiled import compiled
 from stillpoint.filters.spin.noise import RollParams, noise
 from stillpoint.filters.spin.rate import (
     MEDIAN_OF,
@@ -83,8 +81,7 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 @compiled
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    zero = like(c.process.noise.square_var, 0.0)
-    return State(no_start(c.room, zero), no_roll(zero), Drive(zero, c.process.noise.accel_var), no_tally())
+    return State(no_start(c.room, 0.0), no_roll(0.0), Drive(0.0, c.process.noise.accel_var), no_tally())
 
 
 @compiled
@@ -94,13 +91,13 @@ def begin(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Rol
     square_var = c.process.noise.square_var * sample.square_widened
     begun, roll = gather(state.start, sample, state.drive.accel_radps2, sense, square_var)
     state = State(begun, roll, driven(sample, c.process.noise.accel_var), tallied(state.tally, sample, False))
-    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == c.room)
+    return state, RollOutput(roll, nan, begun.held == c.room)
 
 
 @compiled
 def begin_anew(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
     """After what no body does: from the angle before, with the sample as the first one."""
-    drive = Drive(like(sample.dt_s, 0.0), c.process.noise.accel_var)
+    drive = Drive(0.0, c.process.noise.accel_var)
     return begin(State(anew(state.start, state.roll), state.roll, drive, lost(state.tally)), sample, c)
 
 
@@ -111,7 +108,7 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         return begin(state, sample, c)
     dt_s, r = sample.dt_s, c.process.noise.square_var * sample.square_widened
     rate, var = predicted(state.roll, state.drive, dt_s, c.process.per_step)
-    left, innovation = like(dt_s, 1.0), like(dt_s, np.nan)
+    left, innovation = 1.0, nan
     if sample.has_square:
         h = rate + rate
         total = h * var * h + r

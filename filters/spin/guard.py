@@ -68,13 +68,13 @@ def widened(window: Window, residual: float, expected: float, least: float, most
     """
     squares, seen = window
     room = len(squares)
-    squares[seen % room] = min(residual * residual, like(expected, CLIPPED_AT) * most * expected)
+    squares[seen % room] = min(residual * residual, CLIPPED_AT * most * expected)
     held = min(seen + 1, room)
-    total = like(expected, 0.0)
+    total = 0.0
     for k in range(held):
         total += squares[k]
     alpha = total / (like(expected, held) * expected)
-    return Window(squares, seen + 1), min(alpha, most) if alpha > least else like(expected, 1.0)
+    return Window(squares, seen + 1), min(alpha, most) if alpha > least else 1.0
 
 
 @compiled
@@ -86,8 +86,7 @@ def no_refusals(zero: float) -> Refusals:
 @compiled
 def cleared(window: Window, refusals: Refusals, accels: Accels) -> tuple[Window, Refusals, Accels]:
     """The guards of a filter that begins anew; what was counted stays."""
-    zero = like(accels.left_out_radps2, 0.0)
-    after = Accels(accels.values_radps2, 0, zero, 0, zero, accels.n_accel_refused)
+    after = Accels(accels.values_radps2, 0, 0.0, 0, 0.0, accels.n_accel_refused)
     return Window(window.squares, 0), passed(refusals), after
 
 
@@ -95,7 +94,7 @@ def cleared(window: Window, refusals: Refusals, accels: Accels) -> tuple[Window,
 def passed(before: Refusals) -> Refusals:
     """After an observation that was used."""
     arrays = before.rates_radps, before.scratch_radps
-    return Refusals(*arrays, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts)
+    return Refusals(*arrays, 0, 0.0, before.n_refused, before.n_restarts)
 
 
 @compiled
@@ -110,7 +109,7 @@ def refused(before: Refusals, rate_radps: float, dt_s: float) -> Refusals:
 def ended(before: Refusals) -> Refusals:
     """After a start from what was left out."""
     arrays = before.rates_radps, before.scratch_radps
-    return Refusals(*arrays, 0, like(before.lasting_s, 0.0), before.n_refused, before.n_restarts + 1)
+    return Refusals(*arrays, 0, 0.0, before.n_refused, before.n_restarts + 1)
 
 
 @compiled
@@ -138,18 +137,18 @@ def without_jump(
     ``scratch`` (5 or more,) is written over.
     """
     values, seen, left_out, in_row, owed, n_refused = before
-    accel, zero = sample.accel_radps2, like(sample.accel_radps2, 0.0)
+    accel = sample.accel_radps2
     values[seen % ACCELS] = accel
     if seen + 1 < ACCELS:
-        return Accels(values, seen + 1, left_out, 0, zero, n_refused), accel, True, zero
+        return Accels(values, seen + 1, left_out, 0, 0.0, n_refused), accel, True, 0.0
     for k in range(ACCELS):
         insert(scratch, k, values[k])
     usual = median(scratch, ACCELS)
     if (accel - usual) * (accel - usual) > gate_var:
         owed += sample.dt_s * (accel - usual)
-        return Accels(values, seen + 1, accel, in_row + 1, owed, n_refused + 1), usual, False, zero
+        return Accels(values, seen + 1, accel, in_row + 1, owed, n_refused + 1), usual, False, 0.0
     stays = in_row > 0 and (accel - left_out) * (accel - left_out) <= gate_var
-    return Accels(values, seen + 1, left_out, 0, zero, n_refused), accel, True, owed if stays else zero
+    return Accels(values, seen + 1, left_out, 0, 0.0, n_refused), accel, True, owed if stays else 0.0
 
 
 @compiled

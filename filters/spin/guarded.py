@@ -14,10 +14,8 @@ it had where it had one. Values that repeat to the last bit are a stuck sensor's
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from typing import NamedTuple
-
-import numpy as np
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import number
@@ -66,7 +64,7 @@ from stillpoint.filters.spin.start import (
     root,
 )
 
-SENSE_SD = 3.0  # a rate has a sense where it is so many standard deviations from 0
+SENSE_SQUARE = 3.0**2  # a rate has a sense where it is so many standard deviations from 0
 HELD_S = 0.1  # an angular acceleration stands for no longer than that
 
 
@@ -156,19 +154,18 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 @compiled
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    zero = like(c.gate, 0.0)
-    bias, push = Bias(zero, zero, zero, c.bias_var), Push(zero, zero, False)
-    guards = no_window(c.window, zero), no_refusals(zero), no_accels(zero), no_repeats(zero)
-    return State(no_start(MEDIAN_OF, zero), no_roll(zero), bias, push, *guards, no_tally())
+    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Push(0.0, 0.0, False)
+    guards = no_window(c.window, 0.0), no_refusals(0.0), no_accels(0.0), no_repeats(0.0)
+    return State(no_start(MEDIAN_OF, 0.0), no_roll(0.0), bias, push, *guards, no_tally())
 
 
 @compiled
 def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> tuple[Roll, Bias]:
     """Angle, rate and bias after an interval."""
-    t, half_s, bias_s = dt_s, like(dt_s, 0.5) * dt_s, dt_s
+    t, half_s, bias_s = dt_s, 0.5 * dt_s, dt_s
     accel = push.accel_radps2 - bias.accel_radps2
     if not push.is_measured:
-        accel, bias_s = like(dt_s, 0.0), like(dt_s, 0.0)
+        accel, bias_s = 0.0, 0.0
     turns, rest = turned(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
     # covariances: the angle takes half_s * bias_s of the bias, the rate bias_s of it
     of_angle = bias.angle_cov + t * bias.rate_cov - half_s * bias_s * bias.var
@@ -182,7 +179,7 @@ def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> 
         turns,
         rest,
         roll.rate_radps + t * accel,
-        angle_var + t * t * like(t, 1 / 3) * step_var,
+        angle_var + t * t * (1 / 3) * step_var,
         cross_var + half_s * step_var,
         rate_var + step_var,
     )
@@ -196,7 +193,7 @@ def left_of(var: float, cov: float, share: float, left: float) -> float:
     ``share`` is its covariance ``cov`` with the rate over that one's variance. Rounding cannot take it below 0.
     """
     explained = share * cov
-    return max(var - explained, like(var, 0.0)) + left * explained
+    return max(var - explained, 0.0) + left * explained
 
 
 @compiled
@@ -233,10 +230,10 @@ def observed(
     rate = roll.rate_radps
     residual = sample.square_rad2ps2 - rate * rate
     square_var = c.noise.square_var * sample.square_widened
-    expected = like(rate, 4.0) * rate * rate * roll.rate_var + square_var
+    expected = 4.0 * rate * rate * roll.rate_var + square_var
     window, alpha = widened(window, residual, expected, c.least_alpha, c.largest_alpha)
     if residual * residual <= c.gate * alpha * expected:
-        noise_var = (alpha - like(alpha, 1.0)) * expected + square_var
+        noise_var = (alpha - 1.0) * expected + square_var
         roll, bias = corrected(roll, bias, residual, noise_var)
         refusals = passed(refusals)
     else:
@@ -247,9 +244,8 @@ def observed(
 @compiled
 def pushed(state: State, sample: RollSample, c: Coefficients) -> tuple[Push, Accels, float]:
     """What the sample's angular acceleration says of the next interval, and what the rate is owed of those before."""
-    zero = like(sample.dt_s, 0.0)
     if not sample.has_accel:
-        return Push(zero, c.unknown_var, False), state.accels, zero
+        return Push(0.0, c.unknown_var, False), state.accels, 0.0
     gate_var, scratch = c.accel_gate_var * sample.accel_widened, state.refusals.scratch_radps
     accels, accel, is_own, owed = without_jump(state.accels, sample, gate_var, scratch)
     return Push(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True), accels, owed
@@ -260,25 +256,25 @@ def sense_of(roll: Roll, direction: int, c: Coefficients) -> int:
     """+1 or -1: as a sensor tells it, else that of the rate where it has one, else the assumed one."""
     if direction != 0:
         return direction
-    square, zero = roll.rate_radps * roll.rate_radps, like(roll.rate_radps, 0.0)
-    least = max(like(zero, SENSE_SD**2) * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
+    square = roll.rate_radps * roll.rate_radps
+    least = max(SENSE_SQUARE * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
     if square <= least:
         return c.noise.sense
-    return 1 if roll.rate_radps > zero else -1
+    return 1 if roll.rate_radps > 0.0 else -1
 
 
 @compiled
 def restarted(state: State, direction: int, c: Coefficients) -> State:
     """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
-    roll, zero = state.roll, like(state.roll.rate_radps, 0.0)
-    rate = median_refused(state.refusals) * like(zero, sense_of(roll, direction, c))
+    roll = state.roll
+    rate = median_refused(state.refusals) * like(0.0, sense_of(roll, direction, c))
     lasting_s = state.refusals.lasting_s
     if state.refusals.n_restarts == 0 and state.window.seen == state.refusals.in_row:
         lasting_s += state.start.elapsed_s  # none has passed yet: the start was wrong
     lost = (rate - roll.rate_radps) * lasting_s
     rate_var = rate_variance(rate, c.noise.square_var)
-    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, zero, rate_var)
-    bias = Bias(state.bias.accel_radps2, zero, zero, c.bias_var)
+    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, 0.0, rate_var)
+    bias = Bias(state.bias.accel_radps2, 0.0, 0.0, c.bias_var)
     guards = Window(state.window.squares, 0), ended(state.refusals), state.accels, state.repeats
     return State(state.start, roll, bias, state.push, *guards, state.tally)
 
@@ -286,7 +282,7 @@ def restarted(state: State, direction: int, c: Coefficients) -> State:
 @compiled
 def unseen(begun: Start, roll: Roll, accel_var: float) -> tuple[Start, Roll]:
     """After a time without any value, at an angular acceleration that nobody saw: the angle is known less well."""
-    way = like(accel_var, 0.5) * begun.elapsed_s * begun.elapsed_s
+    way = 0.5 * begun.elapsed_s * begun.elapsed_s
     var = way * way * accel_var
     rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = begun
     begun = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var + var)
@@ -319,14 +315,13 @@ def begin(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -
     push, accels, _ = pushed(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
     state = State(begun, roll, state.bias, push, *guards, tallied(state.tally, sample, False))
-    return state, RollOutput(roll, like(sample.dt_s, np.nan), begun.held == MEDIAN_OF)
+    return state, RollOutput(roll, nan, begun.held == MEDIAN_OF)
 
 
 @compiled
 def begin_anew(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
     """After what no body does: from the angle before, with the sample as the first one."""
-    zero = like(sample.dt_s, 0.0)
-    bias, push = Bias(zero, zero, zero, c.bias_var), Push(zero, zero, False)
+    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Push(0.0, 0.0, False)
     guards = cleared(state.window, state.refusals, state.accels)
     state = State(anew(state.start, state.roll), state.roll, bias, push, *guards, repeats, lost(state.tally))
     return begin(state, sample, repeats, c)
@@ -338,10 +333,10 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     sample, repeats = without_stuck(sample, state.repeats, c.stuck)
     if state.start.held < MEDIAN_OF:
         return begin(state, sample, repeats, c)
-    window, refusals, innovation = state.window, state.refusals, like(sample.dt_s, np.nan)
+    window, refusals, innovation = state.window, state.refusals, nan
     driving = state.push
-    if sample.dt_s > like(sample.dt_s, HELD_S):
-        driving = Push(like(sample.dt_s, 0.0), c.unknown_var, False)
+    if sample.dt_s > HELD_S:
+        driving = Push(0.0, c.unknown_var, False)
     roll, bias = moved(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
     push, accels, owed = pushed(state, sample, c)
     roll = Roll(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)

@@ -5,9 +5,8 @@ angle is a random walk.
 """
 
 from dataclasses import dataclass
+from math import nan
 from typing import NamedTuple
-
-import numpy as np
 
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.compiled import compiled, like
@@ -54,7 +53,7 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 @compiled
 def start(c: Coefficients) -> State:
     """Before the first sample."""
-    return State(no_roll(like(c.noise.square_var, 0.0)), c.noise.sense, False, no_tally())
+    return State(no_roll(0.0), c.noise.sense, False, no_tally())
 
 
 @compiled
@@ -63,17 +62,17 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
     before, sense, dt_s = state.roll, state.sense, sample.dt_s
     if sample.direction != 0:
         sense = sample.direction
-    rate, left, var = before.rate_radps, like(dt_s, 1.0), before.rate_var
+    rate, left, var = before.rate_radps, 1.0, before.rate_var
     if sample.has_square:
-        rate, left = like(dt_s, sense) * root(sample.square_rad2ps2), like(dt_s, 0.0)
+        rate, left = like(dt_s, sense) * root(sample.square_rad2ps2), 0.0
         var = rate_variance(rate, c.noise.square_var * sample.square_widened)
     begun = state.begun or sample.has_square
-    roll = Roll(0, like(dt_s, 0.0), rate, like(dt_s, 0.0), like(dt_s, 0.0), var)
+    roll = Roll(0, 0.0, rate, 0.0, 0.0, var)
     if state.begun:
         roll = integrated(before, rate, left, var, dt_s)
     is_turned_over = state.begun and sense != state.sense
     state = State(roll, sense, begun, tallied(state.tally, sample, is_turned_over))
-    return state, RollOutput(roll, like(dt_s, np.nan), begun)
+    return state, RollOutput(roll, nan, begun)
 
 
 @compiled

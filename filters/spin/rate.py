@@ -63,7 +63,7 @@ def lost(tally: Tally) -> Tally:
 def driven(sample: RollSample, accel_var: float) -> Drive:
     """By the angular acceleration at this sample, 0 where it is missing."""
     if not sample.has_accel:
-        return Drive(like(sample.dt_s, 0.0), accel_var)
+        return Drive(0.0, accel_var)
     return Drive(sample.accel_radps2, accel_var * sample.accel_widened)
 
 
@@ -77,7 +77,7 @@ def predicted(roll: Roll, drive: Drive, dt_s: float, per_step: bool) -> tuple[fl
 @compiled
 def integrated(roll: Roll, rate_radps: float, left: float, rate_var: float, dt_s: float) -> Roll:
     """The angle moved on by the mean of both rates; ``left`` is the share A of the rate's error that is still there."""
-    half_s = like(dt_s, 0.5) * dt_s
+    half_s = 0.5 * dt_s
     turns, rest = turned(roll.turns, roll.rest_rad + half_s * (roll.rate_radps + rate_radps))
     kept = left * roll.rate_var
     crossed = left * roll.cross_var
@@ -90,6 +90,6 @@ def integrated(roll: Roll, rate_radps: float, left: float, rate_var: float, dt_s
 def faced(roll: Roll, direction: int) -> tuple[Roll, bool]:
     """The roll with its rate in the sense that a sensor tells, and whether it had to be turned over."""
     rate = roll.rate_radps
-    if direction == 0 or rate * like(rate, direction) >= like(rate, 0.0) or rate * rate < roll.rate_var:
+    if direction == 0 or rate * like(rate, direction) >= 0.0 or rate * rate < roll.rate_var:
         return roll, False
     return Roll(roll.turns, roll.rest_rad, -rate, roll.angle_var, -roll.cross_var, roll.rate_var), True

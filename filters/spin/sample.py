@@ -82,10 +82,10 @@ def no_roll(zero: float) -> Roll:
 @compiled
 def turned(turns: int, rest_rad: float) -> tuple[int, float]:
     """The same angle with its rest within half a turn."""
-    whole = round(rest_rad / like(rest_rad, TURN_RAD))
+    whole = round(rest_rad / TURN_RAD)
     if whole == 0:
         return turns, rest_rad
-    return turns + whole, rest_rad - like(rest_rad, TURN_RAD) * like(rest_rad, whole)
+    return turns + whole, rest_rad - TURN_RAD * like(rest_rad, whole)
 
 
 @compiled

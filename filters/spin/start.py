@@ -42,8 +42,7 @@ def no_start(room: int, zero: float) -> Start:
 @compiled
 def anew(start: Start, roll: Roll) -> Start:
     """As before the first sample, with the angle as it is."""
-    zero = like(roll.rest_rad, 0.0)
-    return Start(start.rates_radps, 0, zero, zero, zero, roll.turns, roll.rest_rad, roll.angle_var)
+    return Start(start.rates_radps, 0, 0.0, 0.0, 0.0, roll.turns, roll.rest_rad, roll.angle_var)
 
 
 @compiled
@@ -51,7 +50,7 @@ def forgotten(start: Start, also_gained: bool) -> Start:
     """Without the rates so far, which were none, and what was gained if that was none; the time goes on."""
     rates, _, gained, gained_rad, elapsed_s, turns, rest, angle_var = start
     if also_gained:
-        gained, gained_rad = like(gained, 0.0), like(gained, 0.0)
+        gained, gained_rad = 0.0, 0.0
     return Start(rates, 0, gained, gained_rad, elapsed_s, turns, rest, angle_var)
 
 
@@ -60,20 +59,20 @@ def is_sound(roll: Roll) -> bool:
     """Whether it is one of a body: no absurd values have led beyond all bounds, or to numbers that are none."""
     rate, var = roll.rate_radps, roll.rate_var
     is_finite = abs(roll.rest_rad) < np.inf and roll.angle_var < np.inf and abs(roll.cross_var) < np.inf
-    is_positive = var > like(var, 0.0) and roll.angle_var >= like(var, 0.0)
-    return is_finite and is_positive and abs(rate) < like(rate, MOST_RADPS) and var < like(var, MOST_VAR)
+    is_positive = var > 0.0 and roll.angle_var >= 0.0
+    return is_finite and is_positive and abs(rate) < MOST_RADPS and var < MOST_VAR
 
 
 @compiled
 def root(square_rad2ps2: float) -> float:
     """The size of a rate by its square; 0 where noise made the square negative."""
-    return sqrt(max(square_rad2ps2, like(square_rad2ps2, 0.0)))
+    return sqrt(max(square_rad2ps2, 0.0))
 
 
 @compiled
 def rate_variance(rate_radps: float, square_var: float) -> float:
     """Of a rate that is the root of a square with this variance; R / (2 x)^2, bounded where the rate is near 0."""
-    return square_var / max(like(square_var, 4.0) * rate_radps * rate_radps, sqrt(square_var))
+    return square_var / max(4.0 * rate_radps * rate_radps, sqrt(square_var))
 
 
 @compiled
@@ -92,7 +91,7 @@ def median(sorted_values: NDArray[np.float64], held: int) -> float:
     middle = held // 2
     if held % 2 == 1:
         return sorted_values[middle]
-    return (sorted_values[middle - 1] + sorted_values[middle]) * like(sorted_values[middle], 0.5)
+    return (sorted_values[middle - 1] + sorted_values[middle]) * 0.5
 
 
 @compiled
@@ -103,19 +102,17 @@ def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, sq
     """
     rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = start
     dt_s, sign = sample.dt_s, like(sample.dt_s, sense)
-    half = like(dt_s, 0.5)
-    gained_rad += dt_s * (gained + half * dt_s * accel_radps2)
+    gained_rad += dt_s * (gained + 0.5 * dt_s * accel_radps2)
     gained += dt_s * accel_radps2
     elapsed_s += dt_s
-    if sample.has_square and sample.square_rad2ps2 != like(dt_s, 0.0):
+    if sample.has_square and sample.square_rad2ps2 != 0.0:
         insert(rates, held, root(sample.square_rad2ps2) - sign * gained)
         held += 1
     start = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var)
-    zero = like(dt_s, 0.0)
-    first = sign * median(rates, held) if held > 0 else zero
+    first = sign * median(rates, held) if held > 0 else 0.0
     rate = first + gained
     var = rate_variance(rate, square_var)
     if held > 1:
-        var *= like(var, MEDIAN_VAR) / like(var, held)
+        var *= MEDIAN_VAR / like(var, held)
     turns, rest = turned(turns, rest + first * elapsed_s + gained_rad)
     return start, Roll(turns, rest, rate, angle_var + var * elapsed_s * elapsed_s, var * elapsed_s, var)
