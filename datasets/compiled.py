@@ -91,8 +91,10 @@ class _RoundConstants(FunctionPass):
         for block in state.func_ir.blocks.values():
             for statement in block.find_insts(ir.Assign):
                 constant = statement.value
-                if isinstance(constant, ir.Const | ir.Global | ir.FreeVar) and isinstance(constant.value, float):
-                    statement.value = ir.Const(np.float32(constant.value), constant.loc)
+                if isinstance(constant, ir.Const | ir.Global | ir.FreeVar):
+                    rounded = _round_to_single(constant.value)
+                    if rounded is not constant.value:
+                        statement.value = ir.Const(rounded, constant.loc)
         return True
 
 
@@ -104,6 +106,15 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
         passes.add_pass_after(_RoundConstants, IRProcessing)
         passes.finalize()
         return [passes]
+
+
+def _round_to_single(value: Any) -> Any:
+    """Return a float, or a tuple that holds floats, in single precision; anything else as it is."""
+    if isinstance(value, float):
+        return np.float32(value)
+    if type(value) is tuple:
+        return tuple(_round_to_single(part) for part in value)
+    return value
 
 
 def _has_single(kind: Any) -> bool:

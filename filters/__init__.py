@@ -1,13 +1,13 @@
-"""Streaming estimators of attitude, and of roll.
+"""Streaming estimators of attitude, and of the angle of a spinning body.
 
-``estimate(recording, name)`` runs one over a recording, ``Stream(name)`` and ``RollStream(name, geometry)`` sample by
-sample; ``ESTIMATORS`` lists them.
+``estimate(recording, name)`` runs one over a recording. ``Stream(name)`` and ``SpinStream(name, geometry)`` run one
+sample by sample. ``ESTIMATORS`` lists them.
 """
 
 from stillpoint.filters.run import estimate
-from stillpoint.filters.spin.advance import RollAnswer
-from stillpoint.filters.spin.stream import RollStream, SavedRoll
+from stillpoint.filters.spin.advance import SpinAnswer
+from stillpoint.filters.spin.stream import SavedSpin, SpinStream
 from stillpoint.filters.stream import Saved, Stream
 from stillpoint.filters.table import ESTIMATORS
 
-__all__ = ["ESTIMATORS", "RollAnswer", "RollStream", "Saved", "SavedRoll", "Stream", "estimate"]
+__all__ = ["ESTIMATORS", "Saved", "SavedSpin", "SpinAnswer", "SpinStream", "Stream", "estimate"]

@@ -1,6 +1,6 @@
-"""One call per sample: guard, heading source and estimator as one compiled function, the state inside it.
+"""One call per sample: guard, heading source and estimator as one compiled function that holds the state.
 
-Between two calls the state lies in a *cell*, a compiled list with one entry: to turn some fifty numbers into Python
+Between two calls the state lies in a *cell*, a compiled list with one entry: converting some fifty numbers to Python
 objects and back costs more than a step. The compiled functions close over the estimator's *module*, which numba keeps
 on disk; over the function itself it would compile anew in every process.
 """
@@ -13,7 +13,7 @@ from typing import Any, cast
 from numba import boolean, float64, int64, typeof
 from numba.typed import List
 
-from stillpoint.filters.compiled import compiled_entry
+from stillpoint.datasets.compiled import compiled_entry
 from stillpoint.filters.front import front
 from stillpoint.filters.front.front import State
 from stillpoint.filters.front.guard import Fix, Raw
@@ -26,8 +26,8 @@ ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
 
 
 @cache
-def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
-    """The function that makes the cell of a new stream from both coefficients."""
+def make_begin(estimator: ModuleType) -> Callable[[Any, Any], Any]:
+    """Return the function that makes the cell of a new stream from both sets of constants."""
 
     @compiled_entry
     def begin(front_c: Any, c: Any) -> Any:
@@ -42,8 +42,8 @@ def beginning(estimator: ModuleType) -> Callable[[Any, Any], Any]:
 
 
 @cache
-def advancing(estimator: ModuleType) -> Any:
-    """The function that takes the cell and one sample and gives the output."""
+def make_advance(estimator: ModuleType) -> Any:
+    """Return the function that takes the cell and one sample, and returns the output."""
 
     @compiled_entry
     def advance(
@@ -75,20 +75,20 @@ def advancing(estimator: ModuleType) -> Any:
     return advance
 
 
-def entry_point(estimator: ModuleType, cell: Any) -> Advance:
-    """:func:`advancing` for this cell, without the search for the right types at every call."""
-    return cast(Advance, advancing(estimator).compile((typeof(cell), *ARGUMENTS)))
+def compile_advance(estimator: ModuleType, cell: Any) -> Advance:
+    """Compile :func:`make_advance` for this cell and return the machine code's entry: no type lookup per call."""
+    return cast(Advance, make_advance(estimator).compile((typeof(cell), *ARGUMENTS)))
 
 
 @compiled_entry
-def look(cell: Any) -> Any:
-    """Both coefficients, both states and the newest output; arrays are those of the stream itself."""
+def read_cell(cell: Any) -> Any:
+    """Return both sets of constants, both states and the newest output; arrays are those of the stream itself."""
     return cell[0]
 
 
 @compiled_entry
-def filled(front_c: Any, c: Any, front_state: State, state: Any, output: Any) -> Any:
-    """The cell of a stream that goes on."""
+def restore_cell(front_c: Any, c: Any, front_state: State, state: Any, output: Any) -> Any:
+    """Return the cell of a stream that continues from saved states."""
     cell = List()
     cell.append((front_c, c, front_state, state, output))
     return cell

@@ -1,10 +1,10 @@
-"""The axes about which the z-y-x Euler angles of an attitude turn, in body axes; turns about them and back."""
+"""The axes about which the z-y-x Euler angles of an attitude turn, in body axes, and conversions with them."""
 
 from math import sqrt
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled_apart, compiled_inside
 from stillpoint.datasets.quaternion import half_angle
-from stillpoint.filters.compiled import compiled_apart, compiled_inside
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, cross
 
@@ -19,7 +19,7 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]  # a
 
 
 class Frame(NamedTuple):
-    """Where the Euler angles of an attitude turn, in body axes."""
+    """The axes about which the Euler angles of an attitude turn, in body axes."""
 
     up_b: Vector  # axis of heading: (-sin pitch, cos pitch sin roll, cos pitch cos roll)
     pitch_b: Vector  # axis of pitch: (0, cos roll, -sin roll)
@@ -27,8 +27,8 @@ class Frame(NamedTuple):
 
 
 @compiled_inside
-def frame_of(q: Quaternion) -> Frame:
-    """Where the Euler angles of an attitude turn; the pitch's axis is arbitrary where x is vertical."""
+def euler_frame(q: Quaternion) -> Frame:
+    """Return the axes about which the Euler angles turn; that of pitch is arbitrary where x is vertical."""
     w, x, y, z = q
     up_x, up_y, up_z = (x * z - w * y) * 2.0, (y * z + w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0
     square = up_y * up_y + up_z * up_z
@@ -40,37 +40,37 @@ def frame_of(q: Quaternion) -> Frame:
 
 
 @compiled_inside
-def half_turn(angle: float) -> tuple[float, float]:
-    """Cosine and sine of half an angle in rad."""
+def half_angle_cos_sin(angle: float) -> tuple[float, float]:
+    """Return cosine and sine of half an angle in rad."""
     cosine, share = half_angle(angle * angle)
     return cosine, angle * share
 
 
 @compiled_inside
-def tilting(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
-    """A turn by ``pitch`` about the axis of pitch, then by ``roll`` about body x: on the right of an attitude."""
-    (cp, sp), (cr, sr) = half_turn(pitch), half_turn(roll)
+def tilt_rotation(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
+    """Return a turn by ``pitch`` about the axis of pitch, then by ``roll`` about body x, to multiply from the right."""
+    (cp, sp), (cr, sr) = half_angle_cos_sin(pitch), half_angle_cos_sin(roll)
     y, z = pitch_b[1] * sp, pitch_b[2] * sp
     return cp * cr, cp * sr, y * cr + z * sr, z * cr - y * sr
 
 
 @compiled_inside
-def turned_about_up(q: Quaternion, angle: float) -> Quaternion:
-    """The attitude after a turn about up."""
-    c, s = half_turn(angle)
+def turn_about_up(q: Quaternion, angle: float) -> Quaternion:
+    """Return the attitude after a turn about up."""
+    c, s = half_angle_cos_sin(angle)
     return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
 
 
 @compiled_inside
-def in_body(roll: float, pitch: float, frame: Frame) -> Vector:
-    """The body rate of these rates of roll and pitch: the inverse of (1)."""
+def body_rate(roll: float, pitch: float, frame: Frame) -> Vector:
+    """Return the body rate of these rates of roll and pitch: the inverse of (1)."""
     return roll, frame.pitch_b[1] * pitch, frame.pitch_b[2] * pitch
 
 
 @compiled_inside
-def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
-    """The most that turns about the body's axes, of either sign, make of roll, pitch and heading: (1)."""
-    up, (_, across_y, across_z), cos_pitch = frame_of(q_nb)
+def bound_hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
+    """Return the largest roll, pitch and heading that turns about the body's axes, of either sign, can make: (1)."""
+    up, (_, across_y, across_z), cos_pitch = euler_frame(q_nb)
     x, y, z = hidden_b_rad
     least = GIMBAL
     if cos_pitch < least:  # any horizontal axis may be that of pitch
@@ -80,8 +80,8 @@ def hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
 
 
 @compiled_inside
-def grown_by(cov: Nine, variance: float, axis: Vector) -> Nine:
-    """With an independent error about this axis."""
+def add_axis_error(cov: Nine, variance: float, axis: Vector) -> Nine:
+    """Add an independent error about this axis to a 3 x 3 covariance."""
     x, y, z = axis
     ax, ay, az = variance * x, variance * y, variance * z
     xy, xz, yz = cov[1] + ax * y, cov[2] + ax * z, cov[5] + ay * z
@@ -90,22 +90,22 @@ def grown_by(cov: Nine, variance: float, axis: Vector) -> Nine:
 
 @compiled_apart
 def steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
-    """As :func:`covariance`, near the vertical."""
+    """Compute :func:`covariance` near the vertical."""
     (ux, uy, uz), across, cos_pitch = frame
     share = cos_pitch * PER_STEEP
     mirrored = min(roll, ANY_ANGLE_RAD2) * (1.0 - share * share) / 2.0
     tilt = max(pitch - roll * cos_pitch * cos_pitch, 0.0) * (1.0 - share * share)
     cov = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    cov = grown_by(cov, min(roll, ANY_ANGLE_RAD2) - mirrored, (1.0, 0.0, 0.0))
-    cov = grown_by(cov, mirrored, (1.0 - 2.0 * ux * ux, -2.0 * ux * uy, -2.0 * ux * uz))
-    cov = grown_by(cov, pitch, across)
-    cov = grown_by(cov, heading, (ux, uy, uz))
-    return grown_by(cov, tilt, cross((ux, uy, uz), across))
+    cov = add_axis_error(cov, min(roll, ANY_ANGLE_RAD2) - mirrored, (1.0, 0.0, 0.0))
+    cov = add_axis_error(cov, mirrored, (1.0 - 2.0 * ux * ux, -2.0 * ux * uy, -2.0 * ux * uz))
+    cov = add_axis_error(cov, pitch, across)
+    cov = add_axis_error(cov, heading, (ux, uy, uz))
+    return add_axis_error(cov, tilt, cross((ux, uy, uz), across))
 
 
 @compiled_inside
 def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
-    """Variances of the Euler angles as the covariance of a small rotation in body axes.
+    """Return the variances of the Euler angles as the covariance of a small rotation in body axes.
 
     An error of roll is one about body x. Where x is near the vertical that is up as well, but what the filters know is
     the tilt, about a horizontal axis, and the turn about up, each by its own sensor; the sum of three independent

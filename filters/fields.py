@@ -1,19 +1,22 @@
-"""Gravity and the magnetic field as they come from the sensors: low pass, tilt and heading (paper 002, eqs (4)-(9))."""
+"""Gravity and the magnetic field as the sensors read them: low pass, tilt and heading.
+
+Elmi Aziz and Mohseni Araste 2021, eqs (4)-(9).
+"""
 
 from math import atan2, pi, sqrt
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, compiled_inside
+from stillpoint.datasets.compiled import compiled, compiled_inside
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
-    between,
     blend,
     cross,
     dot,
-    from_rows,
     norm,
+    quaternion_from_rows,
     rotate,
+    rotation_between,
     scale,
 )
 from stillpoint.filters.sample import GAP_S, Sample
@@ -56,15 +59,15 @@ class Fresh(NamedTuple):
 
 
 @compiled
-def no_fields(zero: float) -> Fields:
-    """Before the first sample."""
+def start_fields(zero: float) -> Fields:
+    """Return the fields before the first sample."""
     none = (zero, zero, zero)
     return Fields(none, none, none, none, zero, zero, False, False, 0, 0)
 
 
 @compiled_inside
-def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fresh]:
-    """Eq (9): x_bar_k = kappa x_k + (1 - kappa) x_(k-1), of raw samples, each sensor at its own rate.
+def smooth_fields(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fresh]:
+    """Apply eq (9), x_bar_k = kappa x_k + (1 - kappa) x_(k-1), to raw samples, each sensor at its own rate.
 
     The first sample, and the first after a gap, stand alone. Samples that are not usable take no part.
     """
@@ -96,26 +99,26 @@ def low_pass(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields, Fres
 
 
 @compiled
-def level(accel_b: Vector) -> Quaternion:
-    """Eq (4) as a rotation: the attitude with this up and the body's x axis over north (the paper's yaw is 0)."""
+def level_attitude(accel_b: Vector) -> Quaternion:
+    """Return eq (4) as a rotation: the attitude with this up, with the body's x axis north (the paper's yaw is 0)."""
     up = scale(accel_b, 1.0 / norm(accel_b))
     if up[1] * up[1] + up[2] * up[2] > STEEP:
         west = cross(up, (1.0, 0.0, 0.0))
     else:  # x is vertical, its azimuth undefined: y over west, where eq (4) has roll 0
         west = cross(cross(up, (0.0, 1.0, 0.0)), up)
     west = scale(west, 1.0 / norm(west))
-    return from_rows((-west[0], -west[1], -west[2]), cross(west, up), up)
+    return quaternion_from_rows((-west[0], -west[1], -west[2]), cross(west, up), up)
 
 
 @compiled
-def uprighting(q_nb: Quaternion, accel_b: Vector) -> Quaternion:
-    """The smallest turn of n that brings the measured up of an attitude to the true one: about a horizontal axis."""
-    return between(rotate(q_nb, accel_b), (0.0, 0.0, 1.0))
+def level_rotation(q_nb: Quaternion, accel_b: Vector) -> Quaternion:
+    """Return the smallest rotation of n, about a horizontal axis, from an attitude's measured up to the true one."""
+    return rotation_between(rotate(q_nb, accel_b), (0.0, 0.0, 1.0))
 
 
 @compiled
-def tilt_of(up_n: Vector) -> tuple[float, float]:
-    """The same turn as a rotation vector, whose third component is 0; ``up_n`` is the measured up, of any length."""
+def tilt_error(up_n: Vector) -> tuple[float, float]:
+    """Return that rotation as a rotation vector without its third component, 0; ``up_n`` may have any length."""
     flat = sqrt(up_n[0] * up_n[0] + up_n[1] * up_n[1])
     if flat == 0:
         return 0.0 if up_n[2] > 0 else pi, flat
@@ -124,8 +127,8 @@ def tilt_of(up_n: Vector) -> tuple[float, float]:
 
 
 @compiled
-def levelled(v_n: Vector, up_n: Vector) -> Vector:
-    """Eq (5): ``v_n`` after that turn (Rodrigues' formula); ``up_n`` is of length 1."""
+def level_vector(v_n: Vector, up_n: Vector) -> Vector:
+    """Apply eq (5): rotate ``v_n`` by that rotation (Rodrigues' formula); ``up_n`` is of length 1."""
     along = up_n[0] * v_n[0] + up_n[1] * v_n[1]
     if up_n[2] < UPSIDE_DOWN:
         return v_n[0], -v_n[1], -v_n[2]
@@ -134,8 +137,8 @@ def levelled(v_n: Vector, up_n: Vector) -> Vector:
 
 
 @compiled
-def turn_to_north(field_n: Vector, declination_rad: float) -> tuple[float, bool]:
-    """Eqs (6)-(8): the turn about up, in (-pi, pi], after which a levelled field points to magnetic north.
+def north_error(field_n: Vector, declination_rad: float) -> tuple[float, bool]:
+    """Return eqs (6)-(8): the turn about up, in (-pi, pi], after which a levelled field points to magnetic north.
 
     The declination is east of true north. False where the field has no horizontal part.
     """

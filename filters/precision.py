@@ -11,8 +11,8 @@ from stillpoint.datasets.frames import rotation
 Precision = Literal["double", "single"]
 
 
-def in_precision(tree: Any, precision: Precision) -> Any:
-    """Tuples, named tuples and arrays with their floats in this precision; integers and truth values as they are.
+def to_precision(tree: Any, precision: Precision) -> Any:
+    """Return tuples, named tuples and arrays with their floats in this precision; integers and booleans stay.
 
     Raises :class:`BadParameter` for another precision.
     """
@@ -34,8 +34,8 @@ def _single(tree: Any) -> Any:
     return tree
 
 
-def off_double(single: Estimate, double: Estimate) -> dict[str, float]:
-    """By how much two estimates of the same samples differ: the largest and the RMS angle, deg."""
+def compare_with_double(single: Estimate, double: Estimate) -> dict[str, float]:
+    """Return the largest and the RMS angle, in deg, by which two estimates of the same samples differ."""
     if single.q_nb is not None and double.q_nb is not None:
         apart_rad = (rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude()
     else:

@@ -1,32 +1,32 @@
-"""The few functions on rotations that the hot loops need: plain floats in tuples, compiled.
+"""The few functions on rotations that the hot loops need, compiled, on plain floats in tuples.
 
 Quaternions are Hamilton, ``(w, x, y, z)``, of length 1 unless said otherwise; vectors are ``(x, y, z)``. Everything
 works in the precision of its arguments. Whole columns belong to scipy's ``Rotation``
-(:mod:`stillpoint.datasets.frames`): here one product takes nanoseconds, there it takes microseconds.
+(:mod:`stillpoint.datasets.frames`): one product takes nanoseconds here and microseconds there.
 """
 
 from math import cos, sin, sqrt
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.quaternion import Quaternion, Vector, conjugate, exp, log, multiply
-from stillpoint.filters.compiled import compiled
 
 __all__ = [
     "Quaternion",
     "Vector",
-    "about_up",
     "add",
-    "between",
     "blend",
     "conjugate",
     "cross",
     "dot",
     "exp",
-    "from_rows",
     "log",
     "multiply",
     "norm",
     "normalise",
+    "quaternion_from_rows",
     "rotate",
+    "rotation_about_up",
+    "rotation_between",
     "scale",
 ]
 
@@ -36,51 +36,51 @@ PARALLEL_BELOW = 1e-12
 
 @compiled
 def dot(u: Vector, v: Vector) -> float:
-    """Scalar product."""
+    """Return the scalar product."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 @compiled
 def cross(u: Vector, v: Vector) -> Vector:
-    """Vector product."""
+    """Return the vector product."""
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
 @compiled
 def scale(v: Vector, factor: float) -> Vector:
-    """``factor * v``."""
+    """Return ``factor * v``."""
     return v[0] * factor, v[1] * factor, v[2] * factor
 
 
 @compiled
 def add(u: Vector, v: Vector) -> Vector:
-    """``u + v``."""
+    """Return ``u + v``."""
     return u[0] + v[0], u[1] + v[1], u[2] + v[2]
 
 
 @compiled
 def blend(u: Vector, v: Vector, share: float) -> Vector:
-    """``share * u + (1 - share) * v``."""
+    """Return ``share * u + (1 - share) * v``."""
     rest = 1.0 - share
     return u[0] * share + v[0] * rest, u[1] * share + v[1] * rest, u[2] * share + v[2] * rest
 
 
 @compiled
 def norm(v: Vector) -> float:
-    """Length of a vector."""
+    """Return the length of a vector."""
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @compiled
 def normalise(q: Quaternion) -> Quaternion:
-    """The quaternion of length 1 in the direction of ``q``, which may have any length but 0."""
+    """Return the quaternion of length 1 in the direction of ``q``, which may have any length but 0."""
     size = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * size, q[1] * size, q[2] * size, q[3] * size
 
 
 @compiled
 def rotate(q: Quaternion, v: Vector) -> Vector:
-    """``v`` turned by ``q``: with ``q_nb``, body axes in, n axes out."""
+    """Return ``v`` rotated by ``q``: with ``q_nb``, body axes in, n axes out."""
     x, y, z = q[2] * v[2] - q[3] * v[1], q[3] * v[0] - q[1] * v[2], q[1] * v[1] - q[2] * v[0]
     x, y, z = x + x, y + y, z + z
     return (
@@ -91,15 +91,15 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 @compiled
-def about_up(angle: float) -> Quaternion:
-    """The rotation by ``angle`` rad about the third axis, counter-clockwise seen from its tip."""
+def rotation_about_up(angle: float) -> Quaternion:
+    """Return the rotation by ``angle`` rad about the third axis, counter-clockwise seen from its tip."""
     half = angle * 0.5
     return cos(half), 0.0, 0.0, sin(half)
 
 
 @compiled
-def between(u: Vector, v: Vector) -> Quaternion:
-    """The smallest rotation that takes the direction of ``u`` to that of ``v``; neither may be 0.
+def rotation_between(u: Vector, v: Vector) -> Quaternion:
+    """Return the smallest rotation that takes the direction of ``u`` to that of ``v``; neither may be 0.
 
     Opposite directions have many: one about an axis at right angles to ``u`` is chosen.
     """
@@ -116,8 +116,8 @@ def between(u: Vector, v: Vector) -> Quaternion:
 
 
 @compiled
-def from_rows(first: Vector, second: Vector, third: Vector) -> Quaternion:
-    """The quaternion of the rotation matrix with these orthonormal rows: the axes of n, written in b, give ``q_nb``.
+def quaternion_from_rows(first: Vector, second: Vector, third: Vector) -> Quaternion:
+    """Return the quaternion of the matrix with these orthonormal rows: the axes of n, written in b, give ``q_nb``.
 
     Divides by the largest of the four components (Shepperd 1978), so that no rotation is singular.
     """

@@ -15,11 +15,11 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters import peers
 from stillpoint.filters.front.heading_source import Heading
-from stillpoint.filters.front.sources import Sources, passed, sources_of
-from stillpoint.filters.precision import Precision, in_precision, off_double
-from stillpoint.filters.sample import Log, Track, counts
-from stillpoint.filters.spin.run import estimate_roll
-from stillpoint.filters.table import Estimator, Peer, RollEstimator, find
+from stillpoint.filters.front.sources import Sources, find_sources, prepare_log
+from stillpoint.filters.precision import Precision, compare_with_double, to_precision
+from stillpoint.filters.sample import Log, Track, collect_counts
+from stillpoint.filters.spin.run import estimate_spin
+from stillpoint.filters.table import Estimator, Peer, SpinEstimator, find_estimator
 
 PAGE = 4096  # bytes; the least that the system gives at a time
 
@@ -34,7 +34,7 @@ def estimate(
     heading_params: Settings | Mapping[str, Any] | None = None,
     ranges: Settings | Mapping[str, Any] | None = None,
 ) -> Estimate:
-    """What the estimator ``name`` of :data:`ESTIMATORS` says at every IMU sample of ``recording``.
+    """Return what the estimator ``name`` of :data:`ESTIMATORS` estimates at every IMU sample of ``recording``.
 
     At each IMU sample a filter gets the newest field that it has not had, if there is one (``mag.t_ns <= t_ns``). The
     declination comes from the recording's date and place; without them n is magnetic East-North-Up. A magnetometer
@@ -67,24 +67,24 @@ def estimate(
     BadRecording
         No IMU; or no satellite fixes, when the heading is to come from them.
     """
-    entry = find(name)
+    entry = find_estimator(name)
     settings = choose_settings(entry.params(), params, name)
-    if isinstance(entry, RollEstimator):
+    if isinstance(entry, SpinEstimator):
         if heading != "mag" or heading_params or ranges:
             raise BadParameter(f"{name}: follows a spin, which has no heading; leave heading and ranges out")
-        one = partial(estimate_roll, recording, name, entry, settings)
+        one = partial(estimate_spin, recording, name, entry, settings)
     else:
         if isinstance(entry, Peer) and precision != "double":
             raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
-        imu, sources = recording.require_imu(), sources_of(recording, heading, heading_params, ranges)
-        one = partial(_attitudes, recording.name, imu, name, entry, settings, sources)
+        imu, sources = recording.require_imu(), find_sources(recording, heading, heading_params, ranges)
+        one = partial(_estimate_attitude, recording.name, imu, name, entry, settings, sources)
     made = one(precision)
     if precision == "double":
         return made
-    return replace(made, diagnostics={**made.diagnostics, **off_double(made, one("double"))})
+    return replace(made, diagnostics={**made.diagnostics, **compare_with_double(made, one("double"))})
 
 
-def _attitudes(
+def _estimate_attitude(
     recording: str,
     imu: Imu,
     name: str,
@@ -93,7 +93,7 @@ def _attitudes(
     sources: Sources,
     precision: Precision,
 ) -> Estimate:
-    log, facts = passed(imu, sources, precision)
+    log, facts = prepare_log(imu, sources, precision)
     if isinstance(entry, Peer):
         columns, met, elapsed_ns = _run_peer(entry, settings, imu, log, sources)
     else:
@@ -110,14 +110,14 @@ def _attitudes(
 
 
 def to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
-    """Attitudes (N, 4) from magnetic to true East-North-Up; the same bits for a declination of 0."""
+    """Return attitudes (N, 4) in true instead of magnetic East-North-Up; unchanged for a declination of 0."""
     if declination_rad == 0.0:
         return q_nb
     return quaternion(heading_rotation(-declination_rad) * rotation(q_nb))
 
 
-def _written_once(shape: tuple[int, int]) -> Floats:
-    """An array whose pages the system has given already: it takes as long as a fast filter, and is not to be timed."""
+def _allocate(shape: tuple[int, int]) -> Floats:
+    """Return an array whose memory pages exist: getting them takes as long as a fast filter, and must not be timed."""
     made = np.empty(shape)
     made.reshape(-1)[:: PAGE // made.itemsize] = 0.0
     return made
@@ -126,9 +126,9 @@ def _written_once(shape: tuple[int, int]) -> Floats:
 def _run_peer(
     entry: Peer, params: Settings, imu: Imu, log: Log, sources: Sources
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """As :func:`_run`. A peer has no way to leave a sample out, so the accelerometer is as it was recorded.
+    """Run a peer, as :func:`_run`. A peer cannot leave a sample out, so it gets the accelerometer as recorded.
 
-    A field that is no measurement is not handed over, and counted: the package ahrs refuses zeros.
+    A field that is no measurement is left out and counted: the package ahrs refuses zeros.
     """
     mag = sources.mag
     counted: dict[str, int] = {}
@@ -149,17 +149,17 @@ def _run_peer(
 def _run(
     entry: Estimator, log: Log, params: Settings, declination_rad: float, precision: Precision
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """Columns of the estimate, counts, and the time of the estimator's compiled run in ns."""
-    c = in_precision(entry.coefficients(params, declination_rad), precision)
+    """Return the columns of the estimate, counts, and the time of the estimator's compiled run in ns."""
+    c = to_precision(entry.coefficients(params, declination_rad), precision)
     n = len(log.dt_s)
     track = Track(
-        q_nb=_written_once((n, 4)),
-        gyro_bias_b_radps=_written_once((n, 3)) if entry.gives_bias else None,
-        cov_b_rad2=_written_once((n, 9)) if entry.gives_cov else None,
-        innovation=_written_once((n, entry.innovations)) if entry.innovations else None,
+        q_nb=_allocate((n, 4)),
+        gyro_bias_b_radps=_allocate((n, 3)) if entry.gives_bias else None,
+        cov_b_rad2=_allocate((n, 9)) if entry.gives_cov else None,
+        innovation=_allocate((n, entry.innovations)) if entry.innovations else None,
         ready=np.empty(n, dtype=np.bool_),
     )
-    begin = in_precision(entry.start(c), precision)
+    begin = to_precision(entry.start(c), precision)
     entry.run(log._replace(dt_s=log.dt_s[:0]), begin, c, track)  # no sample: compiles, which is not to be timed
     begun = perf_counter_ns()
     state = entry.run(log, begin, c, track)
@@ -167,4 +167,4 @@ def _run(
     columns = track._asdict()
     if track.cov_b_rad2 is not None:
         columns["cov_b_rad2"] = track.cov_b_rad2.reshape(n, 3, 3)
-    return columns, counts(state) | {"precision": precision}, elapsed_ns
+    return columns, collect_counts(state) | {"precision": precision}, elapsed_ns

@@ -1,15 +1,14 @@
-"""What goes into one step of an estimator and what comes out, one by one and as columns.
+"""The input and the output of one step of an estimator, as single values and as columns.
 
-An estimator is a ``Params``, a ``Coefficients`` made from it once, a ``State``, and two compiled functions::
+An estimator is a ``Params``, a ``Coefficients`` derived from it once, a ``State``, and two compiled functions::
 
     start(coefficients) -> State
     step(state, sample, coefficients) -> (State, Output)
 
-with ``run``, the loop of ``step`` over columns: one in each module, as numba keeps no function on disk that is given
-another one.
+:mod:`stillpoint.filters.loop` makes the loop over columns from them.
 
 The first sample of a run has ``dt_s`` = 0. Arrays inside a state (a moving window) are handed over: ``step`` may write
-into those it was given, so whoever wants to go back keeps a copy.
+into those that it was given, so a caller who wants to return to a state keeps a copy.
 """
 
 from typing import Any, NamedTuple
@@ -19,8 +18,8 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled, compiled_inside
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled, compiled_inside
 from stillpoint.filters.rotation import Quaternion, Vector
 
 # A longer interval between two samples is a gap: one rate does not describe it.
@@ -40,7 +39,7 @@ class Sample(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What an estimator says after a sample; None for what it does not estimate."""
+    """What an estimator returns after a sample; None for what it does not estimate."""
 
     q_nb: Quaternion
     gyro_bias_b_radps: Vector | None
@@ -62,7 +61,7 @@ class Log(NamedTuple):
 
 
 class Track(NamedTuple):
-    """Where a batch run puts its outputs; None for what is not estimated."""
+    """Columns for the outputs of a batch run; None for what is not estimated."""
 
     q_nb: Floats  # (N, 4)
     gyro_bias_b_radps: Floats | None  # (N, 3)
@@ -72,8 +71,8 @@ class Track(NamedTuple):
 
 
 @compiled
-def sample_at(log: Log, k: int) -> Sample:
-    """Sample ``k`` of the columns."""
+def read_sample(log: Log, k: int) -> Sample:
+    """Return sample ``k`` of the columns."""
     gyro, accel, mag, hidden = log.gyro_b_radps, log.accel_b_mps2, log.mag_b_ut, log.hidden_b_radps
     return Sample(
         log.dt_s[k],
@@ -87,33 +86,33 @@ def sample_at(log: Log, k: int) -> Sample:
 
 
 @compiled_inside
-def keep(track: Track, k: int, output: Output) -> None:
-    """Put output ``k`` into the columns."""
-    put(track.q_nb, k, output.q_nb)
-    put(track.gyro_bias_b_radps, k, output.gyro_bias_b_radps)
-    put(track.cov_b_rad2, k, output.cov_b_rad2)
-    put(track.innovation, k, output.innovation)
+def write_output(track: Track, k: int, output: Output) -> None:
+    """Write output ``k`` into the columns."""
+    write_row(track.q_nb, k, output.q_nb)
+    write_row(track.gyro_bias_b_radps, k, output.gyro_bias_b_radps)
+    write_row(track.cov_b_rad2, k, output.cov_b_rad2)
+    write_row(track.innovation, k, output.innovation)
     track.ready[k] = output.ready
 
 
-def counts(state: Any) -> dict[str, int]:
-    """What an estimator left out or met: the fields of a state, and of states within it, that begin with ``n_``."""
+def collect_counts(state: Any) -> dict[str, int]:
+    """Return an estimator's counts: the fields of a state, and of states within it, whose names begin with ``n_``."""
     found: dict[str, int] = {}
     for name, value in state._asdict().items():
         if hasattr(value, "_asdict"):
-            found |= counts(value)
+            found |= collect_counts(value)
         elif name.startswith("n_"):
             found[name] = int(value)
     return found
 
 
-def put(column: Any, k: int, values: Any) -> None:
-    """Write a tuple into row ``k``; nothing where there is no column."""
+def write_row(column: Any, k: int, values: Any) -> None:
+    """Write a tuple into row ``k``; do nothing where there is no column."""
     if column is not None:
         column[k] = values
 
 
-@overload(put)
+@overload(write_row)
 def _put(column: Any, k: Any, values: Any) -> Any:
     def skip(column: Any, k: Any, values: Any) -> None:
         return None

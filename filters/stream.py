@@ -1,19 +1,18 @@
 """``Stream``: an estimator fed sample by sample, as on the device; the same compiled step as a batch run."""
 
-import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, choose_settings
-from stillpoint.filters.advance import beginning, entry_point, filled, look
+from stillpoint.filters.advance import compile_advance, make_begin, read_cell, restore_cell
 from stillpoint.filters.front.front import State as FrontState
 from stillpoint.filters.front.heading_source import Heading
-from stillpoint.filters.front.sources import front_of
-from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sample import Output, counts
-from stillpoint.filters.table import Estimator, find
+from stillpoint.filters.front.sources import make_front
+from stillpoint.filters.precision import Precision, to_precision
+from stillpoint.filters.sample import Output, collect_counts
+from stillpoint.filters.table import Estimator, find_estimator
 
 NO_VECTOR = (0.0, 0.0, 0.0)
 NO_FIX = (0.0, 0.0)
@@ -61,22 +60,21 @@ class Stream:
         ranges: Settings | Mapping[str, Any] | None = None,
         saved: Saved | None = None,
     ) -> None:
-        entry = find(name)
+        entry = find_estimator(name)
         if not isinstance(entry, Estimator):
             raise BadParameter(f"{name}: takes whole recordings only; use estimate(recording, {name!r})")
         kind = (name, heading, precision)
         if saved is not None and tuple(saved[:3]) != kind:
             raise BadParameter(f"the saved state is of {' '.join(saved[:3])}, not of {' '.join(kind)}; go on with that")
-        front_c = front_of(heading, heading_params, ranges, declination_rad)
+        front_c = make_front(heading, heading_params, ranges, declination_rad)
         c = entry.coefficients(choose_settings(entry.params(), params, name), declination_rad or 0.0)
-        both = in_precision(front_c, precision), in_precision(c, precision)
-        estimator = sys.modules[entry.step.__module__]
+        both = to_precision(front_c, precision), to_precision(c, precision)
         if saved is None:
-            self._cell = beginning(estimator)(*both)
+            self._cell = make_begin(entry.module)(*both)
         else:
-            self._cell = filled(*both, *in_precision(deepcopy(saved[3:]), precision))
+            self._cell = restore_cell(*both, *to_precision(deepcopy(saved[3:]), precision))
         self._kind = kind
-        self._advance = entry_point(estimator, self._cell)
+        self._advance = compile_advance(entry.module, self._cell)
 
     def update(
         self,
@@ -118,10 +116,10 @@ class Stream:
 
     def save(self) -> Saved:
         """All that is needed to go on from here, also in another process."""
-        return Saved(*self._kind, *deepcopy(look(self._cell)[2:]))
+        return Saved(*self._kind, *deepcopy(read_cell(self._cell)[2:]))
 
     @property
     def counts(self) -> dict[str, int]:
         """What was left out or met, by the guard, by the heading source, and by the estimator itself."""
-        _, _, passed, state, _ = look(self._cell)
-        return counts(passed) | counts(state)
+        _, _, passed, state, _ = read_cell(self._cell)
+        return collect_counts(passed) | collect_counts(state)

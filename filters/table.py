@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import Any, Protocol, TypeAlias
 
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import SpinGeometry
@@ -10,23 +11,73 @@ from stillpoint.datasets.settings import Settings
 from stillpoint.filters import peers
 from stillpoint.filters.complementary import complementary, fixed_gain, gyro, least_squares, moving_average, tilt
 from stillpoint.filters.kalman import aekf, ekf, iekf, kf_axis
-from stillpoint.filters.spin import aekf as roll_aekf
-from stillpoint.filters.spin import ekf as roll_ekf
-from stillpoint.filters.spin import guarded as roll_guarded
-from stillpoint.filters.spin import observation as roll_observation
-from stillpoint.filters.spin.noise import RollParams
+from stillpoint.filters.loop import make_run, make_spin_run
+from stillpoint.filters.sample import Log, Output, Sample, Track
+from stillpoint.filters.spin import aekf as spin_aekf
+from stillpoint.filters.spin import ekf as spin_ekf
+from stillpoint.filters.spin import guarded as spin_guarded
+from stillpoint.filters.spin import observation as spin_observation
+from stillpoint.filters.spin.noise import SpinParams
+from stillpoint.filters.spin.sample import SpinLog, SpinOutput, SpinSample, SpinTrack
+
+# Each estimator has named tuples of its own for these two.
+Constants: TypeAlias = tuple[Any, ...]
+State: TypeAlias = tuple[Any, ...]
+
+
+class Derive(Protocol):
+    """Derive an estimator's constants from its parameters and the local declination, rad east of true north."""
+
+    def __call__(self, params: Any, declination_rad: float, /) -> Constants: ...  # noqa: D102
+
+
+class DeriveSpin(Protocol):
+    """Derive the constants of an estimator of a spin from its parameters and the geometry of its sensors."""
+
+    def __call__(self, params: Any, geometry: SpinGeometry, /) -> Constants: ...  # noqa: D102
+
+
+class Start(Protocol):
+    """Return the state before the first sample."""
+
+    def __call__(self, c: Any, /) -> State: ...  # noqa: D102
+
+
+class Step(Protocol):
+    """Return state and output after one more sample."""
+
+    def __call__(self, state: Any, sample: Sample, c: Any, /) -> tuple[State, Output]: ...  # noqa: D102
+
+
+class SpinStep(Protocol):
+    """Return state and output after one more sample of a spin."""
+
+    def __call__(self, state: Any, sample: SpinSample, c: Any, /) -> tuple[State, SpinOutput]: ...  # noqa: D102
+
+
+class Run(Protocol):
+    """Run the step over a log, write the outputs into the track and return the last state."""
+
+    def __call__(self, log: Log, state: State, c: Constants, track: Track, /) -> State: ...  # noqa: D102
+
+
+class SpinRun(Protocol):
+    """Run the step over a log of a spin, write the outputs into the track and return the last state."""
+
+    def __call__(self, log: SpinLog, state: State, c: Constants, track: SpinTrack, /) -> State: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """One estimator of ours: see :mod:`stillpoint.filters.sample` for what its functions take and give."""
+    """One of our estimators; see :mod:`stillpoint.filters.sample` for what its functions take and return."""
 
     summary: str
     params: type[Settings]
-    coefficients: Callable[[Any, float], Any]  # (params, declination_rad)
-    start: Callable[[Any], Any]
-    step: Callable[[Any, Any, Any], Any]
-    run: Callable[[Any, Any, Any, Any], Any]  # step over columns
+    coefficients: Derive
+    start: Start
+    step: Step
+    run: Run
+    module: ModuleType  # of the step, over which the compiled loops close
     gives_bias: bool = False
     gives_cov: bool = False
     innovations: int = 0  # how many normalised innovations an output has
@@ -35,15 +86,16 @@ class Estimator:
 
 
 @dataclass(frozen=True)
-class RollEstimator:
-    """One estimator of roll: see :mod:`stillpoint.filters.spin.sample` for what its functions take and give."""
+class SpinEstimator:
+    """One of our estimators of a spin; :mod:`stillpoint.filters.spin.sample` says what its functions take."""
 
     summary: str
-    params: type[RollParams]
-    coefficients: Callable[[Any, SpinGeometry], Any]
-    start: Callable[[Any], Any]
-    step: Callable[[Any, Any, Any], Any]
-    run: Callable[[Any, Any, Any, Any], Any]
+    params: type[SpinParams]
+    coefficients: DeriveSpin
+    start: Start
+    step: SpinStep
+    run: SpinRun
+    module: ModuleType
     innovations: int = 1
     is_peer: bool = False
     offline: bool = False
@@ -51,7 +103,7 @@ class RollEstimator:
 
 @dataclass(frozen=True)
 class Peer:
-    """An estimator of another project, over a whole recording at a time."""
+    """An estimator of another project, which takes a whole recording at a time."""
 
     summary: str
     params: type[Settings]
@@ -60,58 +112,67 @@ class Peer:
     offline: bool = False
 
 
-def _ours(module: Any, summary: str, **gives: Any) -> Estimator:
-    return Estimator(summary, module.Params, module.coefficients, module.start, module.step, module.run, **gives)
+def _describe(module: Any, summary: str, **facts: Any) -> Estimator:
+    """Return the entry of the estimator in a module; ``facts`` are fields of :class:`Estimator`."""
+    functions = module.Params, module.coefficients, module.start, module.step, make_run(module)
+    return Estimator(summary, *functions, module, **facts)
 
 
-def _roll(module: Any, summary: str, innovations: int = 1) -> RollEstimator:
-    return RollEstimator(
-        summary, module.Params, module.coefficients, module.start, module.step, module.run, innovations
-    )
+def _describe_spin(module: Any, summary: str, innovations: int = 1) -> SpinEstimator:
+    """Return the entry of the estimator of a spin in a module."""
+    functions = module.Params, module.coefficients, module.start, module.step, make_spin_run(module)
+    return SpinEstimator(summary, *functions, module, innovations)
 
 
-ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
-    "acc": _ours(tilt, "tilt and compensated heading from accelerometer and magnetometer (paper 002)"),
-    "acc-ma": _ours(moving_average, "moving average of acc over 7 s (paper 002)"),
-    "gyro": _ours(gyro, "integrated rate, never corrected (paper 002)"),
-    "cf": _ours(complementary, "second-order complementary filter (paper 002, eq 11)", gives_bias=True),
-    "kf-axis": _ours(
+ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
+    "acc": _describe(
+        tilt, "tilt and heading by accelerometer and magnetometer alone (Elmi Aziz and Mohseni Araste 2021)"
+    ),
+    "acc-ma": _describe(moving_average, "moving average of acc over 7 s (Elmi Aziz and Mohseni Araste 2021)"),
+    "gyro": _describe(gyro, "integrated rate, never corrected (Elmi Aziz and Mohseni Araste 2021)"),
+    "cf": _describe(
+        complementary,
+        "second-order complementary filter (Elmi Aziz and Mohseni Araste 2021, eq 11)",
+        gives_bias=True,
+    ),
+    "kf-axis": _describe(
         kf_axis,
-        "Kalman filter of angle and bias per Euler axis (paper 004)",
+        "Kalman filter of angle and bias per Euler axis (Byambajav et al.)",
         gives_bias=True,
         gives_cov=True,
         innovations=3,
     ),
-    "cf-fixed": _ours(fixed_gain, "PI complementary filter, fixed gains (paper 003, eq 10)", gives_bias=True),
-    "cf-lse": _ours(
+    "cf-fixed": _describe(fixed_gain, "PI complementary filter, fixed gains (Zia 2022, eq 10)", gives_bias=True),
+    "cf-lse": _describe(
         least_squares,
-        "PI complementary filter, least-squares gains by one-step prediction (paper 003)",
+        "PI complementary filter, least-squares gains by one-step prediction (Zia 2022)",
         gives_bias=True,
     ),
     "cf-lse-literal": Estimator(
-        "PI complementary filter, least-squares gains by eq 22 as printed: keeps its gains (paper 003)",
+        "PI complementary filter, least-squares gains by eq 22 as printed: keeps its gains (Zia 2022)",
         least_squares.LiteralParams,
         least_squares.literal_coefficients,
         least_squares.start,
         least_squares.step,
-        least_squares.run,
+        make_run(least_squares),
+        least_squares,
         gives_bias=True,
     ),
-    "ekf": _ours(
+    "ekf": _describe(
         ekf,
         "error-state (multiplicative) extended Kalman filter of attitude and gyro bias",
         gives_bias=True,
         gives_cov=True,
         innovations=3,
     ),
-    "aekf": _ours(
+    "aekf": _describe(
         aekf,
-        "ekf with innovation-based adaptation of its trust in sensors and model (paper 000)",
+        "ekf with innovation-based adaptation of its trust in sensors and model (Asghari et al. 2018)",
         gives_bias=True,
         gives_cov=True,
         innovations=3,
     ),
-    "iekf": _ours(
+    "iekf": _describe(
         iekf,
         "right-invariant extended Kalman filter on SO(3) with gyro bias",
         gives_bias=True,
@@ -126,18 +187,20 @@ ESTIMATORS: dict[str, Estimator | RollEstimator | Peer] = {
     "mahony": Peer("PI filter on SO(3) (Mahony 2008) of the package ahrs", peers.MahonyParams, peers.mahony),
     "ahrs-ekf": Peer("quaternion EKF of the package ahrs", peers.AhrsEkfParams, peers.ahrs_ekf),
     "fusion": Peer("revised Madgwick of the package imufusion", peers.FusionParams, peers.fusion),
-    "roll-obs": _roll(roll_observation, "roll: root of the observed square of the rate (paper 000)", innovations=0),
-    "roll-ekf": _roll(roll_ekf, "roll: extended Kalman filter of the rate (paper 000, eqs 11-14)"),
-    "roll-aekf": _roll(roll_aekf, "roll: adaptive extended Kalman filter of the rate (paper 000, eqs 15-23)"),
-    "roll-guarded": _roll(roll_guarded, "roll: angle, rate and bias, guarded against bad samples"),
+    "roll-obs": _describe_spin(
+        spin_observation, "spin: root of the observed square of the rate (Asghari et al. 2018)", innovations=0
+    ),
+    "roll-ekf": _describe_spin(spin_ekf, "spin: extended Kalman filter of the rate (Asghari et al. 2018, eqs 11-14)"),
+    "roll-aekf": _describe_spin(spin_aekf, "spin: adaptive extended Kalman filter (Asghari et al. 2018, eqs 15-23)"),
+    "roll-guarded": _describe_spin(spin_guarded, "spin: angle, rate and bias, guarded against bad samples"),
 }
 
 
-ATTITUDES = tuple(name for name, entry in ESTIMATORS.items() if not isinstance(entry, RollEstimator))
+ATTITUDES = tuple(name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator))
 ROLLS = tuple(name for name in ESTIMATORS if name not in ATTITUDES)
 
 
-def find(name: str) -> Estimator | RollEstimator | Peer:
-    """The entry of this name; raises :class:`BadParameter` with the nearest one."""
+def find_estimator(name: str) -> Estimator | SpinEstimator | Peer:
+    """Return the entry of this name; raises :class:`BadParameter` with the nearest one."""
     require_known(name, ESTIMATORS, "estimator")
     return ESTIMATORS[name]

@@ -1,4 +1,4 @@
-r"""``cf-fixed``: nonlinear (PI) complementary filter with fixed gains (paper 003, eq (10)).
+r"""``cf-fixed``: nonlinear (PI) complementary filter with fixed gains (Zia 2022, eq (10)).
 
 The paper's eq (10), with x_g' the rate by the gyro and x_a the attitude by accelerometer and magnetometer, is ::
 
@@ -8,10 +8,10 @@ As differential equations, with the error e = x_a - x and its integral::
 
     x' = x_g' + kp e + kI integral(e)
 
-The last term converges to minus the gyro bias, so a constant bias leaves no error behind (paper 002's first-order
-filter keeps one). It is the filter ``cf`` with 2 zeta w0 = kp and w0^2 = kI: the paper's (11) is paper 002's (11). What
-differs is the paper's: no low pass before it, the field levelled by the *estimated* roll and pitch (its eq (8)), and a
-forward difference for the integrals, which makes the system of eq (21) exact in discrete time (see ``least_squares``)::
+The last term converges to minus the gyro bias, so a constant bias leaves no error behind. It is the filter ``cf`` with
+2 zeta w0 = kp and w0^2 = kI: the paper's (11) is that of Elmi Aziz and Mohseni Araste 2021. It differs from ``cf`` by
+no low pass before it, the field levelled by the *estimated* roll and pitch (its eq (8)), and a forward difference for
+the integrals, which makes the system of eq (21) exact in discrete time (see ``least_squares``)::
 
     x_k  =  x_(k-1) + T (x_g' + kI I_(k-1)) + T kp e_k          I_k  =  I_(k-1) + T e_k
 
@@ -40,21 +40,21 @@ simulated sea kp = 0.1-0.3 is best. No gain here adapts to when the sea is rough
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled_entry, compiled_inside
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.complementary.pi_observer import (
     Observer,
-    begun,
-    corrected,
-    moved_on,
-    said,
-    uncorrected,
-    unlevelled,
+    begin_observer,
+    keep_prediction,
+    make_output,
+    predict_observer,
+    set_attitude,
+    start_observer,
 )
-from stillpoint.filters.fields import LONGEST_HOLD_S, Fields, Fresh, low_pass, tilt_of, turn_to_north
+from stillpoint.filters.fields import LONGEST_HOLD_S, Fields, Fresh, north_error, smooth_fields, tilt_error
 from stillpoint.filters.rotation import Quaternion, add, conjugate, multiply, rotate
-from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.sample import Output, Sample
 
 State = Observer
 
@@ -68,7 +68,7 @@ class Params(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     kp_per_s: float
     ki_per_s2: float
@@ -77,7 +77,7 @@ class Coefficients(NamedTuple):
 
 
 class Error(NamedTuple):
-    """x_a - x of (10) as far as one sample brings it, and the time that it stands for; 0 for what it does not bring."""
+    """The error x_a - x of (10) that one sample shows, and the time it stands for; 0 where it shows nothing."""
 
     tilt_x: float  # about east and north, rad
     tilt_y: float
@@ -89,34 +89,34 @@ class Error(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of these parameters at a place with this declination (east of true north)."""
-    return Coefficients(params.kp_per_s, params.ki_per_s2, settling_s(params.kp_per_s), declination_rad)
+    """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
+    return Coefficients(params.kp_per_s, params.ki_per_s2, settling_time_s(params.kp_per_s), declination_rad)
 
 
-def settling_s(kp_per_s: float) -> float:
-    """Three time constants of the error, at most ten minutes."""
+def settling_time_s(kp_per_s: float) -> float:
+    """Return three time constants of the error, at most ten minutes."""
     return min(3.0 / max(kp_per_s, 1e-9), 600.0)
 
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample: level, x over north."""
-    return unlevelled(0.0)
+    """Return the state before the first sample: level, with the body's x axis pointing north."""
+    return start_observer(0.0)
 
 
 @compiled_inside
-def error_of(
+def measure_error(
     q_nb: Quaternion, fields: Fields, fresh: Fresh, accel_s: float, is_headed: bool, declination_rad: float
 ) -> Error:
-    """The rotation from an attitude to that of the fields; ``accel_s`` since the accelerometer sample before."""
+    """Return the rotation from an attitude to that of the fields; ``accel_s`` is the age of the last acceleration."""
     longest_s = LONGEST_HOLD_S
     tilt_x = tilt_y = tilt_s = turn = turn_s = 0.0
     is_first, n_no_north = False, 0
     if fresh.accel:
-        tilt_x, tilt_y = tilt_of(rotate(q_nb, fields.accel_b_mps2))
+        tilt_x, tilt_y = tilt_error(rotate(q_nb, fields.accel_b_mps2))
         tilt_s = min(accel_s, longest_s)
     if fresh.mag:
-        angle, found = turn_to_north(rotate(q_nb, fields.mag_b_ut), declination_rad)
+        angle, found = north_error(rotate(q_nb, fields.mag_b_ut), declination_rad)
         if found:
             turn, turn_s, is_first = angle, min(fresh.mag_hold_s, longest_s), not is_headed
         else:
@@ -125,45 +125,36 @@ def error_of(
 
 
 @compiled_inside
-def shares(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float]:
-    """Of an error that stands for ``dt_s``: what to turn the estimate by, and what to add to the bias, 1/s."""
+def correction_gains(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[float, float]:
+    """Return the shares of an error, held over ``dt_s``, to turn the estimate by and to add to the bias (1/s)."""
     return min(kp_per_s * dt_s, 1.0), min(ki_per_s2 * dt_s, 1.0 / max(dt_s, 1e-9))
 
 
 @compiled_inside
-def pulled(state: State, error: Error, c: Coefficients) -> State:
-    """The predicted state turned by (10)."""
+def correct_state(state: State, error: Error, c: Coefficients) -> State:
+    """Correct the predicted state by (10)."""
     q_nb, is_headed = state.q_nb, state.is_headed
-    tilted, tilt_bias = shares(c.kp_per_s, c.ki_per_s2, error.tilt_s)
-    turned, turn_bias = shares(c.kp_per_s, c.ki_per_s2, error.turn_s)
+    tilted, tilt_bias = correction_gains(c.kp_per_s, c.ki_per_s2, error.tilt_s)
+    turned, turn_bias = correction_gains(c.kp_per_s, c.ki_per_s2, error.turn_s)
     if error.is_first:
         turned, turn_bias, is_headed = 1.0, 0.0, True
     gained_n = error.tilt_x * tilt_bias, error.tilt_y * tilt_bias, error.turn * turn_bias
     turn_n = error.tilt_x * tilted, error.tilt_y * tilted, error.turn * turned
     b_radps = add(state.b_radps, rotate(conjugate(q_nb), gained_n))
-    return corrected(state, multiply(rotation.exp(turn_n), q_nb), b_radps, is_headed, error.n_no_north)
+    return set_attitude(state, multiply(rotation.exp(turn_n), q_nb), b_radps, is_headed, error.n_no_north)
 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
-    """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
+    """Predict by the rate and the bias, then turn towards the attitude of the fields: one step of (10)."""
     accel_s = state.fields.since_accel_s + sample.dt_s
-    fields, fresh = low_pass(state.fields, sample, 1.0)
-    state = moved_on(state, fields, sample, c.settling_s)
+    fields, fresh = smooth_fields(state.fields, sample, 1.0)
+    state = predict_observer(state, fields, sample, c.settling_s)
     if not state.is_level:
-        state = begun(state, fresh, c.declination_rad)
+        state = begin_observer(state, fresh, c.declination_rad)
     elif fresh.accel or fresh.mag:
-        error = error_of(state.q_nb, fields, fresh, accel_s, state.is_headed, c.declination_rad)
-        state = pulled(state, error, c)
+        error = measure_error(state.q_nb, fields, fresh, accel_s, state.is_headed, c.declination_rad)
+        state = correct_state(state, error, c)
     else:
-        state = uncorrected(state)
-    return state, said(state, c.settling_s)
-
-
-@compiled_entry
-def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, sample_at(log, k), c)
-        keep(track, k, output)
-    return state
+        state = keep_prediction(state)
+    return state, make_output(state, c.settling_s)

@@ -1,4 +1,4 @@
-"""``gains(recording, name)``: the gains of an adaptive filter as they go with time (paper 003, figures 10 and 11)."""
+"""``gains(recording, name)``: the gains of an adaptive filter over time (Zia 2022, figures 10 and 11)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.complementary import least_squares
 from stillpoint.filters.front.heading_source import Heading
-from stillpoint.filters.front.sources import passed, sources_of
-from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.front.sources import find_sources, prepare_log
+from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.table import ESTIMATORS, Estimator
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Those of eq (10) after each sample; columns are roll, pitch, heading."""
+    """The gains of eq (10) after each sample; columns are roll, pitch, heading."""
 
     t_ns: Times  # (N,)
     kp_per_s: Floats  # (N, 3)
@@ -32,7 +32,7 @@ def gains(
     precision: Precision = "double",
     heading: Heading = "mag",
 ) -> Gains:
-    """The gains with which ``estimate(recording, name, params, precision, heading)`` runs; its arguments and errors.
+    """Return the gains that ``estimate(recording, name, params, precision, heading)`` uses at each sample.
 
     Raises :class:`BadParameter` also for an estimator that does not adapt gains of its own.
     """
@@ -40,10 +40,10 @@ def gains(
     if not isinstance(entry, Estimator) or entry.step is not least_squares.step:
         raise BadParameter(f"{name}: has no adaptive gains; cf-lse and cf-lse-literal have")
     settings = choose_settings(entry.params(), params, name)
-    sources = sources_of(recording, heading, None, None)
+    sources = find_sources(recording, heading, None, None)
     imu = recording.require_imu()
-    log, _ = passed(imu, sources, precision)
-    c = in_precision(entry.coefficients(settings, sources.declination_rad), precision)
+    log, _ = prepare_log(imu, sources, precision)
+    c = to_precision(entry.coefficients(settings, sources.declination_rad), precision)
     kp_per_s, ki_per_s2 = np.empty((2, len(imu.t_ns), 3))
-    least_squares.run_gains(log, in_precision(entry.start(c), precision), c, kp_per_s, ki_per_s2)
+    least_squares.run_gains(log, to_precision(entry.start(c), precision), c, kp_per_s, ki_per_s2)
     return Gains(imu.t_ns, kp_per_s, ki_per_s2)

@@ -1,4 +1,4 @@
-r"""``cf-lse`` and ``cf-lse-literal``: the filter of eq (10) with gains by least squares (paper 003, eqs (14)-(22)).
+r"""``cf-lse`` and ``cf-lse-literal``: the filter of eq (10) with gains by least squares (Zia 2022, eqs (14)-(22)).
 
 The filter is that of ``fixed_gain``, whose docstring has its equations. After the first 50 samples the paper computes
 the gains K = (kp, kI) anew at each sample, from all samples so far, as the least-squares solution of ::
@@ -49,27 +49,115 @@ integral stands in H itself, the bias removed is kI times it, and a jump of kI i
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, sqrt
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled_entry, compiled_inside
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import Settings, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside
-from stillpoint.filters.complementary.fixed_gain import Error, error_of, settling_s
-from stillpoint.filters.complementary.gain_fit import Part, Regression, after_sample, interrupted, unfitted
+from stillpoint.filters.complementary.fixed_gain import Error, correction_gains, measure_error, settling_time_s
 from stillpoint.filters.complementary.pi_observer import (
     Observer,
-    begun,
-    corrected,
-    moved_on,
-    said,
-    uncorrected,
-    unlevelled,
+    begin_observer,
+    keep_prediction,
+    make_output,
+    predict_observer,
+    set_attitude,
+    start_observer,
 )
-from stillpoint.filters.fields import low_pass
+from stillpoint.filters.fields import smooth_fields
 from stillpoint.filters.rotation import Quaternion, Vector, conjugate, multiply, rotate
-from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, read_sample
+
+# 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
+LEAST_INDEPENDENT = 1e-5
+
+
+class Regression(NamedTuple):
+    """How the gains are fitted; derived once from the parameters."""
+
+    fixed_samples: int  # before the first fit
+    memory_s: float
+    kp_low_per_s: float
+    kp_high_per_s: float
+    ki_low_per_s2: float
+    as_printed: bool  # S is what was added, and there are no bounds; else what should have been added
+
+
+class Fit(NamedTuple):
+    """The sums that make H^T H and H^T S of (22), with exponential forgetting, and the solution."""
+
+    ee: float  # (rad s)^2; e for the error, i for its integral, s for S, each times T
+    ei: float  # rad^2 s^3
+    ii: float  # rad^2 s^4
+    es: float  # rad^2 s
+    si: float  # rad^2 s^2
+    samples: int
+    kp_per_s: float
+    ki_per_s2: float
+    clipped: int  # fits beyond the bounds
+    undetermined: int  # samples that keep the gains: error and integral are proportional
+
+
+class Part(NamedTuple):
+    """One of roll, pitch and heading, between two samples of its sensor."""
+
+    fit: Fit
+    error_rad_s: float  # e T of the last sample: the first column of H, times T
+    integral_rad_s: float  # the second column of H
+    turned_rad: float  # by kp, at the last sample
+    ki_per_s2: float  # in use
+
+
+@compiled_inside
+def start_part(kp_per_s: float, ki_per_s2: float) -> Part:
+    """Return a part before the first sample, with these gains."""
+    return Part(Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0, kp_per_s, ki_per_s2, 0, 0), 0.0, 0.0, 0.0, ki_per_s2)
+
+
+@compiled_inside
+def add_row(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Regression) -> Fit:
+    """Add one row of H and S (times T) to the sums and solve eq (22)."""
+    ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined = fit
+    fade = exp(-dt_s / c.memory_s)
+    ee, ei, ii = ee * fade + error * error, ei * fade + error * integral, ii * fade + integral * integral
+    es, si = es * fade + error * added, si * fade + integral * added
+    samples += 1
+    if samples >= c.fixed_samples:
+        determinant = ee * ii - ei * ei
+        if determinant > LEAST_INDEPENDENT * ee * ii:
+            kp, ki = (ii * es - ei * si) / determinant, (ee * si - ei * es) / determinant
+            if not c.as_printed:
+                best_kp, best_ki = kp, ki
+                kp = min(max(kp, c.kp_low_per_s), c.kp_high_per_s)
+                ki = min(max(ki, c.ki_low_per_s2), kp * kp * 0.25)
+                clipped += 1 if kp != best_kp or ki != best_ki else 0
+        else:
+            undetermined += 1
+    return Fit(ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined)
+
+
+@compiled_inside
+def update_part(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Regression) -> Part:
+    """Fit the gains to what the last correction left over, then compute the next correction.
+
+    ``integral`` is this part's before this error; ``follows`` is False where the sample before is too old for a row.
+    """
+    fit = part.fit
+    if follows:
+        added = part.turned_rad + part.ki_per_s2 * part.integral_rad_s * dt_s
+        should = added if c.as_printed else added + error
+        fit = add_row(fit, part.error_rad_s, part.integral_rad_s * dt_s, should, dt_s, c)
+    turned, biased = correction_gains(fit.kp_per_s, fit.ki_per_s2, dt_s)
+    return Part(fit, error * dt_s, integral + error * dt_s, error * turned, biased / dt_s)
+
+
+@compiled_inside
+def interrupt_part(part: Part) -> Part:
+    """Return a part after a gap: the sums stay, but no correction precedes the next row."""
+    return Part(part.fit, 0.0, part.integral_rad_s, 0.0, part.ki_per_s2)
+
 
 # The horizontal part of the body's x axis, squared, below which there is no direction of travel.
 LEAST_FORWARD = 1e-6
@@ -99,7 +187,7 @@ class LiteralParams(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     kp_per_s: float
     ki_per_s2: float
@@ -109,7 +197,7 @@ class Coefficients(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The angles, each with gains of its own."""
+    """The three angles, each with its own gains."""
 
     roll: Part
     pitch: Part
@@ -117,7 +205,7 @@ class Parts(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     observer: Observer  # its b is kI times the integral
     integral_b_rad_s: Vector  # of e in (10), in body axes
@@ -127,7 +215,7 @@ class State(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of ``cf-lse`` with these parameters at a place with this declination (east of true north).
+    """Precompute the constants of ``cf-lse`` from its parameters and the local declination (east of true north).
 
     Raises :class:`BadParameter` for bounds of kp the wrong way round.
     """
@@ -135,25 +223,29 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
     if low > high:
         raise BadParameter(f"cf-lse: kp_low_per_s = {low:g} is above kp_high_per_s = {high:g}; exchange them")
     regression = Regression(int(params.fixed_samples), params.memory_s, low, high, params.ki_low_per_s2, False)
-    return Coefficients(params.kp_per_s, params.ki_per_s2, regression, settling_s(params.kp_per_s), declination_rad)
+    return Coefficients(
+        params.kp_per_s, params.ki_per_s2, regression, settling_time_s(params.kp_per_s), declination_rad
+    )
 
 
 def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coefficients:
-    """Of ``cf-lse-literal``, likewise; it has no bounds."""
+    """Precompute the constants of ``cf-lse-literal``, which has no bounds."""
     regression = Regression(int(params.fixed_samples), params.memory_s, 0.0, 0.0, 0.0, True)
-    return Coefficients(params.kp_per_s, params.ki_per_s2, regression, settling_s(params.kp_per_s), declination_rad)
+    return Coefficients(
+        params.kp_per_s, params.ki_per_s2, regression, settling_time_s(params.kp_per_s), declination_rad
+    )
 
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample: level, x over north."""
-    part = unfitted(c.kp_per_s, c.ki_per_s2)
-    return State(unlevelled(0.0), (0.0, 0.0, 0.0), Parts(part, part, part), 0, 0)
+    """Return the state before the first sample: level, with the body's x axis pointing north."""
+    part = start_part(c.kp_per_s, c.ki_per_s2)
+    return State(start_observer(0.0), (0.0, 0.0, 0.0), Parts(part, part, part), 0, 0)
 
 
 @compiled_inside
-def forward_of(q_nb: Quaternion) -> tuple[float, float]:
-    """The horizontal direction (east, north) of the body's x axis; east where that is vertical."""
+def forward_direction(q_nb: Quaternion) -> tuple[float, float]:
+    """Return the horizontal direction (east, north) of the body's x axis; east where that axis is vertical."""
     w, x, y, z = q_nb
     half_east, half_north = 1.0 * 0.5 - y * y - z * z, x * y + w * z
     flat = half_east * half_east + half_north * half_north
@@ -164,45 +256,45 @@ def forward_of(q_nb: Quaternion) -> tuple[float, float]:
 
 
 @compiled_inside
-def to_parts(v_n: Vector, forward: tuple[float, float]) -> Vector:
-    """A vector of n along the direction of travel, to its left, and up."""
+def to_travel_axes(v_n: Vector, forward: tuple[float, float]) -> Vector:
+    """Return a vector of n along the direction of travel, to its left, and up."""
     return v_n[0] * forward[0] + v_n[1] * forward[1], v_n[1] * forward[0] - v_n[0] * forward[1], v_n[2]
 
 
 @compiled_inside
-def from_parts(v: Vector, forward: tuple[float, float]) -> Vector:
-    """The inverse of :func:`to_parts`."""
+def from_travel_axes(v: Vector, forward: tuple[float, float]) -> Vector:
+    """Return the inverse of :func:`to_travel_axes`."""
     return v[0] * forward[0] - v[1] * forward[1], v[0] * forward[1] + v[1] * forward[0], v[2]
 
 
 @compiled_inside
-def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
-    """The predicted state turned by (10), with the gains of (22).
+def correct_state(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
+    """Correct the predicted state by (10), with the gains of (22).
 
     ``follow_...``: the sample of that sensor before is recent enough for a row of (21).
     """
     q_nb, is_headed, (roll, pitch, heading) = state.observer.q_nb, state.observer.is_headed, state.parts
-    forward = forward_of(q_nb)
-    e_roll, e_pitch, e_turn = to_parts((error.tilt_x, error.tilt_y, error.turn), forward)
-    i_roll, i_pitch, i_turn = to_parts(rotate(q_nb, state.integral_b_rad_s), forward)
+    forward = forward_direction(q_nb)
+    e_roll, e_pitch, e_turn = to_travel_axes((error.tilt_x, error.tilt_y, error.turn), forward)
+    i_roll, i_pitch, i_turn = to_travel_axes(rotate(q_nb, state.integral_b_rad_s), forward)
     roll_turn = pitch_turn = turn = 0.0
     if error.tilt_s > 0:
-        roll = after_sample(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
-        pitch = after_sample(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
+        roll = update_part(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
+        pitch = update_part(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
         i_roll, roll_turn = roll.integral_rad_s, roll.turned_rad
         i_pitch, pitch_turn = pitch.integral_rad_s, pitch.turned_rad
     if error.is_first:
         turn, is_headed = e_turn, True
         heading = Part(heading.fit, 0.0, i_turn, 0.0, heading.ki_per_s2)
     elif error.turn_s > 0:
-        heading = after_sample(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
+        heading = update_part(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
         i_turn, turn = heading.integral_rad_s, heading.turned_rad
     b = i_roll * roll.ki_per_s2, i_pitch * pitch.ki_per_s2, i_turn * heading.ki_per_s2
-    q_bn, turned_n = conjugate(q_nb), from_parts((roll_turn, pitch_turn, turn), forward)
-    b_radps, turned_nb = rotate(q_bn, from_parts(b, forward)), multiply(rotation.exp(turned_n), q_nb)
+    q_bn, turned_n = conjugate(q_nb), from_travel_axes((roll_turn, pitch_turn, turn), forward)
+    b_radps, turned_nb = rotate(q_bn, from_travel_axes(b, forward)), multiply(rotation.exp(turned_n), q_nb)
     return State(
-        corrected(state.observer, turned_nb, b_radps, is_headed, error.n_no_north),
-        rotate(q_bn, from_parts((i_roll, i_pitch, i_turn), forward)),
+        set_attitude(state.observer, turned_nb, b_radps, is_headed, error.n_no_north),
+        rotate(q_bn, from_travel_axes((i_roll, i_pitch, i_turn), forward)),
         Parts(roll, pitch, heading),
         roll.fit.clipped + pitch.fit.clipped + heading.fit.clipped,
         roll.fit.undetermined + pitch.fit.undetermined + heading.fit.undetermined,
@@ -211,39 +303,30 @@ def pulled(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
-    """Move on by rate and bias, then turn towards the attitude of the fields: one step of (10)."""
+    """Predict by the rate and the bias, then turn towards the attitude of the fields: one step of (10)."""
     observer, integral, parts, n_clipped, n_undetermined = state
     accel_s, gap_s = observer.fields.since_accel_s + sample.dt_s, GAP_S
-    fields, fresh = low_pass(observer.fields, sample, 1.0)
-    observer = moved_on(observer, fields, sample, c.settling_s)
+    fields, fresh = smooth_fields(observer.fields, sample, 1.0)
+    observer = predict_observer(observer, fields, sample, c.settling_s)
     if not observer.is_level:
-        observer = begun(observer, fresh, c.declination_rad)
+        observer = begin_observer(observer, fresh, c.declination_rad)
         if fresh.accel:
-            parts = Parts(interrupted(parts.roll), interrupted(parts.pitch), interrupted(parts.heading))
+            parts = Parts(interrupt_part(parts.roll), interrupt_part(parts.pitch), interrupt_part(parts.heading))
         state = State(observer, integral, parts, n_clipped, n_undetermined)
     else:
-        observer = uncorrected(observer)
+        observer = keep_prediction(observer)
         state = State(observer, integral, parts, n_clipped, n_undetermined)
         if fresh.accel or fresh.mag:
-            error = error_of(observer.q_nb, fields, fresh, accel_s, observer.is_headed, c.declination_rad)
-            state = pulled(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
-    return state, said(state.observer, c.settling_s)
-
-
-@compiled_entry
-def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, sample_at(log, k), c)
-        keep(track, k, output)
-    return state
+            error = measure_error(observer.q_nb, fields, fresh, accel_s, observer.is_headed, c.declination_rad)
+            state = correct_state(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
+    return state, make_output(state.observer, c.settling_s)
 
 
 @compiled_entry
 def run_gains(log: Log, state: State, c: Coefficients, kp_per_s: Floats, ki_per_s2: Floats) -> State:
-    """Every sample of a log, to see the gains of roll, pitch and heading after it (N, 3)."""
+    """Run over every sample of a log and store the gains of roll, pitch and heading after it (N, 3)."""
     for k in range(len(log.dt_s)):
-        state, _ = step(state, sample_at(log, k), c)
+        state, _ = step(state, read_sample(log, k), c)
         for i, part in enumerate(state.parts):
             kp_per_s[k, i] = part.fit.kp_per_s
             ki_per_s2[k, i] = part.fit.ki_per_s2

@@ -1,7 +1,7 @@
-"""``acc-ma``: the mean of ``acc`` over the last seconds (paper 002, table 1).
+"""``acc-ma``: the mean of ``acc`` over the last seconds (Elmi Aziz and Mohseni Araste 2021, table 1).
 
-The mean is taken of n's axes as the body sees them, never of angles: the sum of up and the sum of east over the window,
-squared up again. It has no wrap; for attitudes close together it is their mean rotation.
+Averaged are the axes of n as the body sees them, never angles: the sum of up and the sum of east over the window, made
+orthonormal again. The mean has no wrap, and for attitudes close together it is their mean rotation.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled, compiled_entry, compiled_inside
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled, compiled_entry, compiled_inside
 from stillpoint.filters.complementary import tilt
-from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, cross, from_rows, norm, rotate, scale
-from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.rotation import (
+    Quaternion,
+    Vector,
+    add,
+    conjugate,
+    cross,
+    norm,
+    quaternion_from_rows,
+    rotate,
+    scale,
+)
+from stillpoint.filters.sample import Output, Sample
 
 # Sums shorter than that share of what was summed point nowhere: the attitudes of the window cancel each other.
 LEAST_SUM = 0.01
@@ -30,7 +40,7 @@ class Params(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     tilt: tilt.Coefficients
     window_ns: int
@@ -38,7 +48,7 @@ class Coefficients(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The last seconds. The ring is handed on from step to step and written in place."""
+    """The attitudes of the last seconds. The ring is passed from step to step and written in place."""
 
     ring: NDArray[np.float64]  # (room, 6) up and east, seen from the body
     stamps_ns: NDArray[np.int64]  # (room,) since the first sample
@@ -51,7 +61,7 @@ class Window(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     tilt: tilt.State
     window: Window
@@ -61,33 +71,33 @@ class State(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of these parameters at a place with this declination (east of true north)."""
+    """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
     room = int(params.window_s * params.room_hz) + 2
     return Coefficients(tilt.Coefficients(params.kappa, declination_rad), round(params.window_s * 1e9), room)
 
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample: level, x over east."""
+    """Return the state before the first sample: level, with the body's x axis pointing east."""
     none = (0.0, 0.0, 0.0)
     window = Window(np.full((c.room, 6), 0.0), np.full(c.room, 0), 0, 0, none, none, False, 0)
     return State(tilt.start(c.tilt), window, 0, (1.0, 0.0, 0.0, 0.0), 0)
 
 
 @compiled
-def row_at(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
-    """Up and east of one sample in the window."""
+def read_row(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
+    """Return up and east of one sample in the window."""
     return (ring[row, 0], ring[row, 1], ring[row, 2]), (ring[row, 3], ring[row, 4], ring[row, 5])
 
 
 @compiled
-def slide(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
-    """The window with one attitude more at its end, and without those that are now too old."""
+def slide_window(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
+    """Append one attitude to the window and drop those that are too old."""
     ring, stamps_ns, oldest, held, up_sum, east_sum, is_full, n_cut = window
     while held > 0 and (t_ns - stamps_ns[oldest] >= c.window_ns or held == c.room):
         if t_ns - stamps_ns[oldest] < c.window_ns:
             n_cut += 1
-        up, east = row_at(ring, oldest)
+        up, east = read_row(ring, oldest)
         up_sum, east_sum = add(up_sum, scale(up, -1.0)), add(east_sum, scale(east, -1.0))
         oldest, held, is_full = (oldest + 1) % c.room, held - 1, True
     row, q_bn = (oldest + held) % c.room, conjugate(q_nb)
@@ -99,8 +109,8 @@ def slide(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Windo
 
 
 @compiled
-def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
-    """The attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
+def mean_attitude(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
+    """Return the attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
     least = 1.0 * window.held * LEAST_SUM
     height = norm(window.up_sum_b)
     if height < least:
@@ -111,26 +121,17 @@ def mean(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     if length < least:
         return q_nb, False
     north = scale(north, 1.0 / length)
-    return from_rows(cross(north, up), north, up), True
+    return quaternion_from_rows(cross(north, up), north, up), True
 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
-    """``acc``, then its mean over the window."""
+    """Compute ``acc``, then its mean over the window."""
     inner, output = tilt.step(state.tilt, sample, c.tilt)
     t_ns = state.t_ns + round(np.float64(sample.dt_s) * 1e9)
     window, q_nb, n_no_mean = state.window, state.q_nb, state.n_no_mean
     if output.ready:
-        window = slide(window, output.q_nb, t_ns, c)
-        q_nb, found = mean(window, q_nb)
+        window = slide_window(window, output.q_nb, t_ns, c)
+        q_nb, found = mean_attitude(window, q_nb)
         n_no_mean += 0 if found else 1
     return State(inner, window, t_ns, q_nb, n_no_mean), Output(q_nb, None, None, None, window.is_full)
-
-
-@compiled_entry
-def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, sample_at(log, k), c)
-        keep(track, k, output)
-    return state

@@ -1,6 +1,6 @@
-"""What stands between the sensors and every estimator: the guard, then the source of the heading.
+"""The stages between the sensors and every estimator: the guard, then the source of the heading.
 
-One compiled step for a stream and for the loop over a recording, so both give an estimator the same samples.
+One compiled step serves a stream and the loop over a recording, so both give an estimator the same samples.
 """
 
 from typing import NamedTuple
@@ -8,29 +8,29 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled_entry, compiled_inside
 from stillpoint.datasets.recording import Floats, Times
-from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.front.guard import Fix, Raw
-from stillpoint.filters.sample import Log, Sample, put
+from stillpoint.filters.sample import Log, Sample, write_row
 
 
 class Coefficients(NamedTuple):
-    """Of both stages."""
+    """Constants of both stages."""
 
     guard: guard.Coefficients
     heading: heading_source.Coefficients | None  # None: the magnetometer as it is
 
 
 class State(NamedTuple):
-    """Of both stages."""
+    """State of both stages."""
 
     guard: guard.Guard
     heading: heading_source.State
 
 
 class RawLog(NamedTuple):
-    """A recording as the sensors would bring it: N samples of the IMU, and the fields and fixes new at each."""
+    """A recording as the sensors bring it: N samples of the IMU, and the fields and fixes that are new at each."""
 
     t_ns: Times  # (N,)
     gyro_b_radps: Floats  # (N, 3)
@@ -44,13 +44,13 @@ class RawLog(NamedTuple):
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     return State(guard.start(c.guard), heading_source.start(0.0))
 
 
 @compiled_inside
 def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
-    """The sample for the estimator; False: none, as time has not risen."""
+    """Return the sample for the estimator; False if there is none because time has not risen."""
     watched, sample, is_taken = guard.step(state.guard, raw, c.guard)
     heading = state.heading
     if is_taken:
@@ -59,8 +59,8 @@ def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
 
 
 @compiled_inside
-def raw_at(log: RawLog, k: int) -> Raw:
-    """Sample ``k`` of the columns."""
+def read_raw(log: RawLog, k: int) -> Raw:
+    """Return sample ``k`` of the columns."""
     gyro, accel = log.gyro_b_radps, log.accel_b_mps2
     field, fix = log.mag_b_ut[max(log.mag_row[k], 0)], max(log.fix_row[k], 0)
     return Raw(
@@ -74,23 +74,23 @@ def raw_at(log: RawLog, k: int) -> Raw:
     )
 
 
-def run(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
-    """Every sample of a log, whose time rises: what the estimator gets, in the precision of the log."""
+def filter_log(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
+    """Run over every sample of a log whose time rises; return what the estimator gets, in the log's precision."""
     n, kind = len(raw.t_ns), raw.gyro_b_radps.dtype
     gyro, accel, mag, hidden = (np.empty((n, 3), kind) for _ in range(4))
     log = Log(np.empty(n, kind), gyro, accel, mag, np.empty(n, np.bool_), np.empty(n, np.bool_), hidden)
-    return fill(log, raw, state, c), log
+    return fill_log(log, raw, state, c), log
 
 
 @compiled_entry
-def fill(log: Log, raw: RawLog, state: State, c: Coefficients) -> State:
-    """Put what the estimator gets into the columns; the state after it."""
+def fill_log(log: Log, raw: RawLog, state: State, c: Coefficients) -> State:
+    """Write what the estimator gets into the columns and return the state after it."""
     for k in range(len(raw.t_ns)):
-        state, sample, _ = step(state, raw_at(raw, k), c)
+        state, sample, _ = step(state, read_raw(raw, k), c)
         log.dt_s[k] = sample.dt_s
-        put(log.gyro_b_radps, k, sample.gyro_b_radps)
-        put(log.accel_b_mps2, k, sample.accel_b_mps2)
-        put(log.mag_b_ut, k, sample.mag_b_ut)
-        put(log.hidden_b_radps, k, sample.hidden_b_radps)
+        write_row(log.gyro_b_radps, k, sample.gyro_b_radps)
+        write_row(log.accel_b_mps2, k, sample.accel_b_mps2)
+        write_row(log.mag_b_ut, k, sample.mag_b_ut)
+        write_row(log.hidden_b_radps, k, sample.hidden_b_radps)
         log.has_accel[k], log.has_mag[k] = sample.has_accel, sample.has_mag
     return state

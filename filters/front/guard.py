@@ -1,20 +1,20 @@
-"""What a sensor may bring that is no measurement, and what becomes of it before any estimator sees it.
+"""Detect samples that are no measurement, and decide what an estimator gets in their place.
 
-A table in docs/streaming.md says it in full: time that does not rise, vectors that are not finite or larger than any
-sensor reads, readings at the end of a sensor's range, readings that repeat. Each is counted.
+docs/streaming.md has the full table: time that does not rise, vectors that are not finite or larger than any sensor
+reads, readings at the end of a sensor's range, readings that repeat. Each is counted.
 
-**Clock.** A stamp that does not rise is left out. When stamps keep rising among themselves before the last one taken,
-it is the clock that has been set, or that one stamp was wrong: after more than ``GAP_S`` of them the new clock holds,
-and the time that they took is a gap.
+**Clock.** A stamp that does not rise is left out. Stamps that keep rising among themselves before the last one taken
+show that the clock was set, or that the last stamp was wrong: after more than ``GAP_S`` of them the new clock is
+adopted, and the time that they took is a gap.
 """
 
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled_inside, like
 from stillpoint.datasets.measurements import LARGEST_MPS2, LARGEST_RADPS, LARGEST_UT
 from stillpoint.datasets.settings import Settings, number
-from stillpoint.filters.compiled import compiled_inside, like
 from stillpoint.filters.rotation import Vector
 from stillpoint.filters.sample import GAP_S, Sample
 
@@ -32,7 +32,7 @@ CLOCK_NS = round(GAP_S * 1e9)
 
 @dataclass(frozen=True)
 class Ranges(Settings):
-    """Full scale of each sensor: a component that reaches it is saturated. The default means that it is not known."""
+    """Full scale of each sensor: a component that reaches it is saturated. The default means unknown."""
 
     gyro_radps: float = number(LARGEST_RADPS, 0.0, LARGEST_RADPS, "full scale of the gyro, rad/s")
     accel_mps2: float = number(LARGEST_MPS2, 0.0, LARGEST_MPS2, "full scale of the accelerometer, m/s^2")
@@ -40,7 +40,7 @@ class Ranges(Settings):
 
 
 class Fix(NamedTuple):
-    """What a satellite receiver says about the motion."""
+    """What a satellite receiver measures of the motion."""
 
     course_rad: float  # clockwise from true north
     speed_mps: float  # over ground
@@ -67,7 +67,7 @@ class Coefficients(NamedTuple):
 
 
 class Gyro(NamedTuple):
-    """What is remembered of the gyro."""
+    """What the guard keeps of the gyro."""
 
     last_b_radps: Vector  # good one
     last_ns: int  # its stamp, NEVER_NS before the first
@@ -77,7 +77,7 @@ class Gyro(NamedTuple):
 
 
 class Accel(NamedTuple):
-    """What is remembered of the accelerometer."""
+    """What the guard keeps of the accelerometer."""
 
     last_b_mps2: Vector
     n_bad_accel: int  # left out
@@ -86,7 +86,7 @@ class Accel(NamedTuple):
 
 
 class Mag(NamedTuple):
-    """What is remembered of the magnetometer."""
+    """What the guard keeps of the magnetometer."""
 
     last_b_ut: Vector
     n_bad_mag: int  # left out
@@ -95,7 +95,7 @@ class Mag(NamedTuple):
 
 
 class Late(NamedTuple):
-    """Stamps before the last one taken that rise among themselves, in a row."""
+    """Consecutive stamps before the last one taken that rise among themselves."""
 
     first_ns: int
     last_ns: int
@@ -103,7 +103,7 @@ class Late(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """What is remembered of the samples before, and what was met in them."""
+    """What the guard keeps from one sample to the next, and its counts."""
 
     t_ns: int  # of the last sample taken, NEVER_NS before the first
     late: Late
@@ -116,7 +116,7 @@ class Guard(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One vector in the precision of the run, and what is to be said about it."""
+    """One vector in the precision of the run, and whether it can be used."""
 
     vector: Vector
     is_usable: bool
@@ -125,28 +125,28 @@ class Reading(NamedTuple):
 
 
 def coefficients(ranges: Ranges) -> Coefficients:
-    """Of these ranges."""
+    """Return the full scales as constants."""
     return Coefficients(ranges.gyro_radps, ranges.accel_mps2, ranges.mag_ut)
 
 
 @compiled_inside
-def on_time() -> Late:
-    """No stamp that is late."""
+def no_late_stamps() -> Late:
+    """Return an empty record of late stamps."""
     return Late(NEVER_NS, NEVER_NS, 0)
 
 
 @compiled_inside
 def start(c: Coefficients) -> Guard:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     none = nan  # the same as no vector
     last = (none, none, none)
     gyro = Gyro(last, NEVER_NS, 0, 0, 0)
-    return Guard(NEVER_NS, on_time(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
+    return Guard(NEVER_NS, no_late_stamps(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
 
 
 @compiled_inside
-def read(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
-    """A vector as it came. NaN is not usable: it is not less than anything."""
+def check_vector(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
+    """Judge a vector as it came. NaN is not usable: no comparison with it is true."""
     is_usable = abs(v[0]) < largest and abs(v[1]) < largest and abs(v[2]) < largest
     vector = like(limit, v[0]), like(limit, v[1]), like(limit, v[2])
     reaches = abs(vector[0]) >= limit or abs(vector[1]) >= limit or abs(vector[2]) >= limit
@@ -154,21 +154,21 @@ def read(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
 
 
 @compiled_inside
-def clipped(rate: float, limit: float) -> float:
-    """What a component at the end of its range may hide: as much again."""
+def hidden_by_clipping(rate: float, limit: float) -> float:
+    """Return what a component at the end of its range may hide: as much again."""
     return limit if abs(rate) >= limit else 0.0
 
 
 @compiled_inside
 def elapsed_ns(t_ns: int, before_ns: int) -> int:
-    """Between two stamps of which the first is later; centuries apart it is the longest that there is."""
+    """Return the time from the second stamp to the first, which is later; at most the largest int64."""
     elapsed = t_ns - before_ns
     return elapsed if elapsed >= 0 else LONGEST_NS
 
 
 @compiled_inside
-def later(late: Late, t_ns: int) -> tuple[Late, bool]:
-    """With one more stamp that does not rise; True when they have risen for long enough among themselves."""
+def add_late_stamp(late: Late, t_ns: int) -> tuple[Late, bool]:
+    """Add a stamp that does not rise; True once such stamps have risen among themselves for long enough."""
     first_ns, last_ns, in_row = late
     if in_row == 0 or t_ns <= last_ns:
         return Late(t_ns, t_ns, 1), False
@@ -177,14 +177,14 @@ def later(late: Late, t_ns: int) -> tuple[Late, bool]:
 
 
 @compiled_inside
-def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
-    """The rate to go by: the one that was read, else the last good one for a while, else rest; and what it hides."""
+def choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
+    """Return the rate to use (read, else the last good one for a while, else rest) and what it may hide."""
     last, last_ns, n_bad, n_saturated, n_same = gyro
     n_same += 1 if reading.is_same else 0
     n_saturated += 1 if reading.is_saturated else 0
     if reading.is_usable:
         x, y, z = reading.vector
-        hidden = clipped(x, limit), clipped(y, limit), clipped(z, limit)
+        hidden = hidden_by_clipping(x, limit), hidden_by_clipping(y, limit), hidden_by_clipping(z, limit)
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
     unseen = UNSEEN_RADPS
     rate, hidden = (0.0, 0.0, 0.0), (unseen, unseen, unseen)
@@ -196,24 +196,24 @@ def rate_of(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro
 
 
 @compiled_inside
-def left_out(reading: Reading) -> bool:
-    """An accelerometer or magnetometer vector whose direction says nothing."""
+def is_left_out(reading: Reading) -> bool:
+    """Return whether the direction of an accelerometer or magnetometer vector is meaningless."""
     return reading.is_saturated or not reading.is_usable
 
 
 @compiled_inside
-def counted(reading: Reading) -> tuple[int, int, int]:
-    """Bad, saturated, the same as before: 1 or 0 each."""
+def count_reading(reading: Reading) -> tuple[int, int, int]:
+    """Return whether a reading is bad, saturated, or the same as before: 1 or 0 each."""
     return 0 if reading.is_usable else 1, 1 if reading.is_saturated else 0, 1 if reading.is_same else 0
 
 
 @compiled_inside
 def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
-    """The sample that an estimator gets; False: none, as time has not risen."""
+    """Return the sample that an estimator gets; False if there is none because time has not risen."""
     t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps = guard
     none = (0.0, 0.0, 0.0)
     if raw.t_ns <= t_ns:
-        late, is_clock = later(late, raw.t_ns)
+        late, is_clock = add_late_stamp(late, raw.t_ns)
         if not is_clock:
             guard = Guard(t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order + 1, n_clock_steps)
             return guard, Sample(0.0, none, none, none, False, False, none), False
@@ -222,18 +222,18 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
         gyro = Gyro(gyro.last_b_radps, NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
     dt_s = like(0.0, elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else 0.0
     n_gaps += 1 if dt_s > GAP_S else 0
-    reading = read(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
-    gyro, rate, hidden = rate_of(gyro, reading, raw.t_ns, c.gyro_radps)
-    force = read(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)
-    n_bad, n_saturated, n_same = counted(force)
+    reading = check_vector(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
+    gyro, rate, hidden = choose_rate(gyro, reading, raw.t_ns, c.gyro_radps)
+    force = check_vector(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)
+    n_bad, n_saturated, n_same = count_reading(force)
     last = force.vector if force.is_usable else accel.last_b_mps2
     accel = Accel(last, accel.n_bad_accel + n_bad, accel.n_saturated_accel + n_saturated, accel.n_same_accel + n_same)
-    field = read(raw.mag_b_ut, mag.last_b_ut, c.mag_ut, LARGEST_UT)
+    field = check_vector(raw.mag_b_ut, mag.last_b_ut, c.mag_ut, LARGEST_UT)
     if raw.has_mag:
-        n_bad, n_saturated, n_same = counted(field)
+        n_bad, n_saturated, n_same = count_reading(field)
         last = field.vector if field.is_usable else mag.last_b_ut
         mag = Mag(last, mag.n_bad_mag + n_bad, mag.n_saturated_mag + n_saturated, mag.n_same_mag + n_same)
-    has_accel, has_mag = not left_out(force), raw.has_mag and not left_out(field)
+    has_accel, has_mag = not is_left_out(force), raw.has_mag and not is_left_out(field)
     accel_b, mag_b = force.vector if has_accel else none, field.vector if has_mag else none
     sample = Sample(dt_s, rate, accel_b, mag_b, has_accel, has_mag, hidden)
-    return Guard(raw.t_ns, on_time(), gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps), sample, True
+    return Guard(raw.t_ns, no_late_stamps(), gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps), sample, True

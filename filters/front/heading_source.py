@@ -1,36 +1,44 @@
-"""``gps-course``: GPS course as the source of the heading, in front of any estimator (paper 003, source selection).
+"""``gps-course``: GPS course as the source of the heading, in front of any estimator (Zia 2022, source selection).
 
 While satellite fixes are valid and the body moves (a vehicle on the surface), each field that the estimator gets is the
 one that would be measured at the heading of the course: its tilt-compensated heading *is* the course. The body's x axis
-is taken to lie along the track, ``mounting_yaw_rad`` beside it; drift by current, wind and waves is an error of the
-heading. Between fixes the heading goes on by the gyro, fields come at the magnetometer's own rate; without a
-magnetometer they come with the fixes. Without valid course the estimator gets the magnetometer, corrected by what was
-learnt meanwhile. A field of zero is none: nothing is learnt from it, and it goes to the estimator as it is, to be left
-out and counted there. When the magnetometer has brought nothing else for ``longest_age_s``, the fields come with the
-fixes.
+is assumed to lie along the track, ``mounting_yaw_rad`` beside it; drift by current, wind and waves is an error of the
+heading. Between fixes the heading follows the gyro, and fields come at the magnetometer's own rate; without a
+magnetometer they come with the fixes. Without a valid course the estimator gets the magnetometer, corrected by what was
+learnt meanwhile. A field of zero is not a measurement: nothing is learnt from it, and the estimator leaves it out and
+counts it. When the magnetometer has brought nothing else for ``longest_age_s``, the fields come with the fixes.
 
 **What is learnt.** With attitude R (tilt by the stage's own complementary filter, heading by the course) the
-magnetometer reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h, linear in both, so six numbers by
-recursive least squares. One heading alone fixes the sideways part of h only, and that is all that this heading needs;
-a turn fixes the rest. What the motion does not show stays where it was: h at 0, the azimuth of F at the declination.
+magnetometer reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h. The model is linear in both, so
+recursive least squares estimates six numbers. A single heading fixes only the sideways part of h, and this heading
+needs no more; a turn fixes the rest. Where the motion shows nothing the prior stays: h = 0, and the azimuth of F at
+the declination.
 
-**The gyro.** The same complementary filter finds the gyro's bias: about the horizontal axes always, about the vertical
-while there is a course. Estimators with a bias state find it by themselves from the fields they get; ``gyro_bias =
-"remove"`` takes it off the rates for those that have none.
+**The gyro.** The same complementary filter estimates the gyro's bias: about the horizontal axes always, about the
+vertical while there is a course. Estimators with a bias state find it themselves from the fields they get; ``gyro_bias
+= "remove"`` removes it from the rates for those that have none.
 
-An estimator sees nothing of this but its samples, so none has to know.
+An estimator sees nothing of this but its samples.
 """
 
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
 from typing import Literal, NamedTuple
 
+from stillpoint.datasets.compiled import compiled_inside, like
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_inside, like
-from stillpoint.filters.fields import FREE_FALL_M2PS4, tilt_of
+from stillpoint.filters.fields import FREE_FALL_M2PS4, tilt_error
 from stillpoint.filters.front.guard import Fix
-from stillpoint.filters.front.mag_calibration import Calibration, Prior, begun, corrected, field_at, learn, uncalibrated
+from stillpoint.filters.front.mag_calibration import (
+    Calibration,
+    Prior,
+    begin_calibration,
+    correct_field,
+    learn_field,
+    predict_field,
+    start_calibration,
+)
 from stillpoint.filters.rotation import Quaternion, Vector, add, conjugate, dot, multiply, normalise, rotate, scale
 from stillpoint.filters.sample import GAP_S, Sample
 
@@ -62,7 +70,7 @@ class Params(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     least_speed_mps: float
     longest_age_s: float
@@ -74,7 +82,7 @@ class Coefficients(NamedTuple):
 
 
 class Attitude(NamedTuple):
-    """The stage's own, by gyro and accelerometer; its heading is that of the course, while there is one."""
+    """The stage's own attitude, by gyro and accelerometer; its heading follows the course while there is one."""
 
     q_nb: Quaternion
     bias_b_radps: Vector  # of the gyro
@@ -83,7 +91,7 @@ class Attitude(NamedTuple):
 
 
 class Courses(NamedTuple):
-    """What is remembered of the fixes."""
+    """What the stage keeps of the fixes."""
 
     since_s: float  # the last one that counted
     in_row: int  # of those that counted
@@ -92,7 +100,7 @@ class Courses(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     attitude: Attitude
     courses: Courses
@@ -103,7 +111,7 @@ class State(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float | None) -> Coefficients:
-    """Of these parameters at a place with this declination, None: not known."""
+    """Precompute the constants from the parameters and the local declination (None if it is not known)."""
     p = params
     return Coefficients(
         p.least_speed_mps,
@@ -123,14 +131,14 @@ def coefficients(params: Params, declination_rad: float | None) -> Coefficients:
 
 @compiled_inside
 def start(zero: float) -> State:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     attitude = Attitude((1.0, zero, zero, zero), (zero, zero, zero), False, zero)
-    return State(attitude, Courses(zero, 0, 0, 0), uncalibrated(zero), zero, 0, 0)
+    return State(attitude, Courses(zero, 0, 0, 0), start_calibration(zero), zero, 0, 0)
 
 
 @compiled_inside
-def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
-    """Of an error that stands for ``error_s``: what to turn by, and what to take off the bias, 1/s.
+def correction_gains(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
+    """Return, for an error held over ``error_s``, the share to turn by and the share to take off the bias (1/s).
 
     A critically damped PI filter of this time constant, and at first, up to this age, the mean of what there is.
     """
@@ -141,16 +149,16 @@ def shares(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
 
 
 @compiled_inside
-def turned(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
-    """Turn by a share of an error, which is a rotation vector in n, and take another share of it off the bias."""
+def correct_attitude(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
+    """Turn by a share of an error (a rotation vector in n), and take another share of it off the bias."""
     q_nb, bias, is_level, age_s = attitude
     bias = add(bias, rotate(conjugate(q_nb), scale(error_n, -share[1])))
     return Attitude(normalise(multiply(rotation.exp(scale(error_n, share[0])), q_nb)), bias, is_level, age_s)
 
 
 @compiled_inside
-def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
-    """Turn with the rate less its bias, then towards the accelerometer's up."""
+def follow_gravity(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
+    """Turn by the rate less its bias, then towards the accelerometer's up."""
     q_nb, bias, is_level, age_s = attitude
     dt_s = sample.dt_s
     if dt_s > GAP_S:
@@ -160,14 +168,14 @@ def levelled(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
         age_s = min(age_s + dt_s, c.tilt_time_s)
     if not sample.has_accel or dot(sample.accel_b_mps2, sample.accel_b_mps2) < FREE_FALL_M2PS4:
         return Attitude(normalise(q_nb), bias, is_level, age_s)
-    tilt_x, tilt_y = tilt_of(rotate(q_nb, sample.accel_b_mps2))
-    share = shares(dt_s, age_s, c.tilt_time_s) if is_level else (1.0, 0.0)
-    return turned(Attitude(q_nb, bias, True, age_s if is_level else 0.0), (tilt_x, tilt_y, 0.0), share)
+    tilt_x, tilt_y = tilt_error(rotate(q_nb, sample.accel_b_mps2))
+    share = correction_gains(dt_s, age_s, c.tilt_time_s) if is_level else (1.0, 0.0)
+    return correct_attitude(Attitude(q_nb, bias, True, age_s if is_level else 0.0), (tilt_x, tilt_y, 0.0), share)
 
 
 @compiled_inside
-def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
-    """Turn towards the course of one fix; False where it does not count."""
+def follow_course(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
+    """Turn towards the course of one fix; False where the fix does not count."""
     since_s, in_row, n_used, n_left_out = courses
     east, north, _ = rotate(attitude.q_nb, (1.0, 0.0, 0.0))
     is_steep = east * east + north * north < STEEP
@@ -177,40 +185,42 @@ def followed(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) ->
         return attitude, Courses(since_s, in_row, n_used, n_left_out + 1), False
     behind = course_rad + c.mounting_yaw_rad - atan2(east, north)
     error_n = (0.0, 0.0, -atan2(sin(behind), cos(behind)))
-    share = shares(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (1.0, 0.0)
-    return turned(attitude, error_n, share), Courses(0.0, in_row + 1, n_used + 1, n_left_out), True
+    share = (
+        correction_gains(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (1.0, 0.0)
+    )
+    return correct_attitude(attitude, error_n, share), Courses(0.0, in_row + 1, n_used + 1, n_left_out), True
 
 
 @compiled_inside
 def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients | None) -> tuple[State, Sample]:
-    """The sample that the estimator gets in place of this one; with None the magnetometer as it is.
+    """Return the sample that the estimator gets in place of this one; None keeps the magnetometer as it is.
 
     numba leaves out what follows a None that it knows of: without courses nothing of it is compiled.
     """
     if c is None:
         return state, sample
     dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
-    attitude, (since_s, in_row, n_used, n_left_out) = levelled(state.attitude, sample, c), state.courses
+    attitude, (since_s, in_row, n_used, n_left_out) = follow_gravity(state.attitude, sample, c), state.courses
     since_s += dt_s
     if since_s > c.longest_age_s or dt_s > GAP_S:
         in_row = 0
     courses, is_new = Courses(since_s, in_row, n_used, n_left_out), False
     if has_fix:
-        attitude, courses, is_new = followed(attitude, courses, fix, c)
+        attitude, courses, is_new = follow_course(attitude, courses, fix, c)
     calibration, since_mag_s = state.calibration, state.since_mag_s + dt_s
     n_by_course, n_corrected = state.n_mag_by_course, state.n_mag_corrected
     is_field = has_mag and dot(mag, mag) > 0
     if courses.in_row >= FIXES_TO_SETTLE:
         if is_field:
-            calibration = learn(
-                begun(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior
+            calibration = learn_field(
+                begin_calibration(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior
             )
         if is_field or (is_new and (not calibration.is_begun or since_mag_s > c.longest_age_s)):
             has_mag = True
-            mag = field_at(calibration, attitude.q_nb, c.prior)
+            mag = predict_field(calibration, attitude.q_nb, c.prior)
             n_by_course += 1
     elif is_field and calibration.is_begun:
-        mag = corrected(calibration, attitude.q_nb, mag, c.prior)
+        mag = correct_field(calibration, attitude.q_nb, mag, c.prior)
         n_corrected += 1
     if is_field:
         since_mag_s = 0.0

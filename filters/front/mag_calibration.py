@@ -1,12 +1,12 @@
-"""Least squares of a magnetometer whose attitude is known: the Earth's field and the hard iron (paper 003).
+"""Least squares for a magnetometer whose attitude is known: the Earth's field and the hard iron (Zia 2022).
 
 A magnetometer at attitude R reads ``m = R^T F + h``: the Earth's field F in n and the hard iron h in b, six numbers, in
-which it is linear. They are found recursively, one field after another. What the attitudes so far do not show stays
-where the prior has it: no hard iron, and the azimuth of F at the declination.
+which the model is linear. They are estimated recursively, one field after another. Where the attitudes so far show
+nothing the prior stays: no hard iron, and the azimuth of F at the declination.
 
-A component further off than ``GATE_SD`` counts as if its variance were so much larger that it is there: one wrong field
-moves next to nothing, and a wrong start is left all the same. A field that Earth and hard iron together do not make is
-no start.
+A component further off than ``GATE_SD`` gets a variance that puts it at the gate: one wrong field changes next to
+nothing, and the estimate still leaves a wrong start. A field that the Earth and a hard iron cannot make together does
+not start the estimate.
 """
 
 from math import atan2, cos, sin, sqrt
@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled_inside
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled_inside
-from stillpoint.filters.rotation import Quaternion, Vector, about_up, conjugate, dot, rotate
+from stillpoint.filters.rotation import Quaternion, Vector, conjugate, dot, rotate, rotation_about_up
 
 # Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
 INDEPENDENT_S = 1.0
@@ -44,7 +44,7 @@ class Prior(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """The arrays are handed on from step to step and written in place."""
+    """The estimate so far. The arrays are passed from step to step and written in place."""
 
     x_ut: Floats  # (6,) F East, North, Up, then h in b
     cov_ut2: Floats  # (6, 6) of x
@@ -53,14 +53,14 @@ class Calibration(NamedTuple):
 
 
 @compiled_inside
-def uncalibrated(zero: float) -> Calibration:
-    """Before the first field."""
+def start_calibration(zero: float) -> Calibration:
+    """Return the calibration before the first field."""
     return Calibration(np.full(6, zero), np.full((6, 6), zero), False, 0)
 
 
 @compiled_inside
-def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
-    """The prior, if it is not there yet: F as large as this first field, and at the declination.
+def begin_calibration(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Calibration:
+    """Set the prior by the first field: F has its size, and points to the declination.
 
     A field above the Earth's largest with three sd of hard iron on it does not begin it.
     """
@@ -84,8 +84,8 @@ def begun(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior)
 
 
 @compiled_inside
-def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: float, prior: Prior) -> Calibration:
-    """Recursive least squares by one field, ``since_s`` after the one before: its three components in turn."""
+def learn_field(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: float, prior: Prior) -> Calibration:
+    """Update the least squares by one field, ``since_s`` after the one before: its three components in turn."""
     x, cov, is_begun, n_learnt = calibration
     if not is_begun:
         return calibration
@@ -110,8 +110,8 @@ def learn(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s: floa
 
 
 @compiled_inside
-def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector:
-    """The field in b that F makes at this attitude, with its azimuth at the declination."""
+def predict_field(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector:
+    """Return the field in b that F makes at this attitude, with its azimuth at the declination."""
     x = calibration.x_ut
     flat, up = sqrt(x[0] * x[0] + x[1] * x[1]), x[2]
     if not calibration.is_begun:
@@ -120,9 +120,9 @@ def field_at(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> Vector
 
 
 @compiled_inside
-def corrected(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Vector:
-    """A field less the hard iron, turned about the up of this attitude by what F is off the declination."""
+def correct_field(calibration: Calibration, q_nb: Quaternion, mag: Vector, prior: Prior) -> Vector:
+    """Remove the hard iron from a field, and turn it about up by the azimuth error of F."""
     x = calibration.x_ut
     field_n = rotate(q_nb, (mag[0] - x[3], mag[1] - x[4], mag[2] - x[5]))
     turn = atan2(x[0], x[1]) - prior.declination_rad
-    return rotate(conjugate(q_nb), rotate(about_up(turn), field_n))
+    return rotate(conjugate(q_nb), rotate(rotation_about_up(turn), field_n))

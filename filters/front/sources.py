@@ -1,4 +1,4 @@
-"""What a recording brings to a run besides its IMU: the magnetometer, satellite fixes, and which north that gives."""
+"""What a recording offers a run besides its IMU: the magnetometer, satellite fixes, and the north that these define."""
 
 from collections.abc import Mapping
 from math import degrees, pi
@@ -15,12 +15,12 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.front import front, guard, heading_source
 from stillpoint.filters.front.front import RawLog
 from stillpoint.filters.front.heading_source import HEADINGS, Heading
-from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sample import Log, counts
+from stillpoint.filters.precision import Precision, to_precision
+from stillpoint.filters.sample import Log, collect_counts
 
 
 class Sources(NamedTuple):
-    """What a run goes by, and words about it for the diagnostics."""
+    """The streams that a run uses, and facts about them for the diagnostics."""
 
     mag: Mag | None
     gps: Gps | None
@@ -29,13 +29,13 @@ class Sources(NamedTuple):
     facts: dict[str, Any]
 
 
-def front_of(
+def make_front(
     heading: Heading,
     heading_params: Settings | Mapping[str, Any] | None,
     ranges: Settings | Mapping[str, Any] | None,
     declination_rad: float | None,
 ) -> front.Coefficients:
-    """What stands in front of an estimator; a declination of None is not known. Raises :class:`BadParameter`."""
+    """Return the constants of the stages in front of an estimator; a declination of None is not known."""
     require_known(heading, HEADINGS, "heading")
     if declination_rad is not None and not abs(declination_rad) <= pi:  # nor where it is no number
         raise BadParameter(f"declination {degrees(declination_rad):g} deg: give an angle within +-180 deg")
@@ -48,20 +48,20 @@ def front_of(
     return front.Coefficients(full_scales, heading_source.coefficients(by_course, declination_rad))
 
 
-def sources_of(
+def find_sources(
     recording: Recording,
     heading: Heading,
     heading_params: Settings | Mapping[str, Any] | None,
     ranges: Settings | Mapping[str, Any] | None,
 ) -> Sources:
-    """The streams to use, and what is in front of the estimator.
+    """Return the streams to use, and the constants of the stages in front of the estimator.
 
     A magnetometer that is not calibrated is not used: a hard iron of the field's size or more makes every heading
     wrong. Raises :class:`BadParameter`, and :class:`BadRecording` for a course without fixes.
     """
-    mag, declination_rad, facts = magnetometer(recording)
+    mag, declination_rad, facts = choose_magnetometer(recording)
     is_true = facts["heading"].startswith("true north")
-    coefficients = front_of(heading, heading_params, ranges, declination_rad if is_true else None)
+    coefficients = make_front(heading, heading_params, ranges, declination_rad if is_true else None)
     if coefficients.heading is None:
         return Sources(mag, None, declination_rad, coefficients, facts)
     if recording.gps is None:
@@ -72,8 +72,8 @@ def sources_of(
     return Sources(mag, recording.gps, declination_rad, coefficients, facts | {"heading": words})
 
 
-def magnetometer(recording: Recording) -> tuple[Mag | None, float, dict[str, Any]]:
-    """The magnetometer to use, if there is one, the declination (rad, east positive), and words about both."""
+def choose_magnetometer(recording: Recording) -> tuple[Mag | None, float, dict[str, Any]]:
+    """Return the magnetometer to use, the declination (rad, east positive), and facts about both."""
     facts: dict[str, Any] = {"declination_rad": 0.0}
     if recording.mag is None:
         return None, 0.0, facts | {"heading": "arbitrary: there is no magnetometer"}
@@ -84,39 +84,39 @@ def magnetometer(recording: Recording) -> tuple[Mag | None, float, dict[str, Any
     return recording.mag, declination_rad, {"declination_rad": declination_rad, "heading": heading}
 
 
-def passed(imu: Imu, sources: Sources, precision: Precision) -> tuple[Log, dict[str, Any]]:
-    """What the estimator gets of a recording, and the diagnostics of what stands in front of it."""
-    raw, facts = as_raw_log(imu, sources)
-    c = in_precision(sources.front, precision)
-    state, log = front.run(in_precision(raw, precision), in_precision(front.start(c), precision), c)
-    return log, facts | counts(state) | sources.facts | learnt(state.heading)
+def prepare_log(imu: Imu, sources: Sources, precision: Precision) -> tuple[Log, dict[str, Any]]:
+    """Return the samples that the estimator gets of a recording, and the diagnostics of the stages in front of it."""
+    raw, facts = make_raw_log(imu, sources)
+    c = to_precision(sources.front, precision)
+    state, log = front.filter_log(to_precision(raw, precision), to_precision(front.start(c), precision), c)
+    return log, facts | collect_counts(state) | sources.facts | report_calibration(state.heading)
 
 
-def as_raw_log(imu: Imu, sources: Sources) -> tuple[RawLog, dict[str, Any]]:
-    """The samples in the order in which a stream would bring them, and how many fields and fixes never get a turn."""
+def make_raw_log(imu: Imu, sources: Sources) -> tuple[RawLog, dict[str, Any]]:
+    """Return the samples in the order in which a stream brings them, and how many fields and fixes are never used."""
     mag, gps = sources.mag, sources.gps
     fields, course_rad, speed_mps = np.zeros((1, 3)), np.zeros(1), np.zeros(1)
     facts: dict[str, Any] = {}
     mag_row = fix_row = np.full(len(imu.t_ns), -1, dtype=np.int64)
     if mag is not None:
-        fields, mag_row = mag.mag_b_ut.copy(), newest(mag.t_ns, imu.t_ns)
+        fields, mag_row = mag.mag_b_ut.copy(), newest_rows(mag.t_ns, imu.t_ns)
         facts["n_mag_unused"] = len(mag.t_ns) - int((mag_row >= 0).sum())
     if gps is not None:
         course_rad, speed_mps = np.where(gps.valid, gps.course_rad, np.nan), gps.speed_mps.copy()
-        fix_row = newest(gps.t_ns, imu.t_ns)
+        fix_row = newest_rows(gps.t_ns, imu.t_ns)
         facts["n_fix_unused"] = len(gps.t_ns) - int((fix_row >= 0).sum())
     columns = (imu.t_ns.copy(), imu.gyro_b_radps.copy(), imu.accel_b_mps2.copy())  # writable: one compiled type for all
     return RawLog(*columns, fields, mag_row, course_rad, speed_mps, fix_row), facts
 
 
-def newest(t_ns: Times, at_ns: Times) -> NDArray[np.int64]:
-    """At each of the stamps ``at_ns`` the row of the newest sample, -1 where the stamp before had it already."""
+def newest_rows(t_ns: Times, at_ns: Times) -> NDArray[np.int64]:
+    """Return the row of the newest sample at each of the stamps ``at_ns``, -1 where the stamp before had it already."""
     rows = np.searchsorted(t_ns, at_ns, side="right") - 1
     return np.where(np.diff(rows, prepend=-1) > 0, rows, -1).astype(np.int64)
 
 
-def learnt(state: heading_source.State) -> dict[str, Any]:
-    """What a run with courses found out about the magnetometer; empty without."""
+def report_calibration(state: heading_source.State) -> dict[str, Any]:
+    """Return what a run with courses learnt about the magnetometer; empty without courses."""
     calibration = state.calibration
     if not calibration.is_begun:
         return {}

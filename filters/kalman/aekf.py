@@ -1,4 +1,4 @@
-"""``aekf``: ``ekf`` with innovation-based adaptation (paper 000, eqs (15)-(23), for vectors).
+"""``aekf``: ``ekf`` with innovation-based adaptation (Asghari et al. 2018, eqs (15)-(23), for vectors).
 
 The paper compares the last M innovations of one scalar with the variance C that the filter expects of them. Here there
 are two sensors, which are disturbed at different times, so each has its own: the accelerometer's m = 2 innovations of
@@ -27,24 +27,24 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled_apart, compiled_entry, compiled_inside, like
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside, like
 from stillpoint.filters.kalman import model as error_model
 from stillpoint.filters.kalman import predict as error_state
-from stillpoint.filters.kalman.covariance import Matrix, widen
-from stillpoint.filters.kalman.model import HEADING, VELOCITY, Body, ErrorStateParams, Measurement
-from stillpoint.filters.kalman.predict import corrected, gather, is_due, output, turn_errors
+from stillpoint.filters.kalman.covariance import Matrix, scale_variance
+from stillpoint.filters.kalman.model import HEADING, VELOCITY, ErrorStateParams, FilterState, Measurement
+from stillpoint.filters.kalman.predict import add_sample, finish_window, is_due, make_output, rotate_errors
 from stillpoint.filters.kalman.update import (
-    due,
-    heading_innovation,
-    innovation,
-    nothing_new,
+    measure_innovation,
+    no_innovations,
+    predict_window,
     update_bias,
     update_heading,
     update_velocity,
-    velocity_innovations,
+    whiten_heading,
+    whiten_velocity,
 )
-from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.sample import Output, Sample
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Params(ErrorStateParams):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     ekf: error_model.Coefficients
     innovations: int
@@ -77,9 +77,9 @@ class Memory(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
-    body: Body
+    body: FilterState
     velocity: Memory
     heading: Memory
 
@@ -93,7 +93,7 @@ class Trust(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of these parameters at a place with this declination (east of true north)."""
+    """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
     return Coefficients(
         error_model.coefficients(params, declination_rad),
         round(params.innovations),
@@ -105,7 +105,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     velocity, heading = np.full(c.innovations, 0.0), np.full(c.innovations, 0.0)
     return State(error_state.start(c.ekf), Memory(velocity, 0), Memory(heading, 0))
 
@@ -139,8 +139,8 @@ def trust_velocity(
     memory, trust = adapted(memory, (east * east + north * north) * 0.5, explained, 2.0 * variance, c)
     if trust.fade > 1:
         for i in range(HEADING):
-            widen(p, i, trust.fade)
-            widen(p, VELOCITY + i, trust.fade)
+            scale_variance(p, i, trust.fade)
+            scale_variance(p, VELOCITY + i, trust.fade)
     return memory, trust
 
 
@@ -151,38 +151,29 @@ def trust_heading(
     """By the innovation of the heading; as it was where there is none."""
     if not m.is_there:
         return memory, Trust(1.0, 1.0, False)
-    explained = innovation(x, p, m)[1] - m.variance
+    explained = measure_innovation(x, p, m)[1] - m.variance
     memory, trust = adapted(memory, nu * nu, explained, m.variance, c)
     if trust.fade > 1:
-        widen(p, HEADING, trust.fade)
+        scale_variance(p, HEADING, trust.fade)
     return memory, trust
 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """As that of ``ekf``, with trust in each sensor as its innovations were."""
-    body, velocity, heading = gather(state.body, sample, c.ekf), state.velocity, state.heading
-    innovations = nothing_new(c.ekf)
+    body, velocity, heading = add_sample(state.body, sample, c.ekf), state.velocity, state.heading
+    innovations = no_innovations(c.ekf)
     if is_due(body.window.turning, c.ekf):
         x, p = body.x, body.p
-        at = due(body, c.ekf)
-        east, north = velocity_innovations(x, p, at.velocity_variance)
+        at = predict_window(body, c.ekf)
+        east, north = whiten_velocity(x, p, at.velocity_variance)
         velocity, trust = trust_velocity(velocity, p, (east, north), at.velocity_variance, c)
         velocity_beyond = update_velocity(x, p, at.velocity_variance, trust.alpha, c.ekf.gate) or trust.at_limit
         update_bias(x, p, body.window.turning, at, c.ekf)
-        nu = heading_innovation(x, p, at.heading)
+        nu = whiten_heading(x, p, at.heading)
         innovations = (east, north, nu)
         heading, trust = trust_heading(heading, x, p, at.heading, nu, c)
         heading_beyond = update_heading(x, p, at.heading, trust.alpha, body.status, c.ekf) or trust.at_limit
-        turn_errors(x, p)
-        body = corrected(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
-    return State(body, velocity, heading), output(body, innovations, c.ekf)
-
-
-@compiled_entry
-def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, out = step(state, sample_at(log, k), c)
-        keep(track, k, out)
-    return state
+        rotate_errors(x, p)
+        body = finish_window(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
+    return State(body, velocity, heading), make_output(body, innovations, c.ekf)

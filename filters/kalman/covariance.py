@@ -1,8 +1,8 @@
 """The covariance of an error state: small dense matrices that stay symmetric and positive definite, also in float32.
 
-A covariance P is an (n, n) array that is changed in place; ``like`` keeps every operation in its precision. Positive
-definite by form, not by luck: prediction is a congruence A P A' + Q, an update is Joseph's form, and both compute one
-triangle and mirror it. What rounding may take off the smallest eigenvalue, :func:`round_up` gives back.
+A covariance P is an (n, n) array that is changed in place. It is positive definite by its form: the prediction is a
+congruence A P A' + Q, an update is Joseph's form, and both compute one triangle and mirror it. :func:`round_up`
+restores what rounding may take from the smallest eigenvalue.
 """
 
 from math import pi, sqrt
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.filters.compiled import compiled, compiled_apart
+from stillpoint.datasets.compiled import compiled, compiled_apart
 from stillpoint.filters.rotation import Quaternion, Vector, dot
 
 Matrix: TypeAlias = NDArray[Any]  # float64 or float32
@@ -26,8 +26,8 @@ ROUNDINGS = 16.0
 
 
 @compiled
-def identity(p: Matrix) -> Matrix:
-    """Of the size and precision of P."""
+def identity_like(p: Matrix) -> Matrix:
+    """Return the identity matrix in the size and precision of P."""
     a = np.zeros_like(p)
     for i in range(len(p)):
         a[i, i] = 1.0
@@ -35,8 +35,8 @@ def identity(p: Matrix) -> Matrix:
 
 
 @compiled_apart
-def congruence(a: Matrix, p: Matrix) -> None:
-    """P becomes A P A'."""
+def apply_congruence(a: Matrix, p: Matrix) -> None:
+    """Replace P by A P A'."""
     n = len(p)
     ap = np.empty_like(p)
     for i in range(n):
@@ -56,15 +56,15 @@ def congruence(a: Matrix, p: Matrix) -> None:
 
 @compiled
 def round_up(p: Matrix) -> None:
-    """Make each variance larger by a few units of its rounding: 4e-15 of it in double precision, 2e-6 in single."""
+    """Enlarge each variance by a few units of its rounding: 4e-15 of it in double precision, 2e-6 in single."""
     larger = 1.0 + ROUNDINGS * (1.2e-7 if p.itemsize == 4 else 2.3e-16)
     for i in range(len(p)):
         p[i, i] *= larger
 
 
 @compiled_apart
-def times(p: Matrix, h: Matrix) -> Matrix:
-    """P h' of a row h."""
+def times_row(p: Matrix, h: Matrix) -> Matrix:
+    """Return P h' for a row h."""
     ph = np.empty_like(h)
     for i in range(len(h)):
         total = 0.0
@@ -75,14 +75,14 @@ def times(p: Matrix, h: Matrix) -> Matrix:
 
 
 @compiled_apart
-def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
-    """P becomes (I - K h) P (I - K h)' + K r K', which holds for any gain K of a scalar measurement with row h."""
+def update_joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
+    """Replace P by (I - K h) P (I - K h)' + K r K', which holds for any gain K of a scalar measurement with row h."""
     n = len(p)
-    ph = times(p, h)
+    ph = times_row(p, h)
     for i in range(n):
         for j in range(n):
             p[i, j] -= gain[i] * ph[j]
-    left = times(p, h)
+    left = times_row(p, h)
     for i in range(n):
         for j in range(i, n):
             value = p[i, j] - left[i] * gain[j] + gain[i] * r * gain[j]
@@ -91,8 +91,8 @@ def joseph(p: Matrix, h: Matrix, gain: Matrix, r: float) -> None:
 
 
 @compiled_apart
-def forget(p: Matrix, i: int, variance: float) -> None:
-    """Error i becomes unknown: of this variance, and independent of all others."""
+def forget_state(p: Matrix, i: int, variance: float) -> None:
+    """Make state i unknown: give it this variance, and no correlation with the others."""
     for j in range(len(p)):
         p[i, j] = 0.0
         p[j, i] = 0.0
@@ -100,22 +100,22 @@ def forget(p: Matrix, i: int, variance: float) -> None:
 
 
 @compiled_apart
-def grown(variance: float, sd: float) -> float:
-    """After an error of this sd that goes the way of the one before: standard deviations add, not variances."""
+def add_sd(variance: float, sd: float) -> float:
+    """Return a variance after an error of this sd that persists: standard deviations add, not variances."""
     root = sqrt(max(variance, 0.0)) + sd
     return root * root
 
 
 @compiled_apart
-def grown_along(cov: Nine, sd: Vector) -> Nine:
-    """A 3 x 3 after such errors along its axes."""
+def add_sd_along(cov: Nine, sd: Vector) -> Nine:
+    """Inflate a 3 x 3 covariance by such errors along its axes."""
     xx, xy, xz, _, yy, yz, _, _, zz = cov
-    return grown(xx, sd[0]), xy, xz, xy, grown(yy, sd[1]), yz, xz, yz, grown(zz, sd[2])
+    return add_sd(xx, sd[0]), xy, xz, xy, add_sd(yy, sd[1]), yz, xz, yz, add_sd(zz, sd[2])
 
 
 @compiled_apart
-def widen(p: Matrix, i: int, factor: float) -> None:
-    """The variance of error i times ``factor``, its correlations as they were."""
+def scale_variance(p: Matrix, i: int, factor: float) -> None:
+    """Multiply the variance of state i by ``factor``; its correlations stay."""
     root = sqrt(factor)
     for j in range(len(p)):
         p[i, j] *= root
@@ -123,8 +123,8 @@ def widen(p: Matrix, i: int, factor: float) -> None:
 
 
 @compiled
-def of_six(p: Matrix, u: Six) -> Six:
-    """The first six errors' P, times u."""
+def times_six(p: Matrix, u: Six) -> Six:
+    """Return P of the first six states, times u."""
     a, b, c, d, e, f = u
     return (
         p[0, 0] * a + p[0, 1] * b + p[0, 2] * c + p[0, 3] * d + p[0, 4] * e + p[0, 5] * f,
@@ -137,35 +137,35 @@ def of_six(p: Matrix, u: Six) -> Six:
 
 
 @compiled
-def product(u: Six, v: Six) -> float:
-    """Scalar product."""
+def dot_six(u: Six, v: Six) -> float:
+    """Return the scalar product."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2] + u[3] * v[3] + u[4] * v[4] + u[5] * v[5]
 
 
 @compiled
-def seen_along(axis: Vector, spread_s: Axes) -> Six:
-    """What the error about this axis of n is made of: the attitude's at P, less ``spread_s`` times the bias's."""
+def project_error(axis: Vector, spread_s: Axes) -> Six:
+    """Return the weights of the six errors in the attitude error about this axis of n, a little after P."""
     x, y, z = axis
     return x, y, z, -dot(spread_s[0], axis), -dot(spread_s[1], axis), -dot(spread_s[2], axis)
 
 
 @compiled
-def in_body_axes(p: Matrix, spread_s: Axes, variance: float, q_nb: Quaternion) -> Nine:
-    """R' (P_ee - S P_be - P_eb S' + S P_bb S' + variance I) R: the attitude's 3 x 3 a little after P, in body axes.
+def covariance_in_body(p: Matrix, spread_s: Axes, variance: float, q_nb: Quaternion) -> Nine:
+    """Return R' (P_ee - S P_be - P_eb S' + S P_bb S' + variance I) R: the attitude's covariance in body axes.
 
     ``spread_s`` (columns) is S, by which errors 3 .. 5, a gyro's bias, have entered errors 0 .. 2, the attitude's in n.
     """
-    first, second, third = axes_in_n(q_nb)
-    u, v, w = seen_along(first, spread_s), seen_along(second, spread_s), seen_along(third, spread_s)
-    pu, pv, pw = of_six(p, u), of_six(p, v), of_six(p, w)
-    uv, uw, vw = product(u, pv), product(u, pw), product(v, pw)
-    uu, vv, ww = product(u, pu) + variance, product(v, pv) + variance, product(w, pw) + variance
+    first, second, third = body_axes_in_n(q_nb)
+    u, v, w = project_error(first, spread_s), project_error(second, spread_s), project_error(third, spread_s)
+    pu, pv, pw = times_six(p, u), times_six(p, v), times_six(p, w)
+    uv, uw, vw = dot_six(u, pv), dot_six(u, pw), dot_six(v, pw)
+    uu, vv, ww = dot_six(u, pu) + variance, dot_six(v, pv) + variance, dot_six(w, pw) + variance
     return uu, uv, uw, uv, vv, vw, uw, vw, ww
 
 
 @compiled
-def axes_in_n(q_nb: Quaternion) -> Axes:
-    """The body's three axes in n: columns of the rotation matrix."""
+def body_axes_in_n(q_nb: Quaternion) -> Axes:
+    """Return the body's three axes in n: the columns of the rotation matrix."""
     w, x, y, z = q_nb
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),

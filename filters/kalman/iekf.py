@@ -15,15 +15,15 @@ the heading, stays the third axis of P exactly, however large a correction of th
 
 from dataclasses import dataclass
 
-from stillpoint.filters.compiled import compiled_entry, compiled_inside
+from stillpoint.datasets.compiled import compiled_inside
 from stillpoint.filters.kalman import model as error_model
 from stillpoint.filters.kalman import predict as error_state
-from stillpoint.filters.kalman.model import Body, Coefficients, ErrorStateParams
-from stillpoint.filters.kalman.predict import gather, is_due, output
-from stillpoint.filters.kalman.update import nothing_new, updated
-from stillpoint.filters.sample import Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.kalman.model import Coefficients, ErrorStateParams, FilterState
+from stillpoint.filters.kalman.predict import add_sample, is_due, make_output
+from stillpoint.filters.kalman.update import no_innovations, update_window
+from stillpoint.filters.sample import Output, Sample
 
-State = Body
+State = FilterState
 coefficients = error_model.coefficients
 start = error_state.start
 
@@ -34,18 +34,9 @@ class Params(ErrorStateParams):
 
 
 @compiled_inside
-def step(state: Body, sample: Sample, c: Coefficients) -> tuple[Body, Output]:
+def step(state: FilterState, sample: Sample, c: Coefficients) -> tuple[FilterState, Output]:
     """Turn by the rate; at the end of a window predict the errors and update them."""
-    body, innovations = gather(state, sample, c), nothing_new(c)
+    body, innovations = add_sample(state, sample, c), no_innovations(c)
     if is_due(body.window.turning, c):
-        body, innovations = updated(body, False, c)
-    return body, output(body, innovations, c)
-
-
-@compiled_entry
-def run(log: Log, state: Body, c: Coefficients, track: Track) -> Body:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, out = step(state, sample_at(log, k), c)
-        keep(track, k, out)
-    return state
+        body, innovations = update_window(body, False, c)
+    return body, make_output(body, innovations, c)

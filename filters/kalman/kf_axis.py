@@ -1,20 +1,20 @@
-"""``kf-axis``: a Kalman filter of angle and gyro bias on each of three Euler angles (paper 004, eqs (1)-(15)).
+"""``kf-axis``: a Kalman filter of angle and gyro bias on each of three Euler angles (Byambajav et al., eqs (1)-(15)).
 
-Roll, pitch and heading are the z-y-x Euler angles of ``q_nb``, each with a filter of its own, eqs (8)-(12)::
+Roll, pitch and heading are the z-y-x Euler angles of ``q_nb``. Each has a filter of its own, eqs (8)-(12)::
 
     (angle, bias)' = A (angle, bias) + (dt rate, 0)    A = [[1, -dt], [0, 1]]    H = [1 0]
 
-The rate is the Euler rate (1). Roll and pitch are measured by the accelerometer (14), (15), heading by the field that
-is levelled by the roll and pitch just found (7). The paper's angles are those of a forward-right-down body in
-North-East-Down: pitch has the other sign there, heading counts from north, and every filter is as it is here.
+The rate is the Euler rate (1). The accelerometer measures roll and pitch, (14) and (15); the field, levelled by the
+roll and pitch just found, measures the heading (7). The paper's angles are those of a forward-right-down body in
+North-East-Down: pitch has the other sign there, heading counts from north, and the filters are the same.
 
 The angles are kept as the rotation that they make, and the three biases as a vector in body axes, where a gyro's bias
-is constant; seen along the axis about which an angle turns it is that angle's. (1) is integrated over the interval as a
-rotation, exactly, and an innovation is one arc tangent of the measured against the predicted angle: nothing wraps,
-nothing is averaged across +-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it
-the accelerometer is left out and the gyro alone turns the estimate (``n_gimbal``).
+is constant; its component along the axis of an angle is that angle's bias. (1) is integrated over the interval as a
+rotation, exactly, and an innovation is one arc tangent of the measured against the predicted angle, so nothing wraps
+or is averaged across +-180 deg. Where body x is vertical, roll and heading are one angle: within ``GIMBAL`` of it the
+accelerometer is left out and only the gyro turns the estimate (``n_gimbal``).
 
-A rate that was clipped or missing hides a turn: P of the angles grows by it, so that the next measurements move the
+A rate that was clipped or missing hides a turn: P of the angles grows by it, so that the next measurements correct the
 angles and not the biases.
 """
 
@@ -22,25 +22,68 @@ from dataclasses import dataclass
 from math import atan2, nan, sqrt
 from typing import Literal, NamedTuple
 
+from stillpoint.datasets.compiled import compiled_entry, compiled_inside
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_entry, compiled_inside
 from stillpoint.filters.euler_axes import (
     GIMBAL,
     Frame,
+    body_rate,
+    bound_hidden_turns,
     covariance,
-    frame_of,
-    hidden_turns,
-    in_body,
-    tilting,
-    turned_about_up,
+    euler_frame,
+    tilt_rotation,
+    turn_about_up,
 )
-from stillpoint.filters.fields import FREE_FALL_M2PS4, turn_to_north, uprighting
-from stillpoint.filters.kalman.angle_and_bias import Axis, correct, predict, renewed, widened
+from stillpoint.filters.fields import FREE_FALL_M2PS4, level_rotation, north_error
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, multiply, rotate, scale
-from stillpoint.filters.sample import GAP_S, Log, Output, Sample, Track, keep, sample_at
+from stillpoint.filters.sample import GAP_S, Output, Sample
+
+
+class Axis(NamedTuple):
+    """Covariance of (angle, bias) of one axis."""
+
+    p_angle: float  # rad^2
+    p_cross: float  # rad^2/s
+    p_bias: float  # (rad/s)^2
+
+
+@compiled_inside
+def predict_axis(axis: Axis, dt_s: float, angle_rad2ps: float, walk_rad2ps3: float) -> Axis:
+    """Return P of (11) after an interval: A P A' + Q dt; Q holds the variances per second of angle and bias."""
+    p_angle, p_cross, p_bias = axis
+    grown = p_angle + dt_s * (dt_s * p_bias - p_cross - p_cross) + angle_rad2ps * dt_s
+    return Axis(grown, p_cross - dt_s * p_bias, p_bias + walk_rad2ps3 * dt_s)
+
+
+@compiled_inside
+def correct_axis(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float, float]:
+    """Return P after a measurement of variance ``r``, the corrections of angle and bias, the normalised innovation.
+
+    P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
+    """
+    p_angle, p_cross, p_bias = axis
+    per_s = 1.0 / (p_angle + r)  # one division: they are slow
+    left, to_angle, to_bias = r * per_s, p_angle * per_s, p_cross * per_s
+    determinant = max(p_angle * p_bias - p_cross * p_cross, 0.0)
+    new = Axis(p_angle * left, p_cross * left, p_bias * left + determinant * per_s)
+    return new, to_angle * innovation, to_bias * innovation, innovation * sqrt(per_s)
+
+
+@compiled_inside
+def widen_axis(axis: Axis, turn: float) -> Axis:
+    """Inflate the angle variance after an unmeasured turn (sd); such errors persist, so standard deviations add."""
+    root = sqrt(axis.p_angle) + turn
+    return Axis(max(axis.p_angle, min(root * root, ANY_ANGLE_RAD2)), axis.p_cross, axis.p_bias)
+
+
+@compiled_inside
+def reset_axis(p_angle: float, p_bias: float) -> Axis:
+    """Return a P whose angle and bias are independent."""
+    return Axis(p_angle, 0.0, p_bias)
+
 
 # Not ready for so long after the first tilt.
 START_S = 2.0
@@ -72,7 +115,7 @@ class Params(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     gyro_rad2ps: float  # variances per second
     walk_rad2ps3: float
@@ -87,7 +130,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     q_nb: Quaternion
     bias_b_radps: Vector
@@ -105,8 +148,8 @@ class State(NamedTuple):
     n_no_north: int  # and those without horizontal part
 
 
-class Moved(NamedTuple):
-    """What gyro and accelerometer make of a state."""
+class Corrected(NamedTuple):
+    """A state after gyro and accelerometer."""
 
     q_nb: Quaternion
     bias_b_radps: Vector
@@ -118,7 +161,7 @@ class Moved(NamedTuple):
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
-    """Of these parameters at a place with this declination (east of true north)."""
+    """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
     return Coefficients(
         params.gyro_noise_rad_rts**2,
         params.bias_walk_radps_rts**2,
@@ -135,7 +178,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 
 @compiled_entry
 def start(c: Coefficients) -> State:
-    """Before the first sample: level, x over north."""
+    """Return the state before the first sample: level, with the body's x axis pointing north."""
     half = 0.5**0.5
     tilt = Axis(c.tilt_rad2, 0.0, c.bias_rad2ps2)
     heading = Axis(ANY_ANGLE_RAD2, 0.0, c.bias_rad2ps2)
@@ -144,15 +187,15 @@ def start(c: Coefficients) -> State:
 
 
 @compiled_inside
-def unit(q: Quaternion) -> Quaternion:
-    """Length 1 for a quaternion that is off by rounding only: one Newton step, with neither root nor division."""
+def renormalise(q: Quaternion) -> Quaternion:
+    """Return a quaternion of length 1 if only rounding is off: one Newton step, with neither root nor division."""
     share = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * share, q[1] * share, q[2] * share, q[3] * share
 
 
 @compiled_inside
-def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
-    """(14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
+def measure_tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
+    """Return (14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
     fx, fy, fz = force
     up, cos_pitch = frame.up_b, frame.cos_pitch
     g = STANDARD_GRAVITY_MPS2
@@ -169,50 +212,50 @@ def tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
 
 
 @compiled_inside
-def without_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
-    """Specific force less w x V of (4), for a V along body x."""
+def remove_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
+    """Return the specific force less w x V of (4), for a V along body x."""
     return force[0], force[1] - rate[2] * speed_mps, force[2] + rate[1] * speed_mps
 
 
 @compiled_inside
-def moved(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Moved:
-    """The attitude by the gyro, then roll and pitch by the accelerometer."""
+def correct_tilt(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Corrected:
+    """Turn the attitude by the gyro, then correct roll and pitch by the accelerometer."""
     dt_s, none = sample.dt_s, nan
     bias = state.bias_b_radps
     rate = add(sample.gyro_b_radps, scale(bias, -1.0))
-    q_nb = multiply(unit(state.q_nb), rotation.exp(scale(rate, dt_s)))
-    frame = frame_of(q_nb)
+    q_nb = multiply(renormalise(state.q_nb), rotation.exp(scale(rate, dt_s)))
+    frame = euler_frame(q_nb)
     if frame.cos_pitch < GIMBAL:
-        return Moved(q_nb, bias, state.roll, state.pitch, none, none, True)
+        return Corrected(q_nb, bias, state.roll, state.pitch, none, none, True)
     if not has_accel:
-        return Moved(q_nb, bias, state.roll, state.pitch, none, none, False)
-    force = without_coriolis(sample.accel_b_mps2, rate, c.speed_mps) if c.speed_mps > 0 else sample.accel_b_mps2
-    off_roll, off_pitch = tilt_errors(force, frame, c.tilt)
+        return Corrected(q_nb, bias, state.roll, state.pitch, none, none, False)
+    force = remove_coriolis(sample.accel_b_mps2, rate, c.speed_mps) if c.speed_mps > 0 else sample.accel_b_mps2
+    off_roll, off_pitch = measure_tilt_errors(force, frame, c.tilt)
     # The accelerometer shows roll by its part across x only.
     r_roll = c.tilt_rad2 / (frame.cos_pitch * frame.cos_pitch)
-    roll, turn_roll, bias_roll, nu_roll = correct(state.roll, off_roll, r_roll)
-    pitch, turn_pitch, bias_pitch, nu_pitch = correct(state.pitch, off_pitch, c.tilt_rad2)
-    q_nb = multiply(q_nb, tilting(turn_roll, turn_pitch, frame.pitch_b))
-    bias = add(bias, in_body(bias_roll, bias_pitch, frame))
-    return Moved(q_nb, bias, roll, pitch, nu_roll, nu_pitch, False)
+    roll, turn_roll, bias_roll, nu_roll = correct_axis(state.roll, off_roll, r_roll)
+    pitch, turn_pitch, bias_pitch, nu_pitch = correct_axis(state.pitch, off_pitch, c.tilt_rad2)
+    q_nb = multiply(q_nb, tilt_rotation(turn_roll, turn_pitch, frame.pitch_b))
+    bias = add(bias, body_rate(bias_roll, bias_pitch, frame))
+    return Corrected(q_nb, bias, roll, pitch, nu_roll, nu_pitch, False)
 
 
 @compiled_inside
-def predicted(state: State, sample: Sample, is_headed: bool, c: Coefficients) -> tuple[Axis, Axis, Axis, float]:
-    """P of roll, pitch and heading after the interval, and the time since P was renewed."""
+def predict_axes(state: State, sample: Sample, is_headed: bool, c: Coefficients) -> tuple[Axis, Axis, Axis, float]:
+    """Return P of roll, pitch and heading after the interval, and the time since P was reset."""
     _, _, roll, pitch, heading, _, since_reset_s, _, _ = state[:9]
     dt_s = sample.dt_s
-    roll = predict(roll, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
-    pitch = predict(pitch, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
-    heading = predict(heading, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    roll = predict_axis(roll, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    pitch = predict_axis(pitch, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    heading = predict_axis(heading, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
     since_reset_s += dt_s
     if dot(sample.hidden_b_radps, sample.hidden_b_radps) > 0:
-        by_roll, by_pitch, by_heading = hidden_turns(state.q_nb, scale(sample.hidden_b_radps, dt_s))
-        roll, pitch, heading = widened(roll, by_roll), widened(pitch, by_pitch), widened(heading, by_heading)
+        by_roll, by_pitch, by_heading = bound_hidden_turns(state.q_nb, scale(sample.hidden_b_radps, dt_s))
+        roll, pitch, heading = widen_axis(roll, by_roll), widen_axis(pitch, by_pitch), widen_axis(heading, by_heading)
     if c.reset_s > 0 and since_reset_s >= c.reset_s:
         since_reset_s = 0.0
-        roll = pitch = renewed(c.tilt_rad2, c.bias_rad2ps2)
-        heading = renewed(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
+        roll = pitch = reset_axis(c.tilt_rad2, c.bias_rad2ps2)
+        heading = reset_axis(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
     return roll, pitch, heading, since_reset_s
 
 
@@ -230,37 +273,28 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if is_level and dt_s > GAP_S:
         is_level, is_headed, age_s, n_gaps = False, False, 0.0, n_gaps + 1
     age_s = min(age_s + dt_s, START_S)
-    roll, pitch, heading, since_reset_s = predicted(state, sample, is_headed, c)
+    roll, pitch, heading, since_reset_s = predict_axes(state, sample, is_headed, c)
     nu_roll = nu_pitch = nu_heading
     if is_level:
         before = State(q_nb, bias, roll, pitch, heading, 0.0, 0.0, True, is_headed, 0, 0, 0, 0, 0)
-        q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = moved(before, sample, has_accel, c)
+        q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = correct_tilt(before, sample, has_accel, c)
         n_gimbal += is_gimbal
     elif has_accel:
-        q_nb, is_level, age_s = multiply(uprighting(q_nb, sample.accel_b_mps2), q_nb), True, 0.0
-        roll, pitch = renewed(c.tilt_rad2, roll.p_bias), renewed(c.tilt_rad2, pitch.p_bias)
-    frame = frame_of(q_nb)  # a turn about up, as that of the heading is, leaves it as it is
+        q_nb, is_level, age_s = multiply(level_rotation(q_nb, sample.accel_b_mps2), q_nb), True, 0.0
+        roll, pitch = reset_axis(c.tilt_rad2, roll.p_bias), reset_axis(c.tilt_rad2, pitch.p_bias)
+    frame = euler_frame(q_nb)  # a turn about up, as that of the heading is, leaves it as it is
     if is_level and has_mag:
-        turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
+        turn, found = north_error(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if not found:
             n_no_north += 1
         elif c.compass or not is_headed:  # taken, not approached
-            heading, is_headed = renewed(c.heading_rad2, heading.p_bias), True
-            q_nb = turned_about_up(q_nb, turn)
+            heading, is_headed = reset_axis(c.heading_rad2, heading.p_bias), True
+            q_nb = turn_about_up(q_nb, turn)
         else:
-            heading, turn, bias_heading, nu_heading = correct(heading, turn, c.heading_rad2)
-            q_nb, bias = turned_about_up(q_nb, turn), add(bias, scale(frame.up_b, bias_heading))
+            heading, turn, bias_heading, nu_heading = correct_axis(heading, turn, c.heading_rad2)
+            q_nb, bias = turn_about_up(q_nb, turn), add(bias, scale(frame.up_b, bias_heading))
     counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
     state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)
     cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
     ready = is_level and age_s >= START_S
     return state, Output(q_nb, bias, cov_b, (nu_roll, nu_pitch, nu_heading), ready)
-
-
-@compiled_entry
-def run(log: Log, state: State, c: Coefficients, track: Track) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, sample_at(log, k), c)
-        keep(track, k, output)
-    return state

@@ -43,17 +43,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled, compiled_apart
 from stillpoint.datasets.settings import Settings, degrees, number
-from stillpoint.filters.compiled import compiled, compiled_apart
 from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
-    axes_in_n,
-    congruence,
-    grown,
-    identity,
+    add_sd,
+    apply_congruence,
+    body_axes_in_n,
+    identity_like,
     round_up,
-    widen,
+    scale_variance,
 )
 from stillpoint.filters.kalman.known_field import KnownField, Tolerance
 from stillpoint.filters.kalman.stillness import Limits, Stillness
@@ -105,7 +105,7 @@ class ErrorStateParams(Settings):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     window_s: float
     gyro_noise: float  # rad^2/s
@@ -128,7 +128,7 @@ class Coefficients(NamedTuple):
 
 
 class Status(NamedTuple):
-    """How far it has got, and how long it has been in doubt."""
+    """How far the filter has got, and how long it has been in doubt."""
 
     is_level: bool  # False until the first tilt, and after a gap
     is_headed: bool  # False until the first heading, and after a gap
@@ -139,8 +139,8 @@ class Status(NamedTuple):
     heading_off: float  # mean of the heading's innovations while the field looks known, whitened, over the patience
 
 
-class Met(NamedTuple):
-    """What was left out or met."""
+class Counts(NamedTuple):
+    """Counts of what was left out or handled specially."""
 
     n_free_fall: int  # accelerometer samples: too short to point up
     n_no_field: int  # magnetometer samples: zero
@@ -151,8 +151,8 @@ class Met(NamedTuple):
     n_heading_restarts: int
 
 
-class Body(NamedTuple):
-    """What is remembered."""
+class FilterState(NamedTuple):
+    """What the filter keeps from one sample to the next."""
 
     q_nb: Quaternion
     x: Matrix  # (8,) the attitude's error (0 between updates), the gyro's bias, the velocity
@@ -161,11 +161,11 @@ class Body(NamedTuple):
     still: Stillness
     field: KnownField
     status: Status
-    met: Met
+    met: Counts
 
 
 class Measurement(NamedTuple):
-    """A scalar: seen = row times x + noise of this variance."""
+    """A scalar measurement: seen = row times x + noise of this variance."""
 
     is_there: bool
     row: Matrix  # (8,)
@@ -173,8 +173,8 @@ class Measurement(NamedTuple):
     variance: float
 
 
-class Due(NamedTuple):
-    """What an update at the end of a window starts from; x and P are predicted to there."""
+class WindowEnd(NamedTuple):
+    """What the updates at the end of a window start from; x and P are predicted to there."""
 
     still: Stillness
     is_resting: bool
@@ -183,7 +183,7 @@ class Due(NamedTuple):
 
 
 def coefficients(params: ErrorStateParams, declination_rad: float) -> Coefficients:
-    """Of these parameters at a place with this declination (east of true north)."""
+    """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
     p = params
     return Coefficients(
         window_s=p.window_s,
@@ -208,9 +208,9 @@ def coefficients(params: ErrorStateParams, declination_rad: float) -> Coefficien
 
 
 @compiled_apart
-def transition(window: Window, p: Matrix) -> Matrix:
-    """Of the errors over a window: see the first lines."""
-    a = identity(p)
+def transition_matrix(window: Window, p: Matrix) -> Matrix:
+    """Return the transition matrix of the errors over a window; see the module's first lines."""
+    a = identity_like(p)
     spread_s, up_mps = window.turning.spread_s, window.forces.push_n_mps[2]
     a[VELOCITY, 1], a[VELOCITY + 1, 0] = up_mps, -up_mps
     for j in range(3):
@@ -221,8 +221,8 @@ def transition(window: Window, p: Matrix) -> Matrix:
 
 
 @compiled
-def attitude_noise(turning: Turning, c: Coefficients) -> float:
-    """What the attitude's variance has gained since P by noise, per axis."""
+def attitude_noise_variance(turning: Turning, c: Coefficients) -> float:
+    """Return the variance per axis that noise has added to the attitude since P."""
     length_s = turning.length_s
     walked = c.bias_walk * length_s * length_s * length_s * (1 / 3)
     return c.gyro_noise * length_s + c.turn_error * turning.turned_rad + walked
@@ -230,9 +230,9 @@ def attitude_noise(turning: Turning, c: Coefficients) -> float:
 
 @compiled_apart
 def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
-    """What the window's noise adds to P: the model's densities integrated with its transition."""
+    """Add the window's process noise to P: the model's densities integrated with its transition."""
     length_s, spread_s, up_mps = window.turning.length_s, window.turning.spread_s, window.forces.push_n_mps[2]
-    turn, walk = attitude_noise(window.turning, c), c.bias_walk * length_s
+    turn, walk = attitude_noise_variance(window.turning, c), c.bias_walk * length_s
     lost_mps = LOST_MPS2 * (length_s - window.forces.time_s)
     push = c.accel_noise * length_s + lost_mps * lost_mps + turn * up_mps * up_mps * (1 / 3)
     tilted = 0.5 * turn * up_mps
@@ -249,12 +249,12 @@ def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
 
 
 @compiled_apart
-def hide(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
-    """A turn about this axis that the gyro did not tell has entered attitude and, half as long, velocity."""
+def add_hidden_turn(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
+    """Add to P a turn about this axis that the gyro did not measure; it enters the velocity half as long."""
     total = 0.0
     for i in range(3):
         total += axis_n[i] * (p[i, 0] * axis_n[0] + p[i, 1] * axis_n[1] + p[i, 2] * axis_n[2])
-    added, lever = grown(total, hidden_rad) - total, 0.5 * up_mps
+    added, lever = add_sd(total, hidden_rad) - total, 0.5 * up_mps
     entry = np.zeros_like(p[0])
     entry[0], entry[1], entry[2] = axis_n
     entry[VELOCITY], entry[VELOCITY + 1] = lever * axis_n[1], -lever * axis_n[0]
@@ -265,19 +265,19 @@ def hide(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
 
 @compiled_apart
 def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficients) -> None:
-    """Velocity and covariance at the end of the window, where the attitude is ``q_nb``."""
+    """Predict velocity and covariance to the end of the window, where the attitude is ``q_nb``."""
     push = window.forces.push_n_mps
     x[VELOCITY] += push[0]
     x[VELOCITY + 1] += push[1]
-    congruence(transition(window, p), p)
+    apply_congruence(transition_matrix(window, p), p)
     add_noise(p, window, c)
     if not is_measured(window.turning):
-        (x_n, y_n, z_n), (x_rad, y_rad, z_rad) = axes_in_n(q_nb), window.turning.hidden_b_rad
-        hide(p, x_n, x_rad, push[2])
-        hide(p, y_n, y_rad, push[2])
-        hide(p, z_n, z_rad, push[2])
+        (x_n, y_n, z_n), (x_rad, y_rad, z_rad) = body_axes_in_n(q_nb), window.turning.hidden_b_rad
+        add_hidden_turn(p, x_n, x_rad, push[2])
+        add_hidden_turn(p, y_n, y_rad, push[2])
+        add_hidden_turn(p, z_n, z_rad, push[2])
     round_up(p)
     unknown = ANY_ANGLE_RAD2
     for i in range(BIAS):
         if p[i, i] > unknown:
-            widen(p, i, unknown / p[i, i])
+            scale_variance(p, i, unknown / p[i, i])

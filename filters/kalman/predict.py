@@ -1,23 +1,23 @@
-"""How ``ekf``, ``aekf`` and ``iekf`` go from sample to sample: they begin, turn, gather, and are corrected."""
+"""How ``ekf``, ``aekf`` and ``iekf`` proceed from sample to sample: begin, turn, add to the window, and correct."""
 
 from math import cos, pi, sin
 
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled_apart, compiled_entry, compiled_inside
 from stillpoint.filters import rotation
-from stillpoint.filters.compiled import compiled_apart, compiled_entry, compiled_inside
-from stillpoint.filters.fields import FREE_FALL_M2PS4, turn_to_north
+from stillpoint.filters.fields import FREE_FALL_M2PS4, north_error
 from stillpoint.filters.kalman.covariance import (
     ANY_ANGLE_RAD2,
     Matrix,
-    axes_in_n,
-    congruence,
-    forget,
-    grown_along,
-    identity,
-    in_body_axes,
+    add_sd_along,
+    apply_congruence,
+    body_axes_in_n,
+    covariance_in_body,
+    forget_state,
+    identity_like,
 )
-from stillpoint.filters.kalman.known_field import alike, is_earthly, learn, looks, no_field
+from stillpoint.filters.kalman.known_field import is_alike, is_earthly, learn_field, measure_looks, start_field
 from stillpoint.filters.kalman.model import (
     BIAS,
     HEADING,
@@ -25,35 +25,35 @@ from stillpoint.filters.kalman.model import (
     OFF_SQUARE,
     SIZE,
     VELOCITY,
-    Body,
     Coefficients,
-    Due,
-    Met,
+    Counts,
+    FilterState,
     Status,
-    attitude_noise,
+    WindowEnd,
+    attitude_noise_variance,
 )
-from stillpoint.filters.kalman.stillness import moving
+from stillpoint.filters.kalman.stillness import no_rest
 from stillpoint.filters.kalman.window import (
     Forces,
     Turning,
     Window,
+    add_field,
+    add_force,
+    add_turn,
+    empty_window,
     is_measured,
-    no_samples,
-    pushed,
-    turned,
-    with_field,
 )
 from stillpoint.filters.rotation import (
     Quaternion,
     Vector,
-    about_up,
     add,
-    between,
     dot,
     multiply,
     norm,
     normalise,
     rotate,
+    rotation_about_up,
+    rotation_between,
     scale,
 )
 from stillpoint.filters.sample import GAP_S, Output, Sample
@@ -66,8 +66,8 @@ READY_RAD2 = 2 * (pi / 90) ** 2
 
 
 @compiled_entry
-def start(c: Coefficients) -> Body:
-    """Before the first sample: level, x over north, and nothing known of it."""
+def start(c: Coefficients) -> FilterState:
+    """Return the state before the first sample: level, with the body's x axis pointing north, and nothing known."""
     half = 0.5**0.5
     x, p = np.full(SIZE, 0.0), np.full((SIZE, SIZE), 0.0)
     for i in range(BIAS):
@@ -76,60 +76,62 @@ def start(c: Coefficients) -> Body:
     for i in range(VELOCITY, SIZE):
         p[i, i] = c.velocity_variance
     status = Status(False, False, False, 0.0, 0.0, 0.0, 0.0)
-    met = Met(0, 0, 0, 0, 0, 0, 0)
-    return Body((half, 0.0, 0.0, half), x, p, no_samples(0.0), moving(0.0), no_field(0.0), status, met)
+    met = Counts(0, 0, 0, 0, 0, 0, 0)
+    return FilterState((half, 0.0, 0.0, half), x, p, empty_window(0.0), no_rest(0.0), start_field(0.0), status, met)
 
 
 @compiled_inside
-def gather(body: Body, sample: Sample, c: Coefficients) -> Body:
-    """Turn by the rate, and add the sample to the window; or, as long as there is no attitude, begin one."""
+def add_sample(body: FilterState, sample: Sample, c: Coefficients) -> FilterState:
+    """Turn by the rate and add the sample to the window; before there is an attitude, begin one."""
     q_nb, x, p, window, still, field, status, met = body
     dt_s, gyro, accel, mag, has_accel, has_mag, _ = sample
     use_accel = has_accel and dot(accel, accel) >= FREE_FALL_M2PS4
     use_mag = has_mag and dot(mag, mag) > 0
     n_free_fall = met.n_free_fall + (1 if has_accel and not use_accel else 0)
     n_no_field = met.n_no_field + (1 if has_mag and not use_mag else 0)
-    met = Met(n_free_fall, n_no_field, met[2], met[3], met[4], met[5], met[6])
+    met = Counts(n_free_fall, n_no_field, met[2], met[3], met[4], met[5], met[6])
     is_gap = dt_s > GAP_S
     if status.is_level and not is_gap:
         (turning, forces, fields), before = window, q_nb
         rate = add(gyro, (-x[BIAS], -x[BIAS + 1], -x[BIAS + 2]))
         q_nb = normalise(multiply(q_nb, rotation.exp(scale(rate, dt_s))))
-        turning = turned(turning, sample, rate, before, q_nb)
+        turning = add_turn(turning, sample, rate, before, q_nb)
         if use_accel:
-            forces = pushed(forces, rotate(q_nb, accel), accel, dt_s)
+            forces = add_force(forces, rotate(q_nb, accel), accel, dt_s)
         if use_mag:
-            fields = with_field(fields, rotate(q_nb, mag), mag)
+            fields = add_field(fields, rotate(q_nb, mag), mag)
         window = Window(turning, forces, fields)
     if is_gap or not status.is_level or (use_mag and not status.is_headed):
-        window = no_samples(0.0)
+        window = empty_window(0.0)
         if is_gap:
-            lose(x, p, dt_s, c)
-            still = moving(0.0)
-        q_nb, status, found = begin(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
-        met = Met(met[0], met[1], met[2] + (0 if found else 1), met[3] + (1 if is_gap else 0), met[4], met[5], met[6])
-    return Body(q_nb, x, p, window, still, field, status, met)
+            forget_after_gap(x, p, dt_s, c)
+            still = no_rest(0.0)
+        q_nb, status, found = begin_attitude(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
+        met = Counts(
+            met[0], met[1], met[2] + (0 if found else 1), met[3] + (1 if is_gap else 0), met[4], met[5], met[6]
+        )
+    return FilterState(q_nb, x, p, window, still, field, status, met)
 
 
 @compiled_apart
-def lose(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
-    """After a gap: the bias has walked, all else is unknown."""
+def forget_after_gap(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
+    """Forget all but the bias after a gap, in which the bias has walked."""
     for i in range(BIAS):
-        forget(p, i, ANY_ANGLE_RAD2)
+        forget_state(p, i, ANY_ANGLE_RAD2)
         p[BIAS + i, BIAS + i] += c.bias_walk * gap_s
-    stop(x, p, c)
+    forget_velocity(x, p, c)
 
 
 @compiled_inside
-def stop(x: Matrix, p: Matrix, c: Coefficients) -> None:
-    """Nothing is known of the velocity but how large it may be."""
+def forget_velocity(x: Matrix, p: Matrix, c: Coefficients) -> None:
+    """Forget the velocity: 0, with the variance that it may have."""
     for i in range(VELOCITY, SIZE):
-        forget(p, i, c.velocity_variance)
+        forget_state(p, i, c.velocity_variance)
         x[i] = 0.0
 
 
 @compiled_apart
-def begin(
+def begin_attitude(
     q_nb: Quaternion,
     x: Matrix,
     p: Matrix,
@@ -138,71 +140,71 @@ def begin(
     status: Status,
     c: Coefficients,
 ) -> tuple[Quaternion, Status, bool]:
-    """Tilt and heading, as far as they are missing and there is a sample to tell them; False: a field without north."""
+    """Take tilt and heading from a sample as far as they are missing; False for a field without north."""
     use_accel, use_mag, is_gap = use
     is_level, is_headed, is_ready, since_s, _, _, _ = status
     found = True
     if is_gap:
         is_level, is_headed, is_ready = False, False, False
     if use_accel and not is_level:
-        q_nb, is_level = upright(q_nb, rotate(q_nb, sample.accel_b_mps2), x, p, c), True
+        q_nb, is_level = reset_tilt(q_nb, rotate(q_nb, sample.accel_b_mps2), x, p, c), True
     if use_mag and is_level and not is_headed:
-        turn, found = turn_to_north(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
+        turn, found = north_error(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if found:
-            q_nb, is_headed = to_north(q_nb, turn, x, p, c), True
+            q_nb, is_headed = reset_heading(q_nb, turn, x, p, c), True
     return q_nb, Status(is_level, is_headed, is_ready, since_s, 0.0, 0.0, 0.0), found
 
 
 @compiled_apart
-def upright(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
-    """The tilt by which this specific force, now in n, points up; the heading stays."""
+def reset_tilt(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
+    """Return the attitude whose up is this specific force, given in n; the heading stays."""
     for i in range(HEADING):
-        forget(p, i, c.tilt_variance)
-    stop(x, p, c)
-    return normalise(multiply(between(force_n, (0.0, 0.0, 1.0)), q_nb))
+        forget_state(p, i, c.tilt_variance)
+    forget_velocity(x, p, c)
+    return normalise(multiply(rotation_between(force_n, (0.0, 0.0, 1.0)), q_nb))
 
 
 @compiled_apart
-def to_north(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
-    """n turned about up: what is known in its axes turns with it, all but the heading."""
-    cosine, sine, a = cos(turn_rad), sin(turn_rad), identity(p)
+def reset_heading(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
+    """Turn the attitude about up, and with it all that is known in n but the heading."""
+    cosine, sine, a = cos(turn_rad), sin(turn_rad), identity_like(p)
     for i in (0, VELOCITY):
         a[i, i], a[i, i + 1], a[i + 1, i], a[i + 1, i + 1] = cosine, -sine, sine, cosine
-    congruence(a, p)
-    forget(p, HEADING, c.heading_variance)
+    apply_congruence(a, p)
+    forget_state(p, HEADING, c.heading_variance)
     x[VELOCITY], x[VELOCITY + 1] = (
         x[VELOCITY] * cosine - x[VELOCITY + 1] * sine,
         x[VELOCITY] * sine + x[VELOCITY + 1] * cosine,
     )
-    return normalise(multiply(about_up(turn_rad), q_nb))
+    return normalise(multiply(rotation_about_up(turn_rad), q_nb))
 
 
 @compiled_inside
 def is_due(turning: Turning, c: Coefficients) -> bool:
-    """Whether the window is as long as wanted, but for rounding."""
+    """Return whether the window is as long as wanted, but for rounding."""
     return turning.length_s > 0 and turning.length_s >= c.window_s * (1 - 1e-5)
 
 
 @compiled_inside
 def is_oblique(forces: Forces) -> bool:
-    """Whether the mean specific force points where it cannot for long, if the estimate is right."""
+    """Return whether the mean specific force points where it cannot for long if the estimate is right."""
     up, size = forces.push_n_mps[2], norm(forces.push_n_mps)
     return up < size * OBLIQUE and size > forces.time_s * LEAST_FORCE_MPS2
 
 
 @compiled_apart
-def turn_errors(x: Matrix, p: Matrix) -> None:
-    """P when the attitude's error stays as it is in body axes, which x is about to move in n."""
-    a, axes = identity(p), axes_in_n(rotation.exp((x[0], x[1], x[2])))
+def rotate_errors(x: Matrix, p: Matrix) -> None:
+    """Rotate P so that the attitude's covariance stays as it is in body axes, which x is about to move in n."""
+    a, axes = identity_like(p), body_axes_in_n(rotation.exp((x[0], x[1], x[2])))
     for j in range(3):
         axis = axes[j]
         a[0, j], a[1, j], a[2, j] = axis[0], axis[1], axis[2]
-    congruence(a, p)
+    apply_congruence(a, p)
 
 
 @compiled_apart
 def add_curvature(x: Matrix, p: Matrix) -> None:
-    """What a linear update knows less than it says once it has turned the attitude by e: the second order, |e|^2 / 2.
+    """Add to P the second order of an update that turned the attitude by e: |e|^2 / 2.
 
     A hundredth of a degree at 1 deg. After a large turn that the gyro hid, several windows so come to what one says.
     """
@@ -212,16 +214,18 @@ def add_curvature(x: Matrix, p: Matrix) -> None:
 
 
 @compiled_apart
-def doubt_heading(p: Matrix, c: Coefficients) -> None:
-    """Nothing is known of the heading, nor of the bias that followed it."""
-    forget(p, HEADING, ANY_ANGLE_RAD2)
+def forget_heading(p: Matrix, c: Coefficients) -> None:
+    """Forget the heading, and the bias that followed it."""
+    forget_state(p, HEADING, ANY_ANGLE_RAD2)
     for i in range(3):
-        forget(p, BIAS + i, c.bias_variance)
+        forget_state(p, BIAS + i, c.bias_variance)
 
 
 @compiled_apart
-def corrected(body: Body, at: Due, nu_heading: float, beyond: tuple[bool, bool], c: Coefficients) -> Body:
-    """The next window's beginning: the attitude moved by its error, and what the updates met."""
+def finish_window(
+    body: FilterState, at: WindowEnd, nu_heading: float, beyond: tuple[bool, bool], c: Coefficients
+) -> FilterState:
+    """Move the attitude by its error, and return the state at the beginning of the next window."""
     q_nb, x, p, window, _, field, status, met = body
     is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off = status
     n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = met
@@ -233,37 +237,37 @@ def corrected(body: Body, at: Due, nu_heading: float, beyond: tuple[bool, bool],
     n_beyond += (1 if beyond[0] else 0) + (1 if beyond[1] else 0)
     tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or is_oblique(window.forces) else 0.0
     if tilt_doubt_s >= c.tilt_patience_s:
-        q_nb = upright(q_nb, window.forces.push_n_mps, x, p, c)
+        q_nb = reset_tilt(q_nb, window.forces.push_n_mps, x, p, c)
         tilt_doubt_s, n_tilt = 0.0, n_tilt + 1
     since_s += length_s
     if at.heading.is_there:
         n_heading += 1 if heading_doubt_s >= c.heading_patience_s else 0
         heading_doubt_s = min(heading_doubt_s, c.heading_patience_s) + length_s if beyond[1] else 0.0
-        seen = looks(scale(window.fields.sum_n_ut, 1.0 / window.fields.how_many), length_s)
+        seen = measure_looks(scale(window.fields.sum_n_ut, 1.0 / window.fields.how_many), length_s)
         known, n_known = field.known, field.n_new_fields
-        field = learn(field, seen, window.turning.turned_rad / length_s, c.tolerance)
+        field = learn_field(field, seen, window.turning.turned_rad / length_s, c.tolerance)
         since_s = 0.0
         share = min(length_s / c.heading_patience_s, 1.0)
-        if alike(field.known, seen, c.tolerance):
+        if is_alike(field.known, seen, c.tolerance):
             heading_off += (nu_heading - heading_off) * share
         square = heading_off * heading_off
         is_off = square > share * OFF_SQUARE and square * at.heading.variance > OFF_RAD2
         is_away = field.n_new_fields > n_known and not is_earthly(known)  # from the iron at which it began
         if is_off or is_away:
-            doubt_heading(p, c)
+            forget_heading(p, c)
             heading_off, n_heading = 0.0, n_heading + 1
     elif window.fields.how_many > 0:
         n_no_north += 1
     status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off)
-    met = Met(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
-    return Body(q_nb, x, p, no_samples(0.0), at.still, field, status, met)
+    met = Counts(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
+    return FilterState(q_nb, x, p, empty_window(0.0), at.still, field, status, met)
 
 
 @compiled_inside
-def output(body: Body, innovations: Vector, c: Coefficients) -> Output:
-    """The estimate after a sample, with the attitude's covariance there."""
+def make_output(body: FilterState, innovations: Vector, c: Coefficients) -> Output:
+    """Return the output after a sample, with the attitude's covariance there."""
     q_nb, x, p, window, _, _, status, _ = body
-    cov_b = in_body_axes(p, window.turning.spread_s, attitude_noise(window.turning, c), q_nb)
+    cov_b = covariance_in_body(p, window.turning.spread_s, attitude_noise_variance(window.turning, c), q_nb)
     if not is_measured(window.turning):
-        cov_b = grown_along(cov_b, window.turning.hidden_b_rad)
+        cov_b = add_sd_along(cov_b, window.turning.hidden_b_rad)
     return Output(q_nb, (x[BIAS], x[BIAS + 1], x[BIAS + 2]), cov_b, innovations, status.is_ready)

@@ -1,14 +1,14 @@
-"""Whether the body rests: then the gyro reads its bias about all three axes, also about the vertical.
+"""Detect rest: at rest the gyro reads its bias about all three axes, also about the vertical.
 
-A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. That much a
-slow even turn does, too. So neither up nor the field may have turned in the body since the rest began: a turn of less
-than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rate_sd` says.
+A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. A slow even
+turn passes that test too. So neither up nor the field may have turned in the body since the rest began: a turn of less
+than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rest_rate_sd` returns.
 """
 
 from math import pi
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled_inside
+from stillpoint.datasets.compiled import compiled_inside
 from stillpoint.filters.rotation import Vector, cross, dot
 
 # Up and field are seen to turn from there on: noise of a mean over a window is far less.
@@ -17,7 +17,7 @@ TURN_RAD2 = TURN_RAD**2
 
 
 class Means(NamedTuple):
-    """A window of samples in body axes; the field is 0 where there was none."""
+    """Means over a window of samples in body axes; the field is 0 where there was none."""
 
     length_s: float
     gyro_b_radps: Vector
@@ -28,7 +28,7 @@ class Means(NamedTuple):
 
 
 class Stillness(NamedTuple):
-    """What is remembered of the rest that lasts."""
+    """What is kept of the current rest."""
 
     accel_b_mps2: Vector  # mean when it began
     mag_b_ut: Vector  # mean when it began, 0 for none
@@ -36,7 +36,7 @@ class Stillness(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     gyro_variance: float  # (rad/s)^2
     accel_variance: float  # (m/s^2)^2
@@ -45,25 +45,25 @@ class Limits(NamedTuple):
 
 
 @compiled_inside
-def moving(zero: float) -> Stillness:
-    """No rest so far."""
+def no_rest(zero: float) -> Stillness:
+    """Return the record of a body that moves."""
     return Stillness((zero, zero, zero), (zero, zero, zero), zero)
 
 
 @compiled_inside
 def has_turned(before: Vector, now: Vector) -> bool:
-    """Whether a direction differs by more than ``TURN_RAD``; one that is not known does not."""
+    """Return whether a direction differs by more than ``TURN_RAD``; an unknown one does not."""
     across = cross(before, now)
     most = TURN_RAD2 * dot(before, before) * dot(now, now)
     return dot(across, across) > most
 
 
 @compiled_inside
-def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
-    """The rest after one more window."""
+def watch_rest(still: Stillness, means: Means, c: Limits) -> Stillness:
+    """Update the rest by one more window."""
     quiet = means.gyro_variance < c.gyro_variance and means.accel_variance < c.accel_variance
     if not quiet or dot(means.gyro_b_radps, means.gyro_b_radps) > c.rate_radps * c.rate_radps:
-        return moving(0.0)
+        return no_rest(0.0)
     accel_b, mag_b, lasted_s = still
     turned = has_turned(accel_b, means.accel_b_mps2) or has_turned(mag_b, means.mag_b_ut)
     if lasted_s == 0 or turned:
@@ -75,11 +75,11 @@ def watch(still: Stillness, means: Means, c: Limits) -> Stillness:
 
 @compiled_inside
 def is_resting(still: Stillness, c: Limits) -> bool:
-    """Whether the rest has lasted long enough to count."""
+    """Return whether the rest has lasted long enough to count."""
     return still.lasted_s > 0 and still.lasted_s >= c.least_s
 
 
 @compiled_inside
-def rate_sd(still: Stillness) -> float:
-    """How fast the body may turn for all that up and field show, rad/s."""
+def rest_rate_sd(still: Stillness) -> float:
+    """Return the fastest rate, in rad/s, that up and field would not have shown."""
     return TURN_RAD / still.lasted_s

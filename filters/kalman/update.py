@@ -4,25 +4,25 @@ from math import cos, nan, sin, sqrt
 
 import numpy as np
 
-from stillpoint.filters.compiled import compiled_apart, compiled_inside
-from stillpoint.filters.fields import LONGEST_HOLD_S, turn_to_north
-from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2, Matrix, forget, joseph, times
-from stillpoint.filters.kalman.known_field import KnownField, disturbance_ut2, looks
+from stillpoint.datasets.compiled import compiled_apart, compiled_inside
+from stillpoint.filters.fields import LONGEST_HOLD_S, north_error
+from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2, Matrix, forget_state, times_row, update_joseph
+from stillpoint.filters.kalman.known_field import KnownField, disturbance_variance_ut2, measure_looks
 from stillpoint.filters.kalman.model import (
     BIAS,
     HEADING,
     SIZE,
     VELOCITY,
-    Body,
     Coefficients,
-    Due,
+    FilterState,
     Measurement,
     Status,
+    WindowEnd,
     predict,
 )
-from stillpoint.filters.kalman.predict import corrected, turn_errors
-from stillpoint.filters.kalman.stillness import is_resting, moving, rate_sd, watch
-from stillpoint.filters.kalman.window import Turning, Window, is_measured, means
+from stillpoint.filters.kalman.predict import finish_window, rotate_errors
+from stillpoint.filters.kalman.stillness import is_resting, no_rest, rest_rate_sd, watch_rest
+from stillpoint.filters.kalman.window import Turning, Window, is_measured, window_means
 from stillpoint.filters.rotation import Vector, norm, scale
 
 # How far from 0 the velocity of a resting body is.
@@ -31,9 +31,9 @@ REST_M2PS2 = REST_MPS**2
 
 
 @compiled_inside
-def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
-    """What is seen less what is expected, and its variance by the model."""
-    ph = times(p, m.row)
+def measure_innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
+    """Return what is seen less what is expected, and its variance by the model."""
+    ph = times_row(p, m.row)
     residual, variance = m.seen, m.variance
     for i in range(SIZE):
         residual -= m.row[i] * x[i]
@@ -43,47 +43,47 @@ def innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
 
 @compiled_apart
 def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float, gate: float) -> bool:
-    """x and P after a measurement, its innovation's variance times alpha; True when it was beyond the gate.
+    """Update x and P by a measurement, its innovation's variance times alpha; True when it was beyond the gate.
 
     ``gate`` is the square of ``gate_sd``. Without ``moves_tilt`` the first two errors get no share of it.
     """
-    residual, model = innovation(x, p, m)
+    residual, model = measure_innovation(x, p, m)
     variance, square = model * alpha, residual * residual
     is_beyond = square > gate * variance
     if is_beyond:
         variance = square / gate
-    gain = times(p, m.row)
+    gain = times_row(p, m.row)
     for i in range(SIZE):
         gain[i] = gain[i] / variance if moves_tilt or i >= HEADING else 0.0
         x[i] += gain[i] * residual
-    joseph(p, m.row, gain, variance - (model - m.variance))
+    update_joseph(p, m.row, gain, variance - (model - m.variance))
     return is_beyond
 
 
 @compiled_inside
-def of_one(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
-    """A measurement of x[i] itself."""
+def measure_state(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
+    """Return a measurement of x[i] itself."""
     row = np.zeros_like(p[0])
     row[i] = 1.0
     return Measurement(True, row, seen, variance)
 
 
 @compiled_apart
-def due(body: Body, c: Coefficients) -> Due:
-    """Predict to the end of the window, and say what there is to update with."""
+def predict_window(body: FilterState, c: Coefficients) -> WindowEnd:
+    """Predict to the end of the window, and return what there is to update with."""
     turning = body.window.turning
-    length_s, still = turning.length_s, moving(0.0)
+    length_s, still = turning.length_s, no_rest(0.0)
     if is_measured(turning):
-        still = watch(body.still, means(body.window), c.limits)
-    heading = heading_measurement(body.x, body.window, body.status.since_field_s, body.field, c)
+        still = watch_rest(body.still, window_means(body.window), c.limits)
+    heading = measure_heading(body.x, body.window, body.status.since_field_s, body.field, c)
     predict(body.x, body.p, body.window, body.q_nb, c)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
-    return Due(still, resting, min(variance, REST_M2PS2) if resting else variance, heading)
+    return WindowEnd(still, resting, min(variance, REST_M2PS2) if resting else variance, heading)
 
 
 @compiled_inside
-def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, float]:
-    """East and north, whitened: of variance 1 and independent if the model is right."""
+def whiten_velocity(x: Matrix, p: Matrix, variance: float) -> tuple[float, float]:
+    """Return the innovations east and north, whitened: of variance 1 and independent if the model is right."""
     s_east, s_north = p[VELOCITY, VELOCITY] + variance, p[VELOCITY + 1, VELOCITY + 1] + variance
     shared = p[VELOCITY, VELOCITY + 1] / s_east
     s_left = s_north - shared * shared * s_east
@@ -92,37 +92,35 @@ def velocity_innovations(x: Matrix, p: Matrix, variance: float) -> tuple[float, 
 
 @compiled_apart
 def update_velocity(x: Matrix, p: Matrix, variance: float, alpha: float, gate: float) -> bool:
-    """Tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate."""
+    """Update tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate."""
     beyond = False
     for i in range(VELOCITY, SIZE):
-        beyond = update(x, p, of_one(p, i, 0.0, variance), True, alpha, gate) or beyond
+        beyond = update(x, p, measure_state(p, i, 0.0, variance), True, alpha, gate) or beyond
     return beyond
 
 
 @compiled_apart
-def update_bias(x: Matrix, p: Matrix, turning: Turning, at: Due, c: Coefficients) -> None:
-    """At rest the mean rate is the bias."""
+def update_bias(x: Matrix, p: Matrix, turning: Turning, at: WindowEnd, c: Coefficients) -> None:
+    """Update the bias by the mean rate, at rest."""
     if not at.is_resting:
         return
-    slow = rate_sd(at.still)
+    slow = rest_rate_sd(at.still)
     variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
     for i in range(3):
         mean = turning.measured_b_rad[i] / turning.length_s
-        update(x, p, of_one(p, BIAS + i, mean, variance), True, 1.0, c.gate)
+        update(x, p, measure_state(p, BIAS + i, mean, variance), True, 1.0, c.gate)
 
 
 @compiled_apart
-def heading_measurement(
-    x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients
-) -> Measurement:
-    """That the mean field of the window points to magnetic north; ``x`` is as it was during the window.
+def measure_heading(x: Matrix, window: Window, since_field_s: float, field: KnownField, c: Coefficients) -> Measurement:
+    """Return the measurement that the window's mean field points to magnetic north; ``x`` is as during the window.
 
     It has about half of a turn that the gyro did not tell, which is about up at most.
     """
     turning, fields = window.turning, window.fields
     length_s = turning.length_s
     field_n = scale(fields.sum_n_ut, 1.0 / max(fields.how_many, 1.0))
-    turn, found = turn_to_north(field_n, c.declination_rad)
+    turn, found = north_error(field_n, c.declination_rad)
     row = np.zeros_like(x)
     if not found:
         return Measurement(False, row, turn, 1.0)
@@ -133,7 +131,7 @@ def heading_measurement(
         row[BIAS + j] = 0.5 * turning.spread_s[j][2]
         turn += row[BIAS + j] * x[BIAS + j]
     hold_s = min(since_field_s + length_s, max(length_s, LONGEST_HOLD_S))
-    disturbed = c.unseen * disturbance_ut2(field, looks(field_n, length_s))
+    disturbed = c.unseen * disturbance_variance_ut2(field, measure_looks(field_n, length_s))
     if field.known.seen_s > 0:  # the part of the Earth's field, not of a disturbance, says how well it points
         flat = field.known.size_ut * cos(field.known.dip_rad)
         square = max(flat * flat, square * 0.01)
@@ -142,44 +140,44 @@ def heading_measurement(
 
 
 @compiled_inside
-def nothing_new(c: Coefficients) -> Vector:
-    """The innovations of a sample that ends no window."""
+def no_innovations(c: Coefficients) -> Vector:
+    """Return the innovations of a sample that ends no window."""
     none = nan
     return none, none, none
 
 
 @compiled_inside
-def heading_innovation(x: Matrix, p: Matrix, m: Measurement) -> float:
-    """Whitened, given what the updates before have moved; NaN without a field."""
+def whiten_heading(x: Matrix, p: Matrix, m: Measurement) -> float:
+    """Return the heading's innovation, whitened given the updates before it; NaN without a field."""
     if not m.is_there:
         return nan
-    residual, variance = innovation(x, p, m)
+    residual, variance = measure_innovation(x, p, m)
     return residual / sqrt(variance)
 
 
 @compiled_apart
 def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: Status, c: Coefficients) -> bool:
-    """Heading and bias by the field; True beyond the gate."""
+    """Update heading and bias by the field; True beyond the gate."""
     if not m.is_there:
         return False
     if status.heading_doubt_s >= c.heading_patience_s:
-        forget(p, HEADING, ANY_ANGLE_RAD2)
+        forget_state(p, HEADING, ANY_ANGLE_RAD2)
     return update(x, p, m, False, alpha, c.gate)
 
 
 @compiled_apart
-def updated(body: Body, is_in_body: bool, c: Coefficients) -> tuple[Body, Vector]:
-    """The end of a window, each measurement weighed as the model says: the next window's beginning, the innovations.
+def update_window(body: FilterState, is_in_body: bool, c: Coefficients) -> tuple[FilterState, Vector]:
+    """Update at the end of a window; return the state at the beginning of the next, and the innovations.
 
     ``is_in_body``: when the attitude is corrected, its covariance stays as it is in the body, not in n.
     """
     x, p = body.x, body.p
-    at = due(body, c)
-    east, north = velocity_innovations(x, p, at.velocity_variance)
+    at = predict_window(body, c)
+    east, north = whiten_velocity(x, p, at.velocity_variance)
     velocity_beyond = update_velocity(x, p, at.velocity_variance, 1.0, c.gate)
     update_bias(x, p, body.window.turning, at, c)
-    innovations = (east, north, heading_innovation(x, p, at.heading))
+    innovations = (east, north, whiten_heading(x, p, at.heading))
     heading_beyond = update_heading(x, p, at.heading, 1.0, body.status, c)
     if is_in_body:
-        turn_errors(x, p)
-    return corrected(body, at, innovations[2], (velocity_beyond, heading_beyond), c), innovations
+        rotate_errors(x, p)
+    return finish_window(body, at, innovations[2], (velocity_beyond, heading_beyond), c), innovations

@@ -1,14 +1,14 @@
-"""What a window of samples adds up to, in the axes of n that the estimate has meanwhile (its drift is an error state).
+"""Sums over a window of samples, in the axes of n by the current estimate (the error state covers its drift).
 
-Covariances change slowly and cost the most, so they are brought up to date once per window, not once per sample. Little
-is lost by that: the integrals are exact but for products of two small errors. Specific force and field are summed in n,
-so a body that turns within a window does not blur them (as in VQF, Laidig and Seel 2023).
+Covariances change slowly and cost the most, so they are updated once per window and not once per sample. Little is
+lost: the integrals are exact up to products of two small errors. Specific force and field are summed in n, so a body
+that turns within a window does not blur them (as in VQF, Laidig and Seel 2023).
 """
 
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, compiled_inside
-from stillpoint.filters.kalman.covariance import Axes, axes_in_n
+from stillpoint.datasets.compiled import compiled, compiled_inside
+from stillpoint.filters.kalman.covariance import Axes, body_axes_in_n
 from stillpoint.filters.kalman.stillness import Means
 from stillpoint.filters.rotation import Quaternion, Vector, add, dot, norm, normalise, scale
 from stillpoint.filters.sample import Sample
@@ -51,22 +51,22 @@ class Window(NamedTuple):
 
 
 @compiled
-def no_samples(zero: float) -> Window:
-    """An empty window."""
+def empty_window(zero: float) -> Window:
+    """Return a window without samples."""
     none = (zero, zero, zero)
     turning = Turning(zero, (none, none, none), zero, none, zero, none)
     return Window(turning, Forces(none, none, zero, zero), FieldSum(none, none, zero))
 
 
 @compiled
-def turned(sums: Turning, sample: Sample, rate_b: Vector, q_from: Quaternion, q_to: Quaternion) -> Turning:
-    """After one interval with this rate, which is the measured one without its bias.
+def add_turn(sums: Turning, sample: Sample, rate_b: Vector, q_from: Quaternion, q_to: Quaternion) -> Turning:
+    """Add one interval with this rate, which is the measured one less its bias.
 
     The mean of R over the interval is that of its middle but for 1/24 of the square of the turn.
     """
     measured_b, dt_s = sample.gyro_b_radps, sample.dt_s
     middle = (q_from[0] + q_to[0], q_from[1] + q_to[1], q_from[2] + q_to[2], q_from[3] + q_to[3])
-    first, second, third = axes_in_n(normalise(middle))
+    first, second, third = body_axes_in_n(normalise(middle))
     spread = sums.spread_s
     return Turning(
         sums.length_s + dt_s,
@@ -84,13 +84,13 @@ def turned(sums: Turning, sample: Sample, rate_b: Vector, q_from: Quaternion, q_
 
 @compiled_inside
 def is_measured(turning: Turning) -> bool:
-    """Whether the gyro has told the turn, all of it."""
+    """Return whether the gyro measured the whole turn of the window."""
     return dot(turning.hidden_b_rad, turning.hidden_b_rad) == 0
 
 
 @compiled
-def pushed(sums: Forces, force_n: Vector, force_b: Vector, dt_s: float) -> Forces:
-    """After one interval with this specific force."""
+def add_force(sums: Forces, force_n: Vector, force_b: Vector, dt_s: float) -> Forces:
+    """Add one interval with this specific force."""
     return Forces(
         add(sums.push_n_mps, scale(force_n, dt_s)),
         add(sums.push_b_mps, scale(force_b, dt_s)),
@@ -100,14 +100,14 @@ def pushed(sums: Forces, force_n: Vector, force_b: Vector, dt_s: float) -> Force
 
 
 @compiled
-def with_field(sums: FieldSum, field_n: Vector, field_b: Vector) -> FieldSum:
-    """After one more field."""
+def add_field(sums: FieldSum, field_n: Vector, field_b: Vector) -> FieldSum:
+    """Add one field."""
     return FieldSum(add(sums.sum_n_ut, field_n), add(sums.sum_b_ut, field_b), sums.how_many + 1.0)
 
 
 @compiled_inside
-def means(window: Window) -> Means:
-    """In body axes, for a window that has a length; the accelerometer's are 0 where it gave nothing."""
+def window_means(window: Window) -> Means:
+    """Return the means in body axes of a window that has a length; the accelerometer's are 0 where it gave nothing."""
     turning, forces, fields = window
     per_s = 1.0 / turning.length_s
     gyro = scale(turning.measured_b_rad, per_s)

@@ -1,7 +1,7 @@
-"""One call per sample of a spin: both stages as one compiled function, the state inside it.
+"""One call per sample of a spin: both stages as one compiled function that holds the state.
 
-As :mod:`stillpoint.filters.advance` does for attitude: between two calls the state lies in a cell, a compiled list with
-one entry. So does the row of the sensors' values: the stream packs them there, however many there are.
+As in :mod:`stillpoint.filters.advance`, the state lies in a cell between two calls, a compiled list with one entry. The
+cell also holds the row of the sensors' values: the stream writes them there, however many there are.
 """
 
 from collections.abc import Callable
@@ -14,15 +14,15 @@ import numpy as np
 from numba import int64, typeof
 from numba.typed import List
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled
 from stillpoint.filters.spin import front as roll_front
-from stillpoint.filters.spin.sample import RollOutput, angle_of
+from stillpoint.filters.spin.sample import SpinOutput, unwrap_angle
 
-RollAdvance = Callable[[Any, int], "RollAnswer"]
+SpinAdvance = Callable[[Any, int], "SpinAnswer"]
 
 
-class RollAnswer(NamedTuple):
+class SpinAnswer(NamedTuple):
     """Angle and rate about the spin axis after a sample."""
 
     angle_rad: float  # unwrapped, 0 at the first sample
@@ -34,24 +34,24 @@ class RollAnswer(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Where the values of the next sample are put."""
+    """The memory for the values of the next sample."""
 
     accel_mps2: Floats  # (1, k)
     gyro_radps: Floats  # (1, m)
 
 
 @compiled
-def no_answer() -> RollAnswer:
-    """Before the first sample."""
-    return RollAnswer(0.0, 0.0, 0.0, 0.0, np.nan, False)
+def start_answer() -> SpinAnswer:
+    """Return the answer before the first sample."""
+    return SpinAnswer(0.0, 0.0, 0.0, 0.0, np.nan, False)
 
 
 @compiled
-def answer(output: RollOutput) -> RollAnswer:
-    """In double precision, whatever that of the estimator."""
+def make_answer(output: SpinOutput) -> SpinAnswer:
+    """Return the answer in double precision, whatever the estimator's is."""
     roll = output.roll
-    return RollAnswer(
-        angle_of(roll),
+    return SpinAnswer(
+        unwrap_angle(roll),
         np.float64(roll.rate_radps),
         sqrt(np.float64(roll.angle_var)),
         sqrt(np.float64(roll.rate_var)),
@@ -61,43 +61,43 @@ def answer(output: RollOutput) -> RollAnswer:
 
 
 @cache
-def beginning(estimator: ModuleType) -> Callable[[Any, Any, Row], Any]:
-    """The function that makes the cell of a new stream from both coefficients and its row."""
+def make_begin(estimator: ModuleType) -> Callable[[Any, Any, Row], Any]:
+    """Return the function that makes the cell of a new stream from both sets of constants and its row."""
 
     @compiled
     def begin(front_c: Any, c: Any, row: Row) -> Any:
         cell = List()
-        cell.append((front_c, c, roll_front.start(), estimator.start(c), no_answer(), row))
+        cell.append((front_c, c, roll_front.start(), estimator.start(c), start_answer(), row))
         return cell
 
     return begin
 
 
 @cache
-def advancing(estimator: ModuleType) -> Any:
-    """The function that takes the cell, with a sample in its row, and gives the answer."""
+def make_advance(estimator: ModuleType) -> Any:
+    """Return the function that takes the cell, with a sample in its row, and returns the answer."""
 
     @compiled
-    def advance(cell: Any, t_ns: int) -> RollAnswer:
+    def advance(cell: Any, t_ns: int) -> SpinAnswer:
         front_c, c, passed, state, said, row = cell[0]
         passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, 0, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
-            said = answer(output)
+            said = make_answer(output)
         cell[0] = (front_c, c, passed, state, said, row)
         return said
 
     return advance
 
 
-def entry_point(estimator: ModuleType, cell: Any) -> RollAdvance:
-    """:func:`advancing` for this cell, without the search for the right types at every call."""
-    return cast(RollAdvance, advancing(estimator).compile((typeof(cell), int64)))
+def compile_advance(estimator: ModuleType, cell: Any) -> SpinAdvance:
+    """Compile :func:`make_advance` for this cell and return the machine code's entry: no type lookup per call."""
+    return cast(SpinAdvance, make_advance(estimator).compile((typeof(cell), int64)))
 
 
 @compiled
-def filled(front_c: Any, c: Any, passed: roll_front.State, state: Any, said: RollAnswer, row: Row) -> Any:
-    """The cell of a stream that goes on."""
+def restore_cell(front_c: Any, c: Any, passed: roll_front.State, state: Any, said: SpinAnswer, row: Row) -> Any:
+    """Return the cell of a stream that continues from saved states."""
     cell = List()
     cell.append((front_c, c, passed, state, said, row))
     return cell

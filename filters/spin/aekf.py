@@ -1,4 +1,4 @@
-"""``roll-aekf``: the roll rate with adaptive trust in observation and model (paper 000, eqs (15)-(23)).
+"""``roll-aekf``: the spin rate with adaptive trust in observation and model (Asghari et al. 2018, eqs (15)-(23)).
 
 The last M innovations e are compared with the variance C that the filter expects of them::
 
@@ -7,7 +7,7 @@ The last M innovations e are compared with the variance C that the filter expect
     lambda = 1, or (alpha H P- H + (alpha - 1) R) / (H P- H)    (23)
     K = (lambda / alpha) P- H / C      P = (1 - K H) lambda P-  (20), (21)
 
-Larger innovations than expected are the observation's fault (lambda = 1: ``mode = observation``) or the model's
+Innovations larger than expected are attributed to the observation (lambda = 1: ``mode = observation``) or to the model
 (lambda of (23): ``mode = system``). lambda enters once: with it in (19) and again in (20), as printed, K H exceeds 1
 and the variance turns negative (``fading = literal``; then the output is no longer ready, and the event is counted).
 """
@@ -19,12 +19,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters.compiled import compiled
 from stillpoint.filters.spin import ekf as roll_ekf
-from stillpoint.filters.spin.rate import driven, faced, integrated, predicted, tallied
-from stillpoint.filters.spin.sample import RollLog, RollOutput, RollSample, RollTrack, keep_roll, roll_sample_at
+from stillpoint.filters.spin.rate import count_sample, integrate_rate, make_drive, predict_rate, set_sense
+from stillpoint.filters.spin.sample import (
+    SpinOutput,
+    SpinSample,
+)
 from stillpoint.filters.spin.start import is_sound, rate_variance
 
 
@@ -43,7 +46,7 @@ class Params(roll_ekf.Params):
 
 
 class Adaptation(NamedTuple):
-    """How alpha and lambda are made."""
+    """How alpha and lambda are computed."""
 
     window: int
     over: float  # what the sum of squares is divided by
@@ -54,14 +57,14 @@ class Adaptation(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     ekf: roll_ekf.Coefficients
     adaptation: Adaptation
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     ekf: roll_ekf.State
     squares: NDArray[np.float64]  # (M,) of the last innovations, a ring that is handed on and written in place
@@ -70,7 +73,7 @@ class State(NamedTuple):
 
 
 def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
-    """Of these parameters for a geometry."""
+    """Precompute the filter's constants from its parameters and the sensors' geometry."""
     m = round(params.window)
     adaptation = Adaptation(
         window=m,
@@ -85,15 +88,15 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 
 @compiled
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     return State(roll_ekf.start(c.ekf), np.full(c.adaptation.window, 0.0), 0, 0)
 
 
 @compiled
-def trust(
+def adapt(
     squares: NDArray[np.float64], seen: int, expected: float, of_rate: float, a: Adaptation
 ) -> tuple[float, float]:
-    """alpha and lambda by (16), (17), (23); ``expected`` is C and ``of_rate`` its part H P- H."""
+    """Return alpha and lambda by (16), (17), (23); ``expected`` is C and ``of_rate`` its part H P- H."""
     if seen < a.window:
         return 1.0, 1.0
     total = 0.0
@@ -107,10 +110,10 @@ def trust(
 
 
 @compiled
-def correct(
+def correct_rate(
     rate: float, var: float, residual: float, r: float, alpha: float, fade: float, twice: bool
 ) -> tuple[float, float, float]:
-    """(20)-(22): rate, its variance, and the share of its error that is left."""
+    """Apply (20)-(22): return the rate, its variance, and the share of its error that is left."""
     h = rate + rate
     faded, of_rate = fade * var, h * var * h
     if twice:
@@ -124,14 +127,14 @@ def correct(
 
 
 @compiled
-def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
-    """Predict, compare the innovations with what is expected of them, correct."""
+def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, SpinOutput]:
+    """Predict, compare the innovations with their expected variance, correct."""
     ekf, squares, seen, n_lost = state
     if ekf.start.held < c.ekf.room:
-        ekf, output = roll_ekf.begin(ekf, sample, c.ekf)
+        ekf, output = roll_ekf.begin_state(ekf, sample, c.ekf)
         return State(ekf, squares, seen, n_lost), output
     dt_s, r = sample.dt_s, c.ekf.process.noise.square_var * sample.square_widened
-    rate, var = predicted(ekf.roll, ekf.drive, dt_s, c.ekf.process.per_step)
+    rate, var = predict_rate(ekf.roll, ekf.drive, dt_s, c.ekf.process.per_step)
     left, innovation = 1.0, nan
     if sample.has_square:
         h = rate + rate
@@ -139,24 +142,15 @@ def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, Roll
         residual = sample.square_rad2ps2 - rate * rate
         squares[seen % c.adaptation.window] = residual * residual
         seen += 1
-        alpha, fade = trust(squares, seen, of_rate + r, of_rate, c.adaptation)
-        rate, var, left = correct(rate, var, residual, r, alpha, fade, c.adaptation.twice)
+        alpha, fade = adapt(squares, seen, of_rate + r, of_rate, c.adaptation)
+        rate, var, left = correct_rate(rate, var, residual, r, alpha, fade, c.adaptation.twice)
         innovation = residual / sqrt(of_rate + r)
     if not var > 0.0:
         var, left, n_lost = rate_variance(rate, r), 0.0, n_lost + 1
-    roll, is_turned_over = faced(integrated(ekf.roll, rate, left, var, dt_s), sample.direction)
+    roll, is_turned_over = set_sense(integrate_rate(ekf.roll, rate, left, var, dt_s), sample.direction)
     if not is_sound(roll):
-        ekf, output = roll_ekf.begin_anew(ekf, sample, c.ekf)
+        ekf, output = roll_ekf.restart_state(ekf, sample, c.ekf)
         return State(ekf, squares, 0, n_lost), output
-    tally = tallied(ekf.tally, sample, is_turned_over)
-    ekf = roll_ekf.State(ekf.start, roll, driven(sample, c.ekf.process.noise.accel_var), tally)
-    return State(ekf, squares, seen, n_lost), RollOutput(roll, innovation, n_lost == 0)
-
-
-@compiled
-def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, roll_sample_at(log, k), c)
-        keep_roll(track, k, output)
-    return state
+    tally = count_sample(ekf.tally, sample, is_turned_over)
+    ekf = roll_ekf.State(ekf.start, roll, make_drive(sample, c.ekf.process.noise.accel_var), tally)
+    return State(ekf, squares, seen, n_lost), SpinOutput(roll, innovation, n_lost == 0)

@@ -1,17 +1,17 @@
-"""The sense of a spin, where anything but the square of its rate shows it.
+"""The sense of a spin, where something other than the square of its rate shows it.
 
 A gyro with a part along the spin axis shows it even when it is saturated. So does an accelerometer that sees a product
-of the spin with a rate about y or z (one outside the y-z plane, against eq (2)), together with the gyros about these:
-w_x w_y * w_y has the sign of w_x. The paper's five accelerometers and its bench show nothing of it.
+of the spin with a rate about y or z (one outside the y-z plane, against eq (2)), together with the gyros about these
+axes: w_x w_y * w_y has the sign of w_x. Neither the five accelerometers of Asghari et al. 2018 nor their bench show it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.spin import SpinChannels
-from stillpoint.filters.compiled import compiled
 
 LEAST_GYRO_RADPS = 1.0  # a slower rate about the axis may be bias
 FORGETTING = 0.96  # per sample: about 25 samples are summed
@@ -19,14 +19,14 @@ SIGNIFICANT = 5.0  # standard deviations of the sum
 
 
 class Evidence(NamedTuple):
-    """Sums over the last samples, handed on from one to the next."""
+    """Sums over the last samples, passed from one to the next."""
 
     total: float  # of what has the sign of the rate
     var: float
 
 
-def says_direction(by: SpinChannels) -> str:
-    """What shows the sense of the spin, in words; "" where nothing does."""
+def describe_direction(by: SpinChannels) -> str:
+    """Return what shows the sense of the spin, in words; "" where nothing does."""
     if axial_weights(by).any():
         return "by a gyro about the spin axis"
     if by.transverse.any() and (by.omega_xy is not None or by.omega_xz is not None):
@@ -35,7 +35,7 @@ def says_direction(by: SpinChannels) -> str:
 
 
 def axial_weights(by: SpinChannels) -> Floats:
-    """Weights (m,) of the gyros for the rate about x; 0 where they do not give it."""
+    """Return the weights (m,) of the gyros for the rate about x; 0 where they do not give it."""
     axes = by.geometry.gyro_axis_b
     if not len(axes):
         return np.zeros(0)
@@ -44,8 +44,8 @@ def axial_weights(by: SpinChannels) -> Floats:
 
 
 @compiled
-def facing(evidence: Evidence, axial_radps: float, shown: float, var: float) -> tuple[Evidence, int]:
-    """+1, -1 or 0 by all samples so far and one more, and what to go on with.
+def find_direction(evidence: Evidence, axial_radps: float, shown: float, var: float) -> tuple[Evidence, int]:
+    """Return the evidence with one sample more, and the sense of the spin: +1, -1, or 0 if it is not known.
 
     ``axial_radps`` is the rate about x by a gyro (0 where there is none), ``shown`` what has the rate's sign, with its
     variance.

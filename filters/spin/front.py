@@ -1,6 +1,6 @@
-"""What stands between the sensors of a spin and every estimator of roll: the two observations, and what may be used.
+"""The stage between the sensors of a spin and every estimator: the two observations, and which of them are usable.
 
-One compiled step for a stream and for the loop over a recording, so both give an estimator the same samples. The
+One compiled step serves a stream and the loop over a recording, so both give an estimator the same samples. The
 arithmetic is that of :func:`stillpoint.datasets.spin.measure`, row by row and in double precision.
 """
 
@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.spin import SATURATED, Channel, SpinChannels
-from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.sample import GAP_S
-from stillpoint.filters.spin.direction import Evidence, axial_weights, facing
-from stillpoint.filters.spin.noise import RollParams
-from stillpoint.filters.spin.sample import RollLog, RollSample
+from stillpoint.filters.spin.direction import Evidence, axial_weights, find_direction
+from stillpoint.filters.spin.noise import SpinParams
+from stillpoint.filters.spin.sample import SpinLog, SpinSample
 
 LARGEST = 1e7  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
 LONGEST_S = 3600.0  # a step counts as no longer than that: what the rate was before a gap of hours says nothing
@@ -33,7 +33,7 @@ class Weights(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """Of a geometry."""
+    """Constants of a geometry."""
 
     omega_dot: Weights
     omega_squared: Weights
@@ -47,7 +47,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     t_ns: int  # of the last sample; -1 before the first
     evidence: Evidence
@@ -70,8 +70,8 @@ class Reading(NamedTuple):
     needs_gyro: bool
 
 
-def coefficients(by: SpinChannels, params: RollParams, precision: Precision) -> Coefficients:
-    """Of a geometry for an estimator with these parameters in this precision."""
+def coefficients(by: SpinChannels, params: SpinParams, precision: Precision) -> Coefficients:
+    """Precompute the constants of a geometry for an estimator with these parameters in this precision."""
     limits = by.geometry.accel_range_mps2
     k = len(by.geometry.accel_r_b_m)
     return Coefficients(
@@ -83,7 +83,7 @@ def coefficients(by: SpinChannels, params: RollParams, precision: Precision) -> 
         np.array(axial_weights(by)),
         np.full(k, np.inf) if limits is None else SATURATED * limits,
         params.saturated == "skip",
-        in_precision(0.0, precision),
+        to_precision(0.0, precision),
     )
 
 
@@ -99,28 +99,28 @@ def _weights(channel: Channel | None, spares: Sequence[Channel | None]) -> Weigh
 
 @compiled
 def start() -> State:
-    """Before the first sample."""
+    """Return the state before the first sample."""
     return State(-1, Evidence(0.0, 0.0), 0, 0, 0, 0, 0)
 
 
 @compiled
-def usable(value: float, otherwise: float) -> float:
-    """What is no number or none that a sensor gives, replaced."""
+def replace_unusable(value: float, otherwise: float) -> float:
+    """Return the value, or ``otherwise`` if it is not a number or no sensor gives it."""
     return value if abs(value) < LARGEST else otherwise
 
 
 @compiled
 def rate_about(weights: Floats, gyro_radps: Floats, k: int) -> float:
-    """A rate by the gyros (N, m) of row ``k``; one that is lost counts as 0."""
+    """Return a rate by the gyros (N, m) of row ``k``; a lost one counts as 0."""
     total = 0.0
     for i in range(len(weights)):
-        total += weights[i] * usable(gyro_radps[k, i], 0.0)
+        total += weights[i] * replace_unusable(gyro_radps[k, i], 0.0)
     return total
 
 
 @compiled
 def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
-    """Whether a gyro that gives the rates about y and z is lost."""
+    """Return whether a gyro that gives the rates about y and z is lost."""
     for i in range(c.transverse.shape[1]):
         if (c.transverse[0, i] != 0.0 or c.transverse[1, i] != 0.0) and not abs(gyro_radps[k, i]) < LARGEST:
             return True
@@ -128,37 +128,39 @@ def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
 
 
 @compiled
-def unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients) -> tuple[int, int]:
-    """How many accelerometers with a weight (k,) are lost or at their range in row ``k``, and the last of them."""
+def count_unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients) -> tuple[int, int]:
+    """Return how many accelerometers with a weight (k,) are lost or saturated in row ``k``, and the last of them."""
     count, last = 0, 0
     for i in range(len(weights)):
-        size = abs(usable(accel_mps2[k, i], np.nan))
+        size = abs(replace_unusable(accel_mps2[k, i], np.nan))
         if weights[i] != 0.0 and (not size < LARGEST or (c.skips_saturated and size >= c.limits_mps2[i])):
             count, last = count + 1, i
     return count, last
 
 
 @compiled
-def read(weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, c: Coefficients) -> Reading:
-    """A channel by the accelerometers (N, k) of row ``k`` and the rates about y and z.
+def read_channel(
+    weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, c: Coefficients
+) -> Reading:
+    """Return a channel by the accelerometers (N, k) of row ``k`` and the rates about y and z.
 
     Where one of the accelerometers may not be used and the others fix the channel, it is by them.
     """
     is_lost, is_saturated = False, False
     for i in range(len(weights.accel[0])):
         if weights.accel[0, i] != 0.0:
-            value = usable(accel_mps2[k, i], np.nan)
+            value = replace_unusable(accel_mps2[k, i], np.nan)
             is_lost |= not abs(value) < LARGEST
             is_saturated |= abs(value) >= c.limits_mps2[i]
     row = 0
-    missing, last = unusable(weights.accel[0], accel_mps2, k, c)
+    missing, last = count_unusable(weights.accel[0], accel_mps2, k, c)
     if missing == 1 and weights.is_there[1 + last]:
         row = 1 + last
-        missing, last = unusable(weights.accel[row], accel_mps2, k, c)
+        missing, last = count_unusable(weights.accel[row], accel_mps2, k, c)
     total = 0.0
     for i in range(len(weights.accel[row])):
         if weights.accel[row, i] != 0.0:
-            total += weights.accel[row, i] * usable(accel_mps2[k, i], np.nan)
+            total += weights.accel[row, i] * replace_unusable(accel_mps2[k, i], np.nan)
     of_yy, of_zz, of_yz = weights.products[row, 0], weights.products[row, 1], weights.products[row, 2]
     if of_yy != 0.0:
         total += of_yy * (rate_y * rate_y)
@@ -175,34 +177,34 @@ def read(weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: fl
 @compiled
 def step(
     state: State, t_ns: int, accel_mps2: Floats, gyro_radps: Floats, k: int, c: Coefficients
-) -> tuple[State, RollSample, bool]:
-    """The sample for the estimator, of row ``k`` of (N, k) and (N, m); False: none, as time has not risen."""
+) -> tuple[State, SpinSample, bool]:
+    """Return the estimator's sample by row ``k`` of (N, k) and (N, m); False where time has not risen."""
     zero = c.zero
     if t_ns <= state.t_ns:
         late = state.n_out_of_order + 1
         kept = State(
             state.t_ns, state.evidence, late, state.n_spin_gaps, state.n_lost, state.n_saturated, state.n_spared
         )
-        return kept, RollSample(zero, zero, zero, zero, zero, False, False, 0), False
+        return kept, SpinSample(zero, zero, zero, zero, zero, False, False, 0), False
     dt_s = min((t_ns - state.t_ns) / 1e9, LONGEST_S) if state.t_ns >= 0 else 0.0
     rate_y, rate_z = rate_about(c.transverse[0], gyro_radps, k), rate_about(c.transverse[1], gyro_radps, k)
-    dot = read(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
-    square = read(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)
+    dot = read_channel(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
+    square = read_channel(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)
     shown, var = 0.0, 0.0
     for weights, rate in ((c.omega_xy, rate_y), (c.omega_xz, rate_z)):
-        product = read(weights, accel_mps2, k, rate_y, rate_z, c)
+        product = read_channel(weights, accel_mps2, k, rate_y, rate_z, c)
         if not product.is_lost:
             shown, var = shown + product.value * rate, var + weights.variance[0] * rate * rate
-    evidence, direction = facing(state.evidence, rate_about(c.axial, gyro_radps, k), shown, var)
+    evidence, direction = find_direction(state.evidence, rate_about(c.axial, gyro_radps, k), shown, var)
     no_gyro = lacks_gyro(gyro_radps, k, c)
-    sample = RollSample(
+    sample = SpinSample(
         like(zero, dt_s),
         like(zero, dot.value),
         like(zero, square.value),
         like(zero, dot.widened),
         like(zero, square.widened),
-        is_good(dot, no_gyro),
-        is_good(square, no_gyro),
+        is_usable(dot, no_gyro),
+        is_usable(square, no_gyro),
         direction,
     )
     after = State(
@@ -218,16 +220,18 @@ def step(
 
 
 @compiled
-def is_good(reading: Reading, no_gyro: bool) -> bool:
-    """Whether a channel may be used."""
+def is_usable(reading: Reading, no_gyro: bool) -> bool:
+    """Return whether a channel may be used."""
     return reading.is_usable and not (reading.needs_gyro and no_gyro)
 
 
 @compiled
-def run(t_ns: Times, accel_mps2: Floats, gyro_radps: Floats, state: State, c: Coefficients) -> tuple[State, RollLog]:
-    """Every sample of a recording, whose time rises: what the estimator gets."""
+def filter_log(
+    t_ns: Times, accel_mps2: Floats, gyro_radps: Floats, state: State, c: Coefficients
+) -> tuple[State, SpinLog]:
+    """Run over every sample of a recording whose time rises; return what the estimator gets."""
     n, zero = len(t_ns), c.zero
-    log = RollLog(
+    log = SpinLog(
         np.full(n, zero),
         np.full(n, zero),
         np.full(n, zero),

@@ -1,14 +1,14 @@
-"""What ``roll-guarded`` remembers to tell bad samples from good ones: innovations, refusals, jumps, repetitions."""
+"""What ``roll-guarded`` keeps to recognise bad samples: innovations, refusals, jumps, repetitions."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.filters.spin.rate import MEDIAN_OF
-from stillpoint.filters.spin.sample import RollSample
-from stillpoint.filters.spin.start import insert, median
+from stillpoint.filters.spin.sample import SpinSample
+from stillpoint.filters.spin.start import insert_sorted, median_sorted
 
 ACCELS = 5  # samples whose median is the usual angular acceleration
 CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations
@@ -33,7 +33,7 @@ class Refusals(NamedTuple):
 
 
 class Accels(NamedTuple):
-    """The last angular accelerations, to tell a glitch among them from a jump."""
+    """The last angular accelerations, to distinguish a glitch from a jump."""
 
     values_radps2: NDArray[np.float64]  # (5,) a ring that is handed on and written in place
     seen: int
@@ -54,14 +54,14 @@ class Repeats(NamedTuple):
 
 
 @compiled
-def no_window(room: int, zero: float) -> Window:
-    """Before the first innovation."""
+def start_window(room: int, zero: float) -> Window:
+    """Return the window before the first innovation."""
     return Window(np.full(room, zero), 0)
 
 
 @compiled
-def widened(window: Window, residual: float, expected: float, least: float, most: float) -> tuple[Window, float]:
-    """The window with one innovation more, and alpha by (16), (17): 1 below ``least``, and at most ``most``.
+def add_innovation(window: Window, residual: float, expected: float, least: float, most: float) -> tuple[Window, float]:
+    """Add an innovation to the window; return alpha by (16), (17): 1 below ``least``, and at most ``most``.
 
     Squares are clipped, so that a single glitch does not open the gate for what follows it. Until the window is full
     alpha is of as many innovations as there are.
@@ -78,59 +78,59 @@ def widened(window: Window, residual: float, expected: float, least: float, most
 
 
 @compiled
-def no_refusals(zero: float) -> Refusals:
-    """None yet."""
+def start_refusals(zero: float) -> Refusals:
+    """Return the record without refusals."""
     return Refusals(np.full(MEDIAN_OF, zero), np.full(MEDIAN_OF, zero), 0, zero, 0, 0)
 
 
 @compiled
-def cleared(window: Window, refusals: Refusals, accels: Accels) -> tuple[Window, Refusals, Accels]:
-    """The guards of a filter that begins anew; what was counted stays."""
+def clear_guards(window: Window, refusals: Refusals, accels: Accels) -> tuple[Window, Refusals, Accels]:
+    """Return the guards of a filter that restarts; the counts stay."""
     after = Accels(accels.values_radps2, 0, 0.0, 0, 0.0, accels.n_accel_refused)
-    return Window(window.squares, 0), passed(refusals), after
+    return Window(window.squares, 0), end_refusals(refusals), after
 
 
 @compiled
-def passed(before: Refusals) -> Refusals:
-    """After an observation that was used."""
+def end_refusals(before: Refusals) -> Refusals:
+    """Return the record after an observation that was used."""
     arrays = before.rates_radps, before.scratch_radps
     return Refusals(*arrays, 0, 0.0, before.n_refused, before.n_restarts)
 
 
 @compiled
-def refused(before: Refusals, rate_radps: float, dt_s: float) -> Refusals:
-    """After one that was left out; its rate is kept, in case it is right."""
+def add_refusal(before: Refusals, rate_radps: float, dt_s: float) -> Refusals:
+    """Add an observation that was left out; its rate is kept, in case it is right."""
     rates, scratch, in_row, lasting_s, n_refused, n_restarts = before
     rates[in_row % MEDIAN_OF] = rate_radps
     return Refusals(rates, scratch, in_row + 1, lasting_s + dt_s, n_refused + 1, n_restarts)
 
 
 @compiled
-def ended(before: Refusals) -> Refusals:
-    """After a start from what was left out."""
+def end_lockout(before: Refusals) -> Refusals:
+    """Return the record after a restart from the refused observations."""
     arrays = before.rates_radps, before.scratch_radps
     return Refusals(*arrays, 0, 0.0, before.n_refused, before.n_restarts + 1)
 
 
 @compiled
-def median_refused(refusals: Refusals) -> float:
-    """The median of the rates that were left out last."""
+def median_of_refused(refusals: Refusals) -> float:
+    """Return the median of the rates that were refused last."""
     for k in range(MEDIAN_OF):
-        insert(refusals.scratch_radps, k, refusals.rates_radps[k])
-    return median(refusals.scratch_radps, MEDIAN_OF)
+        insert_sorted(refusals.scratch_radps, k, refusals.rates_radps[k])
+    return median_sorted(refusals.scratch_radps, MEDIAN_OF)
 
 
 @compiled
-def no_accels(zero: float) -> Accels:
-    """Before the first sample."""
+def start_accels(zero: float) -> Accels:
+    """Return the record before the first sample."""
     return Accels(np.full(ACCELS, zero), 0, zero, 0, zero, 0)
 
 
 @compiled
-def without_jump(
-    before: Accels, sample: RollSample, gate_var: float, scratch: NDArray[np.float64]
+def check_jump(
+    before: Accels, sample: SpinSample, gate_var: float, scratch: NDArray[np.float64]
 ) -> tuple[Accels, float, bool, float]:
-    """The angular acceleration to go on with, whether it is the sample's own, and what the rate has to be given back.
+    """Return the angular acceleration to use, whether it is the sample's own, and the rate to restore.
 
     One whose square distance from the median of the last five exceeds ``gate_var`` is left out, and the median taken
     for it. A jump is a glitch where the next value is back, and true where it stays: then what was left out is owed.
@@ -142,8 +142,8 @@ def without_jump(
     if seen + 1 < ACCELS:
         return Accels(values, seen + 1, left_out, 0, 0.0, n_refused), accel, True, 0.0
     for k in range(ACCELS):
-        insert(scratch, k, values[k])
-    usual = median(scratch, ACCELS)
+        insert_sorted(scratch, k, values[k])
+    usual = median_sorted(scratch, ACCELS)
     if (accel - usual) * (accel - usual) > gate_var:
         owed += sample.dt_s * (accel - usual)
         return Accels(values, seen + 1, accel, in_row + 1, owed, n_refused + 1), usual, False, 0.0
@@ -152,14 +152,14 @@ def without_jump(
 
 
 @compiled
-def no_repeats(zero: float) -> Repeats:
-    """Before the first sample."""
+def start_repeats(zero: float) -> Repeats:
+    """Return the record before the first sample."""
     return Repeats(zero, 0, zero, 0, 0)
 
 
 @compiled
-def without_stuck(sample: RollSample, before: Repeats, stuck: int) -> tuple[RollSample, Repeats]:
-    """The sample without the values that came ``stuck`` times in a row or more."""
+def drop_stuck(sample: SpinSample, before: Repeats, stuck: int) -> tuple[SpinSample, Repeats]:
+    """Return the sample without values that came ``stuck`` times in a row or more."""
     square, accel = sample.square_rad2ps2, sample.accel_radps2
     squares = before.same_squares + 1 if square == before.square_rad2ps2 else 1
     accels = before.same_accels + 1 if accel == before.accel_radps2 else 1
@@ -167,7 +167,7 @@ def without_stuck(sample: RollSample, before: Repeats, stuck: int) -> tuple[Roll
     n_stuck = before.n_stuck
     if has_accel != sample.has_accel or has_square != sample.has_square:
         n_stuck += 1
-    kept = RollSample(
+    kept = SpinSample(
         sample.dt_s,
         accel,
         square,

@@ -1,67 +1,63 @@
 """``roll-guarded``: angle, rate and the bias of the angular acceleration as states, guarded against bad samples.
 
-What paper 000's filters do not survive (docs/roll.md): a bias of the tangential accelerometer, glitches at the start,
-zeros, a stuck sensor, lost samples. States x = (angle, rate, bias b), input u = omega', observation y = omega^2::
+The filters of Asghari et al. 2018 fail (docs/roll.md) on a bias of the tangential accelerometer, glitches at the start,
+zeros, a stuck sensor and lost samples. States x = (angle, rate, bias b), input u = omega', observation y = omega^2::
 
     angle' = angle + T rate + T^2/2 (u - b)     rate' = rate + T (u - b)     b' = b
 
-The angle takes part in the update by its covariance with the rate, so the noise of u that the update removes from the
-rate is removed from the angle too; integrating the filtered rate would leave it there. An observation beyond
-``gate_sd`` standard deviations is left out, and so is an angular acceleration that far from the median of the last
-five. The variance R is widened by alpha as in (16), (17), up to a cap that keeps the filter from running away. After
-``lockout`` observations in a row were left out, the rate starts anew at the median of the last nine, in the sense that
-it had where it had one. Values that repeat to the last bit are a stuck sensor's and count as missing.
+The update corrects the angle too, by its covariance with the rate, so the noise of u that it removes from the rate is
+removed from the angle; integrating the filtered rate would leave it there. An observation beyond ``gate_sd`` standard
+deviations is left out, and so is an angular acceleration that far from the median of the last five. The variance R is
+widened by alpha as in (16), (17), up to a cap that keeps the filter from diverging. After ``lockout`` refused
+observations in a row the rate restarts at the median of the last nine, in the sense that it had where it had one.
+Values that repeat to the last bit come from a stuck sensor and count as missing.
 """
 
 from dataclasses import dataclass
 from math import nan, sqrt
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import number
-from stillpoint.filters.compiled import compiled, like
 from stillpoint.filters.spin.guard import (
     ACCELS,
     Accels,
     Refusals,
     Repeats,
     Window,
-    cleared,
-    ended,
-    median_refused,
-    no_accels,
-    no_refusals,
-    no_repeats,
-    no_window,
-    passed,
-    refused,
-    widened,
-    without_jump,
-    without_stuck,
+    add_innovation,
+    add_refusal,
+    check_jump,
+    clear_guards,
+    drop_stuck,
+    end_lockout,
+    end_refusals,
+    median_of_refused,
+    start_accels,
+    start_refusals,
+    start_repeats,
+    start_window,
 )
-from stillpoint.filters.spin.noise import Noise, RollParams, noise
-from stillpoint.filters.spin.rate import MEDIAN_OF, Tally, faced, lost, no_tally, tallied
+from stillpoint.filters.spin.noise import Noise, SpinParams, observation_noise
+from stillpoint.filters.spin.rate import MEDIAN_OF, Counts, count_restart, count_sample, set_sense, start_counts
 from stillpoint.filters.spin.sample import (
-    Roll,
-    RollLog,
-    RollOutput,
-    RollSample,
-    RollTrack,
-    keep_roll,
-    no_roll,
-    roll_sample_at,
-    turned,
+    SpinMotion,
+    SpinOutput,
+    SpinSample,
+    start_motion,
+    wrap_angle,
 )
 from stillpoint.filters.spin.start import (
     MEDIAN_VAR,
     Start,
-    anew,
-    forgotten,
-    gather,
+    add_first_sample,
+    empty_start,
+    forget_rates,
     is_sound,
-    no_start,
+    rate_size,
     rate_variance,
-    root,
+    restart,
 )
 
 SENSE_SQUARE = 3.0**2  # a rate has a sense where it is so many standard deviations from 0
@@ -69,7 +65,7 @@ HELD_S = 0.1  # an angular acceleration stands for no longer than that
 
 
 @dataclass(frozen=True)
-class Params(RollParams):
+class Params(SpinParams):
     """Parameters of ``roll-guarded``."""
 
     window: float = number(5, 2, 100, "how many innovations are averaged for alpha")
@@ -86,7 +82,7 @@ class Params(RollParams):
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     noise: Noise
     window: int
@@ -110,7 +106,7 @@ class Bias(NamedTuple):
     var: float
 
 
-class Push(NamedTuple):
+class Drive(NamedTuple):
     """The angular acceleration that drives the next interval."""
 
     accel_radps2: float
@@ -119,22 +115,22 @@ class Push(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
     start: Start
-    roll: Roll
+    roll: SpinMotion
     bias: Bias
-    push: Push
+    push: Drive
     window: Window
     refusals: Refusals
     accels: Accels
     repeats: Repeats
-    tally: Tally
+    tally: Counts
 
 
 def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
-    """Of these parameters for a geometry."""
-    of = noise(params, geometry)
+    """Precompute the filter's constants from its parameters and the sensors' geometry."""
+    of = observation_noise(params, geometry)
     gate = params.gate_sd**2
     return Coefficients(
         noise=of,
@@ -153,20 +149,20 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
 
 @compiled
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
-    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Push(0.0, 0.0, False)
-    guards = no_window(c.window, 0.0), no_refusals(0.0), no_accels(0.0), no_repeats(0.0)
-    return State(no_start(MEDIAN_OF, 0.0), no_roll(0.0), bias, push, *guards, no_tally())
+    """Return the state before the first sample."""
+    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Drive(0.0, 0.0, False)
+    guards = start_window(c.window, 0.0), start_refusals(0.0), start_accels(0.0), start_repeats(0.0)
+    return State(empty_start(MEDIAN_OF, 0.0), start_motion(0.0), bias, push, *guards, start_counts())
 
 
 @compiled
-def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> tuple[Roll, Bias]:
-    """Angle, rate and bias after an interval."""
+def predict_state(roll: SpinMotion, bias: Bias, push: Drive, dt_s: float, drift_var: float) -> tuple[SpinMotion, Bias]:
+    """Predict angle, rate and bias over an interval."""
     t, half_s, bias_s = dt_s, 0.5 * dt_s, dt_s
     accel = push.accel_radps2 - bias.accel_radps2
     if not push.is_measured:
         accel, bias_s = 0.0, 0.0
-    turns, rest = turned(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
+    turns, rest = wrap_angle(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
     # covariances: the angle takes half_s * bias_s of the bias, the rate bias_s of it
     of_angle = bias.angle_cov + t * bias.rate_cov - half_s * bias_s * bias.var
     of_rate = bias.rate_cov - bias_s * bias.var
@@ -175,7 +171,7 @@ def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> 
     angle_var = roll.angle_var + t * roll.cross_var - half_s * bias_s * bias.angle_cov
     angle_var += t * (roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
     step_var = t * t * push.var  # as of white noise within the interval: the end of a gap does not tell the way there
-    moved_roll = Roll(
+    moved_roll = SpinMotion(
         turns,
         rest,
         roll.rate_radps + t * accel,
@@ -187,8 +183,8 @@ def moved(roll: Roll, bias: Bias, push: Push, dt_s: float, drift_var: float) -> 
 
 
 @compiled
-def left_of(var: float, cov: float, share: float, left: float) -> float:
-    """A variance after an update of the rate: what the rate does not explain of it stays, of the rest ``left``.
+def remaining_variance(var: float, cov: float, share: float, left: float) -> float:
+    """Return a variance after an update of the rate: the part the rate does not explain stays, of the rest ``left``.
 
     ``share`` is its covariance ``cov`` with the rate over that one's variance. Rounding cannot take it below 0.
     """
@@ -197,20 +193,20 @@ def left_of(var: float, cov: float, share: float, left: float) -> float:
 
 
 @compiled
-def corrected(roll: Roll, bias: Bias, residual: float, noise_var: float) -> tuple[Roll, Bias]:
-    """All states by an observation with its residual; H = (0, 2 rate, 0)."""
+def correct_state(roll: SpinMotion, bias: Bias, residual: float, noise_var: float) -> tuple[SpinMotion, Bias]:
+    """Correct all states by an observation with its residual; H = (0, 2 rate, 0)."""
     h = roll.rate_radps + roll.rate_radps
     of_rate = h * roll.rate_var * h
     total = of_rate + noise_var
     along = h * residual / total
     left = noise_var / total  # 1 - K H
     of_angle, of_bias = roll.cross_var / roll.rate_var, bias.rate_cov / roll.rate_var
-    turns, rest = turned(roll.turns, roll.rest_rad + roll.cross_var * along)
-    after = Roll(
+    turns, rest = wrap_angle(roll.turns, roll.rest_rad + roll.cross_var * along)
+    after = SpinMotion(
         turns,
         rest,
         roll.rate_radps + roll.rate_var * along,
-        left_of(roll.angle_var, roll.cross_var, of_angle, left),
+        remaining_variance(roll.angle_var, roll.cross_var, of_angle, left),
         roll.cross_var * left,
         roll.rate_var * left,
     )
@@ -218,42 +214,42 @@ def corrected(roll: Roll, bias: Bias, residual: float, noise_var: float) -> tupl
         bias.accel_radps2 + bias.rate_cov * along,
         bias.angle_cov - of_rate / total * of_angle * bias.rate_cov,
         bias.rate_cov * left,
-        left_of(bias.var, bias.rate_cov, of_bias, left),
+        remaining_variance(bias.var, bias.rate_cov, of_bias, left),
     )
 
 
 @compiled
-def observed(
-    roll: Roll, bias: Bias, window: Window, refusals: Refusals, sample: RollSample, c: Coefficients
-) -> tuple[Roll, Bias, Window, Refusals, float]:
-    """Judge an observation by its innovation, then correct by it or leave it out; also the normalised innovation."""
+def judge_observation(
+    roll: SpinMotion, bias: Bias, window: Window, refusals: Refusals, sample: SpinSample, c: Coefficients
+) -> tuple[SpinMotion, Bias, Window, Refusals, float]:
+    """Judge an observation by its innovation, then use or refuse it; also return the normalised innovation."""
     rate = roll.rate_radps
     residual = sample.square_rad2ps2 - rate * rate
     square_var = c.noise.square_var * sample.square_widened
     expected = 4.0 * rate * rate * roll.rate_var + square_var
-    window, alpha = widened(window, residual, expected, c.least_alpha, c.largest_alpha)
+    window, alpha = add_innovation(window, residual, expected, c.least_alpha, c.largest_alpha)
     if residual * residual <= c.gate * alpha * expected:
         noise_var = (alpha - 1.0) * expected + square_var
-        roll, bias = corrected(roll, bias, residual, noise_var)
-        refusals = passed(refusals)
+        roll, bias = correct_state(roll, bias, residual, noise_var)
+        refusals = end_refusals(refusals)
     else:
-        refusals = refused(refusals, root(sample.square_rad2ps2), sample.dt_s)
+        refusals = add_refusal(refusals, rate_size(sample.square_rad2ps2), sample.dt_s)
     return roll, bias, window, refusals, residual / sqrt(expected)
 
 
 @compiled
-def pushed(state: State, sample: RollSample, c: Coefficients) -> tuple[Push, Accels, float]:
-    """What the sample's angular acceleration says of the next interval, and what the rate is owed of those before."""
+def choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Drive, Accels, float]:
+    """Return the drive of the next interval by the sample's angular acceleration, and the rate to restore."""
     if not sample.has_accel:
-        return Push(0.0, c.unknown_var, False), state.accels, 0.0
+        return Drive(0.0, c.unknown_var, False), state.accels, 0.0
     gate_var, scratch = c.accel_gate_var * sample.accel_widened, state.refusals.scratch_radps
-    accels, accel, is_own, owed = without_jump(state.accels, sample, gate_var, scratch)
-    return Push(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True), accels, owed
+    accels, accel, is_own, owed = check_jump(state.accels, sample, gate_var, scratch)
+    return Drive(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True), accels, owed
 
 
 @compiled
-def sense_of(roll: Roll, direction: int, c: Coefficients) -> int:
-    """+1 or -1: as a sensor tells it, else that of the rate where it has one, else the assumed one."""
+def choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
+    """Return the sense, +1 or -1: a sensor's, else that of the rate where it has one, else the assumed one."""
     if direction != 0:
         return direction
     square = roll.rate_radps * roll.rate_radps
@@ -264,100 +260,95 @@ def sense_of(roll: Roll, direction: int, c: Coefficients) -> int:
 
 
 @compiled
-def restarted(state: State, direction: int, c: Coefficients) -> State:
-    """The rate anew from what was left out, the angle with what it may have lost meanwhile, the bias unknown."""
+def restart_rate(state: State, direction: int, c: Coefficients) -> State:
+    """Restart the rate from the refused observations; the angle may have lost turns meanwhile, the bias is unknown."""
     roll = state.roll
-    rate = median_refused(state.refusals) * like(0.0, sense_of(roll, direction, c))
+    rate = median_of_refused(state.refusals) * like(0.0, choose_sense(roll, direction, c))
     lasting_s = state.refusals.lasting_s
     if state.refusals.n_restarts == 0 and state.window.seen == state.refusals.in_row:
         lasting_s += state.start.elapsed_s  # none has passed yet: the start was wrong
     lost = (rate - roll.rate_radps) * lasting_s
     rate_var = rate_variance(rate, c.noise.square_var)
-    roll = Roll(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, 0.0, rate_var)
+    roll = SpinMotion(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, 0.0, rate_var)
     bias = Bias(state.bias.accel_radps2, 0.0, 0.0, c.bias_var)
-    guards = Window(state.window.squares, 0), ended(state.refusals), state.accels, state.repeats
+    guards = Window(state.window.squares, 0), end_lockout(state.refusals), state.accels, state.repeats
     return State(state.start, roll, bias, state.push, *guards, state.tally)
 
 
 @compiled
-def unseen(begun: Start, roll: Roll, accel_var: float) -> tuple[Start, Roll]:
-    """After a time without any value, at an angular acceleration that nobody saw: the angle is known less well."""
+def add_unseen_motion(begun: Start, roll: SpinMotion, accel_var: float) -> tuple[Start, SpinMotion]:
+    """Add to the angle's variance an unmeasured angular acceleration over the time without any value."""
     way = 0.5 * begun.elapsed_s * begun.elapsed_s
     var = way * way * accel_var
     rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = begun
     begun = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var + var)
-    return begun, Roll(roll.turns, roll.rest_rad, roll.rate_radps, roll.angle_var + var, roll.cross_var, roll.rate_var)
+    return begun, SpinMotion(
+        roll.turns, roll.rest_rad, roll.rate_radps, roll.angle_var + var, roll.cross_var, roll.rate_var
+    )
 
 
 @compiled
-def begin(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
-    """One of the first samples."""
+def begin_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
+    """Use one of the first samples to find the rate to start from."""
     sense = c.noise.sense if sample.direction == 0 else sample.direction
     square_var = c.noise.square_var * sample.square_widened
     was_stuck = state.repeats.same_squares >= c.stuck and repeats.same_squares < c.stuck
     before = state.start
     if was_stuck:  # by the sensors' first values nothing is known, nor is their angular acceleration the usual one
         both = state.repeats.same_accels >= c.stuck
-        before = forgotten(before, both)
+        before = forget_rates(before, both)
         if both:
             state = State(
                 before,
                 state.roll,
                 state.bias,
                 state.push,
-                *cleared(state.window, state.refusals, state.accels),
+                *clear_guards(state.window, state.refusals, state.accels),
                 repeats,
                 state.tally,
             )
-    begun, roll = gather(before, sample, state.push.accel_radps2, sense, square_var)
+    begun, roll = add_first_sample(before, sample, state.push.accel_radps2, sense, square_var)
     if before.held == 0 and begun.held == 1 and not state.push.is_measured:
-        begun, roll = unseen(begun, roll, c.unknown_var)
-    push, accels, _ = pushed(state, sample, c)
+        begun, roll = add_unseen_motion(begun, roll, c.unknown_var)
+    push, accels, _ = choose_drive(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
-    state = State(begun, roll, state.bias, push, *guards, tallied(state.tally, sample, False))
-    return state, RollOutput(roll, nan, begun.held == MEDIAN_OF)
+    state = State(begun, roll, state.bias, push, *guards, count_sample(state.tally, sample, False))
+    return state, SpinOutput(roll, nan, begun.held == MEDIAN_OF)
 
 
 @compiled
-def begin_anew(state: State, sample: RollSample, repeats: Repeats, c: Coefficients) -> tuple[State, RollOutput]:
-    """After what no body does: from the angle before, with the sample as the first one."""
-    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Push(0.0, 0.0, False)
-    guards = cleared(state.window, state.refusals, state.accels)
-    state = State(anew(state.start, state.roll), state.roll, bias, push, *guards, repeats, lost(state.tally))
-    return begin(state, sample, repeats, c)
+def restart_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
+    """Restart after an impossible state: from the angle before, with the sample as the first one."""
+    bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Drive(0.0, 0.0, False)
+    guards = clear_guards(state.window, state.refusals, state.accels)
+    state = State(
+        restart(state.start, state.roll), state.roll, bias, push, *guards, repeats, count_restart(state.tally)
+    )
+    return begin_state(state, sample, repeats, c)
 
 
 @compiled
-def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
-    """Predict, judge the observation, and correct, leave it out, or start anew."""
-    sample, repeats = without_stuck(sample, state.repeats, c.stuck)
+def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, SpinOutput]:
+    """Predict, judge the observation, then use it, refuse it, or restart."""
+    sample, repeats = drop_stuck(sample, state.repeats, c.stuck)
     if state.start.held < MEDIAN_OF:
-        return begin(state, sample, repeats, c)
+        return begin_state(state, sample, repeats, c)
     window, refusals, innovation = state.window, state.refusals, nan
     driving = state.push
     if sample.dt_s > HELD_S:
-        driving = Push(0.0, c.unknown_var, False)
-    roll, bias = moved(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
-    push, accels, owed = pushed(state, sample, c)
-    roll = Roll(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
+        driving = Drive(0.0, c.unknown_var, False)
+    roll, bias = predict_state(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
+    push, accels, owed = choose_drive(state, sample, c)
+    roll = SpinMotion(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
     if sample.has_square:
-        roll, bias, window, refusals, innovation = observed(roll, bias, window, refusals, sample, c)
+        roll, bias, window, refusals, innovation = judge_observation(roll, bias, window, refusals, sample, c)
     if not is_sound(roll):
-        return begin_anew(state, sample, repeats, c)
-    roll, is_turned_over = faced(roll, sample.direction)
+        return restart_state(state, sample, repeats, c)
+    roll, is_turned_over = set_sense(roll, sample.direction)
     if is_turned_over:
         bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)
-    tally = tallied(state.tally, sample, is_turned_over)
+    tally = count_sample(state.tally, sample, is_turned_over)
     state = State(state.start, roll, bias, push, window, refusals, accels, repeats, tally)
     if refusals.in_row >= c.lockout:
-        state = restarted(state, sample.direction, c)
-    return state, RollOutput(state.roll, innovation, True)
-
-
-@compiled
-def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, roll_sample_at(log, k), c)
-        keep_roll(track, k, output)
-    return state
+        state = restart_rate(state, sample.direction, c)
+    return state, SpinOutput(state.roll, innovation, True)

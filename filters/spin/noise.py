@@ -1,4 +1,7 @@
-"""What the estimators of roll are told about noise and sense, and what a geometry makes of it (paper 000, eq (25))."""
+"""Noise and sense that the estimators of a spin assume, and their values for a geometry.
+
+Asghari et al. 2018, eq (25).
+"""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -11,8 +14,8 @@ from stillpoint.datasets.spin import TERMS, SpinChannels, channels, coefficients
 
 
 @dataclass(frozen=True)
-class RollParams(Settings):
-    """Parameters that all estimators of roll have."""
+class SpinParams(Settings):
+    """Parameters that all estimators of a spin have."""
 
     radial_var_m2ps4: float = number(
         0.8, 1e-8, 1e6, "noise variance D4 of the accelerometers that see the square of the rate, (m/s^2)^2"
@@ -24,7 +27,7 @@ class RollParams(Settings):
         "positive", "sense of the spin about x where no sensor tells it: a square has no sign"
     )
     saturated: Literal["skip", "use"] = choice(
-        "skip", "samples at the range of their accelerometer: left out, or used as paper 000 has no test for them"
+        "skip", "samples at the range of their accelerometer: left out, or used as in Asghari et al. 2018"
     )
 
 
@@ -36,22 +39,22 @@ class Noise(NamedTuple):
     sense: int  # +1 or -1
 
 
-def accel_variances(params: RollParams, geometry: SpinGeometry) -> Floats:
-    """Noise variance (k,) of each accelerometer, by which of the two it sees more of in m/s^2 per 1/s^2."""
+def accel_variances(params: SpinParams, geometry: SpinGeometry) -> Floats:
+    """Return the noise variance (k,) of each accelerometer, by which observation it sees more of in m/s^2 per 1/s^2."""
     seen = np.abs(coefficients(geometry))
     tangential = seen[:, TERMS.index("omega_x dot")] > seen[:, TERMS.index("omega_x^2")]
     return np.where(tangential, params.tangential_var_m2ps4, params.radial_var_m2ps4)
 
 
-def spin_channels(params: RollParams, geometry: SpinGeometry) -> SpinChannels:
-    """The observations that a geometry gives, weighted by the noise that the parameters state.
+def make_channels(params: SpinParams, geometry: SpinGeometry) -> SpinChannels:
+    """Return the observations of a geometry, weighted by the noise that the parameters state.
 
     Raises :class:`Unobservable` where it does not fix rate and angular acceleration.
     """
     return channels(geometry, accel_variances(params, geometry))
 
 
-def noise(params: RollParams, geometry: SpinGeometry) -> Noise:
-    """Q and R of (25) for a geometry; raises :class:`Unobservable` where it does not fix rate and acceleration."""
-    by = spin_channels(params, geometry)
+def observation_noise(params: SpinParams, geometry: SpinGeometry) -> Noise:
+    """Return Q and R of (25); raises :class:`Unobservable` where the geometry fixes neither rate nor acceleration."""
+    by = make_channels(params, geometry)
     return Noise(by.q_rad2ps4, by.r_rad2ps4, 1 if params.direction == "positive" else -1)

@@ -1,84 +1,71 @@
-"""``roll-obs``: the rate as the root of the observed square, its integral as the angle (paper 000's "observation").
+"""``roll-obs``: the rate as the root of the observed square, its integral as the angle.
 
-The baseline that the filters are compared with. Its noise is white, sqrt(R) / (2 omega) per sample, so the error of the
-angle is a random walk.
+This is the "observation" of Asghari et al. 2018, the baseline that the filters are compared with. Its noise is white,
+sqrt(R) / (2 omega) per sample, so the error of the angle is a random walk.
 """
 
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import SpinGeometry
-from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.spin.noise import Noise, RollParams, noise
-from stillpoint.filters.spin.rate import Tally, integrated, no_tally, tallied
+from stillpoint.filters.spin.noise import Noise, SpinParams, observation_noise
+from stillpoint.filters.spin.rate import Counts, count_sample, integrate_rate, start_counts
 from stillpoint.filters.spin.sample import (
-    Roll,
-    RollLog,
-    RollOutput,
-    RollSample,
-    RollTrack,
-    keep_roll,
-    no_roll,
-    roll_sample_at,
+    SpinMotion,
+    SpinOutput,
+    SpinSample,
+    start_motion,
 )
-from stillpoint.filters.spin.start import rate_variance, root
+from stillpoint.filters.spin.start import rate_size, rate_variance
 
 
 @dataclass(frozen=True)
-class Params(RollParams):
+class Params(SpinParams):
     """Parameters of ``roll-obs``."""
 
 
 class Coefficients(NamedTuple):
-    """Derived once from the parameters."""
+    """Constants derived once from the parameters."""
 
     noise: Noise
 
 
 class State(NamedTuple):
-    """What is remembered."""
+    """What the filter keeps from one sample to the next."""
 
-    roll: Roll
+    roll: SpinMotion
     sense: int  # +1 or -1, the last that was told
     begun: bool
-    tally: Tally
+    tally: Counts
 
 
 def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
-    """Of these parameters for a geometry."""
-    return Coefficients(noise(params, geometry))
+    """Precompute the filter's constants from its parameters and the sensors' geometry."""
+    return Coefficients(observation_noise(params, geometry))
 
 
 @compiled
 def start(c: Coefficients) -> State:
-    """Before the first sample."""
-    return State(no_roll(0.0), c.noise.sense, False, no_tally())
+    """Return the state before the first sample."""
+    return State(start_motion(0.0), c.noise.sense, False, start_counts())
 
 
 @compiled
-def step(state: State, sample: RollSample, c: Coefficients) -> tuple[State, RollOutput]:
-    """The rate by this sample alone; without one, the rate before."""
+def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, SpinOutput]:
+    """Return the rate by this sample alone; without an observation, the rate before."""
     before, sense, dt_s = state.roll, state.sense, sample.dt_s
     if sample.direction != 0:
         sense = sample.direction
     rate, left, var = before.rate_radps, 1.0, before.rate_var
     if sample.has_square:
-        rate, left = like(dt_s, sense) * root(sample.square_rad2ps2), 0.0
+        rate, left = like(dt_s, sense) * rate_size(sample.square_rad2ps2), 0.0
         var = rate_variance(rate, c.noise.square_var * sample.square_widened)
     begun = state.begun or sample.has_square
-    roll = Roll(0, 0.0, rate, 0.0, 0.0, var)
+    roll = SpinMotion(0, 0.0, rate, 0.0, 0.0, var)
     if state.begun:
-        roll = integrated(before, rate, left, var, dt_s)
+        roll = integrate_rate(before, rate, left, var, dt_s)
     is_turned_over = state.begun and sense != state.sense
-    state = State(roll, sense, begun, tallied(state.tally, sample, is_turned_over))
-    return state, RollOutput(roll, nan, begun)
-
-
-@compiled
-def run(log: RollLog, state: State, c: Coefficients, track: RollTrack) -> State:
-    """Every sample of a log."""
-    for k in range(len(log.dt_s)):
-        state, output = step(state, roll_sample_at(log, k), c)
-        keep_roll(track, k, output)
-    return state
+    state = State(roll, sense, begun, count_sample(state.tally, sample, is_turned_over))
+    return state, SpinOutput(roll, nan, begun)

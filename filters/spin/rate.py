@@ -1,20 +1,20 @@
 """Steps that the estimators with the rate as their only state share: prediction, and the angle as its integral.
 
-The angle is never corrected. Its variance follows from that of the rate all the same: with A the share of the rate's
-error that an update leaves, the errors of angle and rate go on as (e_angle + T/2 (e + e'), e' = A e + noise).
+The angle is never corrected. Its variance still follows from that of the rate: with A the share of the rate's error
+that an update leaves, the errors of angle and rate evolve as (e_angle + T/2 (e + e'), e' = A e + noise).
 """
 
 from typing import NamedTuple
 
-from stillpoint.filters.compiled import compiled, like
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.filters.spin.noise import Noise
-from stillpoint.filters.spin.sample import Roll, RollSample, turned
+from stillpoint.filters.spin.sample import SpinMotion, SpinSample, wrap_angle
 
 MEDIAN_OF = 9  # samples
 
 
-class Tally(NamedTuple):
-    """What was met on the way."""
+class Counts(NamedTuple):
+    """Counts of what was handled specially."""
 
     n_no_accel: int  # samples whose angular acceleration is missing: counted as none
     n_no_square: int  # samples without an update
@@ -30,22 +30,22 @@ class Drive(NamedTuple):
 
 
 class Process(NamedTuple):
-    """How the rate goes on from sample to sample."""
+    """How the rate evolves from sample to sample."""
 
     noise: Noise
     per_step: bool  # True: T^2 Q is added per step, as x' = x + T u asks for; False: Q as (12) is printed
 
 
 @compiled
-def no_tally() -> Tally:
-    """Nothing yet."""
-    return Tally(0, 0, 0, 0)
+def start_counts() -> Counts:
+    """Return counts of 0."""
+    return Counts(0, 0, 0, 0)
 
 
 @compiled
-def tallied(tally: Tally, sample: RollSample, is_turned_over: bool) -> Tally:
-    """One sample more."""
-    return Tally(
+def count_sample(tally: Counts, sample: SpinSample, is_turned_over: bool) -> Counts:
+    """Count one sample."""
+    return Counts(
         tally.n_no_accel + (0 if sample.has_accel else 1),
         tally.n_no_square + (0 if sample.has_square else 1),
         tally.n_turned_over + (1 if is_turned_over else 0),
@@ -54,42 +54,42 @@ def tallied(tally: Tally, sample: RollSample, is_turned_over: bool) -> Tally:
 
 
 @compiled
-def lost(tally: Tally) -> Tally:
-    """One start anew more."""
-    return Tally(tally.n_no_accel, tally.n_no_square, tally.n_turned_over, tally.n_begun_anew + 1)
+def count_restart(tally: Counts) -> Counts:
+    """Count one restart."""
+    return Counts(tally.n_no_accel, tally.n_no_square, tally.n_turned_over, tally.n_begun_anew + 1)
 
 
 @compiled
-def driven(sample: RollSample, accel_var: float) -> Drive:
-    """By the angular acceleration at this sample, 0 where it is missing."""
+def make_drive(sample: SpinSample, accel_var: float) -> Drive:
+    """Return the drive by the angular acceleration at this sample, 0 where it is missing."""
     if not sample.has_accel:
         return Drive(0.0, accel_var)
     return Drive(sample.accel_radps2, accel_var * sample.accel_widened)
 
 
 @compiled
-def predicted(roll: Roll, drive: Drive, dt_s: float, per_step: bool) -> tuple[float, float]:
-    """(12): rate and its variance, by the angular acceleration at the sample before."""
+def predict_rate(roll: SpinMotion, drive: Drive, dt_s: float, per_step: bool) -> tuple[float, float]:
+    """Apply (12): return the rate and its variance, by the angular acceleration at the sample before."""
     q = dt_s * dt_s * drive.var if per_step else drive.var
     return roll.rate_radps + dt_s * drive.accel_radps2, roll.rate_var + q
 
 
 @compiled
-def integrated(roll: Roll, rate_radps: float, left: float, rate_var: float, dt_s: float) -> Roll:
-    """The angle moved on by the mean of both rates; ``left`` is the share A of the rate's error that is still there."""
+def integrate_rate(roll: SpinMotion, rate_radps: float, left: float, rate_var: float, dt_s: float) -> SpinMotion:
+    """Integrate the mean of both rates; ``left`` is the share A of the rate's error that remains."""
     half_s = 0.5 * dt_s
-    turns, rest = turned(roll.turns, roll.rest_rad + half_s * (roll.rate_radps + rate_radps))
+    turns, rest = wrap_angle(roll.turns, roll.rest_rad + half_s * (roll.rate_radps + rate_radps))
     kept = left * roll.rate_var
     crossed = left * roll.cross_var
     angle_var = roll.angle_var + dt_s * (roll.cross_var + crossed)
     angle_var += half_s * half_s * (roll.rate_var + kept + kept + rate_var)
-    return Roll(turns, rest, rate_radps, angle_var, crossed + half_s * (kept + rate_var), rate_var)
+    return SpinMotion(turns, rest, rate_radps, angle_var, crossed + half_s * (kept + rate_var), rate_var)
 
 
 @compiled
-def faced(roll: Roll, direction: int) -> tuple[Roll, bool]:
-    """The roll with its rate in the sense that a sensor tells, and whether it had to be turned over."""
+def set_sense(roll: SpinMotion, direction: int) -> tuple[SpinMotion, bool]:
+    """Give the rate the sense that a sensor shows; return whether it had to be reversed."""
     rate = roll.rate_radps
     if direction == 0 or rate * like(rate, direction) >= 0.0 or rate * rate < roll.rate_var:
         return roll, False
-    return Roll(roll.turns, roll.rest_rad, -rate, roll.angle_var, -roll.cross_var, roll.rate_var), True
+    return SpinMotion(roll.turns, roll.rest_rad, -rate, roll.angle_var, -roll.cross_var, roll.rate_var), True

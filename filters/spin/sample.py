@@ -1,8 +1,9 @@
-"""What goes into one step of an estimator of roll and what comes out, one by one and as columns (paper 000).
+"""The input and the output of one step of an estimator of a spin, as single values and as columns.
 
-An estimator of roll is built as those of attitude are (:mod:`stillpoint.filters.sample`): ``Params``, ``Coefficients``,
-``State``, compiled ``start``, ``step`` and ``run``. It is fed with the two observations that accelerometers on a
-spinning body give: the angular acceleration and the square of the rate about the spin axis (eqs (4), (5), (26)).
+Asghari et al. 2018. An estimator of a spin is built as those of attitude are (:mod:`stillpoint.filters.sample`):
+``Params``, ``Coefficients``, ``State``, compiled ``start`` and ``step``. Its inputs are the two observations that
+accelerometers on a spinning body give: the angular acceleration and the square of the rate about the spin axis (eqs
+(4), (5), (26)).
 """
 
 from math import pi
@@ -11,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import Floats
-from stillpoint.filters.compiled import compiled, like
 
 TURN_RAD = 2.0 * pi
 
 
-class RollSample(NamedTuple):
-    """One stamp of the accelerometers. What is not valid (lost, saturated) is not looked at."""
+class SpinSample(NamedTuple):
+    """One stamp of the accelerometers. Values that are not valid (lost, saturated) are not used."""
 
     dt_s: float  # since the sample before
     accel_radps2: float  # angular acceleration at the stamp
@@ -30,7 +31,7 @@ class RollSample(NamedTuple):
     direction: int  # +1, -1: the sense of the spin by gyros or further accelerometers; 0 where nothing tells
 
 
-class Roll(NamedTuple):
+class SpinMotion(NamedTuple):
     """Angle and rate with their covariance; the angle as whole turns and a rest, which single precision can hold."""
 
     turns: int
@@ -41,15 +42,15 @@ class Roll(NamedTuple):
     rate_var: float  # rad^2/s^2
 
 
-class RollOutput(NamedTuple):
-    """What an estimator of roll says after a sample."""
+class SpinOutput(NamedTuple):
+    """What an estimator of a spin returns after a sample."""
 
-    roll: Roll
+    roll: SpinMotion
     innovation: float  # normalised; NaN where there was no update
     ready: bool  # False while it is starting, and when it has lost its variance
 
 
-class RollLog(NamedTuple):
+class SpinLog(NamedTuple):
     """N samples as columns."""
 
     dt_s: Floats
@@ -62,8 +63,8 @@ class RollLog(NamedTuple):
     direction: NDArray[np.int64]
 
 
-class RollTrack(NamedTuple):
-    """Where a batch run puts its outputs."""
+class SpinTrack(NamedTuple):
+    """Columns for the outputs of a batch run."""
 
     angle_rad: Floats  # (N,) unwrapped
     rate_radps: Floats
@@ -74,14 +75,14 @@ class RollTrack(NamedTuple):
 
 
 @compiled
-def no_roll(zero: float) -> Roll:
-    """At angle and rate zero, before anything is known; ``zero`` gives the precision."""
-    return Roll(0, zero, zero, zero, zero, zero)
+def start_motion(zero: float) -> SpinMotion:
+    """Return angle and rate 0, before anything is known; ``zero`` gives the precision."""
+    return SpinMotion(0, zero, zero, zero, zero, zero)
 
 
 @compiled
-def turned(turns: int, rest_rad: float) -> tuple[int, float]:
-    """The same angle with its rest within half a turn."""
+def wrap_angle(turns: int, rest_rad: float) -> tuple[int, float]:
+    """Return the same angle with its rest within half a turn."""
     whole = round(rest_rad / TURN_RAD)
     if whole == 0:
         return turns, rest_rad
@@ -89,9 +90,9 @@ def turned(turns: int, rest_rad: float) -> tuple[int, float]:
 
 
 @compiled
-def roll_sample_at(log: RollLog, k: int) -> RollSample:
-    """Sample ``k`` of the columns."""
-    return RollSample(
+def read_spin_sample(log: SpinLog, k: int) -> SpinSample:
+    """Return sample ``k`` of the columns."""
+    return SpinSample(
         log.dt_s[k],
         log.accel_radps2[k],
         log.square_rad2ps2[k],
@@ -104,16 +105,16 @@ def roll_sample_at(log: RollLog, k: int) -> RollSample:
 
 
 @compiled
-def angle_of(roll: Roll) -> float:
-    """The unwrapped angle in rad, in double precision."""
+def unwrap_angle(roll: SpinMotion) -> float:
+    """Return the unwrapped angle in rad, in double precision."""
     return roll.turns * TURN_RAD + roll.rest_rad
 
 
 @compiled
-def keep_roll(track: RollTrack, k: int, output: RollOutput) -> None:
-    """Put output ``k`` into the columns."""
+def write_spin_output(track: SpinTrack, k: int, output: SpinOutput) -> None:
+    """Write output ``k`` into the columns."""
     roll = output.roll
-    track.angle_rad[k] = angle_of(roll)
+    track.angle_rad[k] = unwrap_angle(roll)
     track.rate_radps[k] = roll.rate_radps
     track.angle_var[k] = roll.angle_var
     track.rate_var[k] = roll.rate_var
@@ -121,7 +122,7 @@ def keep_roll(track: RollTrack, k: int, output: RollOutput) -> None:
     track.ready[k] = output.ready
 
 
-def empty_track(n: int) -> RollTrack:
-    """Columns for n outputs."""
+def empty_track(n: int) -> SpinTrack:
+    """Return columns for n outputs."""
     angle, rate, angle_var, rate_var, innovation = np.empty((5, n))
-    return RollTrack(angle, rate, angle_var, rate_var, innovation, np.empty(n, dtype=np.bool_))
+    return SpinTrack(angle, rate, angle_var, rate_var, innovation, np.empty(n, dtype=np.bool_))

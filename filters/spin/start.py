@@ -1,10 +1,10 @@
-"""The rate to start from: the median of the first samples, or the first alone as in paper 000.
+"""The rate to start from: the median of the first samples, or the first alone as in Asghari et al. 2018.
 
-A single sample may be a glitch, and an adaptive filter that starts on one does not come back. Each sample gives a rate,
-the root of the square; what was gained since by the angular acceleration is taken off, so that the median also holds
-while the body spins up. A square of exactly 0 is no rate to start from: it is what a sensor says that does not live
-yet, and from there the sign of the noise would decide on the sense. The angle is counted from the first sample all the
-same, by the rate that is found.
+A single sample may be a glitch, and an adaptive filter that starts on one does not recover. Each sample gives a rate,
+the root of the square; the gain since the first sample, by the angular acceleration, is subtracted, so that the median
+also holds while the body spins up. A square of exactly 0 gives no rate: a sensor that is not running yet reads it, and
+the sign of the noise would then decide the sense. The angle still counts from the first sample, by the rate that is
+found.
 """
 
 from math import sqrt
@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.filters.compiled import compiled, like
-from stillpoint.filters.spin.sample import Roll, RollSample, turned
+from stillpoint.datasets.compiled import compiled, like
+from stillpoint.filters.spin.sample import SpinMotion, SpinSample, wrap_angle
 
 MOST_RADPS, MOST_VAR = 1e8, 1e15  # rate and its variance: beyond, squares of squares leave single precision
 MEDIAN_VAR = 1.5708  # pi / 2: the variance of a median over that of the mean, for normal noise
 
 
 class Start(NamedTuple):
-    """The first samples. The array is handed on from step to step and written in place."""
+    """The first samples. The array is passed from step to step and written in place."""
 
     rates_radps: NDArray[np.float64]  # (room,) size of the rate at the first sample by each sample, ascending
     held: int
@@ -34,20 +34,20 @@ class Start(NamedTuple):
 
 
 @compiled
-def no_start(room: int, zero: float) -> Start:
-    """Before the first sample; ``zero`` gives the precision."""
+def empty_start(room: int, zero: float) -> Start:
+    """Return the record before the first sample; ``zero`` gives the precision."""
     return Start(np.full(room, zero), 0, zero, zero, zero, 0, zero, zero)
 
 
 @compiled
-def anew(start: Start, roll: Roll) -> Start:
-    """As before the first sample, with the angle as it is."""
+def restart(start: Start, roll: SpinMotion) -> Start:
+    """Return the record as before the first sample, with the angle as it is."""
     return Start(start.rates_radps, 0, 0.0, 0.0, 0.0, roll.turns, roll.rest_rad, roll.angle_var)
 
 
 @compiled
-def forgotten(start: Start, also_gained: bool) -> Start:
-    """Without the rates so far, which were none, and what was gained if that was none; the time goes on."""
+def forget_rates(start: Start, also_gained: bool) -> Start:
+    """Drop the rates so far, which were false, and the gain if that was false too; the time goes on."""
     rates, _, gained, gained_rad, elapsed_s, turns, rest, angle_var = start
     if also_gained:
         gained, gained_rad = 0.0, 0.0
@@ -55,8 +55,8 @@ def forgotten(start: Start, also_gained: bool) -> Start:
 
 
 @compiled
-def is_sound(roll: Roll) -> bool:
-    """Whether it is one of a body: no absurd values have led beyond all bounds, or to numbers that are none."""
+def is_sound(roll: SpinMotion) -> bool:
+    """Return whether the motion is possible: finite, positive variances, and no rate beyond any body."""
     rate, var = roll.rate_radps, roll.rate_var
     is_finite = abs(roll.rest_rad) < np.inf and roll.angle_var < np.inf and abs(roll.cross_var) < np.inf
     is_positive = var > 0.0 and roll.angle_var >= 0.0
@@ -64,20 +64,20 @@ def is_sound(roll: Roll) -> bool:
 
 
 @compiled
-def root(square_rad2ps2: float) -> float:
-    """The size of a rate by its square; 0 where noise made the square negative."""
+def rate_size(square_rad2ps2: float) -> float:
+    """Return the size of a rate by its square; 0 where noise made the square negative."""
     return sqrt(max(square_rad2ps2, 0.0))
 
 
 @compiled
 def rate_variance(rate_radps: float, square_var: float) -> float:
-    """Of a rate that is the root of a square with this variance; R / (2 x)^2, bounded where the rate is near 0."""
+    """Return the variance of the root of a square with this variance; R / (2 x)^2, bounded where the rate is near 0."""
     return square_var / max(4.0 * rate_radps * rate_radps, sqrt(square_var))
 
 
 @compiled
-def insert(sorted_values: NDArray[np.float64], held: int, value: float) -> None:
-    """Put a value among the first ``held``, which ascend."""
+def insert_sorted(sorted_values: NDArray[np.float64], held: int, value: float) -> None:
+    """Insert a value among the first ``held``, which ascend."""
     place = held
     while place > 0 and sorted_values[place - 1] > value:
         sorted_values[place] = sorted_values[place - 1]
@@ -86,8 +86,8 @@ def insert(sorted_values: NDArray[np.float64], held: int, value: float) -> None:
 
 
 @compiled
-def median(sorted_values: NDArray[np.float64], held: int) -> float:
-    """Of the first ``held`` values, which ascend."""
+def median_sorted(sorted_values: NDArray[np.float64], held: int) -> float:
+    """Return the median of the first ``held`` values, which ascend."""
     middle = held // 2
     if held % 2 == 1:
         return sorted_values[middle]
@@ -95,8 +95,10 @@ def median(sorted_values: NDArray[np.float64], held: int) -> float:
 
 
 @compiled
-def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, square_var: float) -> tuple[Start, Roll]:
-    """One sample more, and angle (from the first sample on) and rate by all so far.
+def add_first_sample(
+    start: Start, sample: SpinSample, accel_radps2: float, sense: int, square_var: float
+) -> tuple[Start, SpinMotion]:
+    """Add one sample; return angle (from the first sample on) and rate by all so far.
 
     ``accel_radps2`` is of the sample before; ``sense`` is +1 or -1, the sense of the spin.
     """
@@ -106,13 +108,13 @@ def gather(start: Start, sample: RollSample, accel_radps2: float, sense: int, sq
     gained += dt_s * accel_radps2
     elapsed_s += dt_s
     if sample.has_square and sample.square_rad2ps2 != 0.0:
-        insert(rates, held, root(sample.square_rad2ps2) - sign * gained)
+        insert_sorted(rates, held, rate_size(sample.square_rad2ps2) - sign * gained)
         held += 1
     start = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var)
-    first = sign * median(rates, held) if held > 0 else 0.0
+    first = sign * median_sorted(rates, held) if held > 0 else 0.0
     rate = first + gained
     var = rate_variance(rate, square_var)
     if held > 1:
         var *= MEDIAN_VAR / like(var, held)
-    turns, rest = turned(turns, rest + first * elapsed_s + gained_rad)
-    return start, Roll(turns, rest, rate, angle_var + var * elapsed_s * elapsed_s, var * elapsed_s, var)
+    turns, rest = wrap_angle(turns, rest + first * elapsed_s + gained_rad)
+    return start, SpinMotion(turns, rest, rate, angle_var + var * elapsed_s * elapsed_s, var * elapsed_s, var)

@@ -1,7 +1,6 @@
-"""``RollStream``: an estimator of roll fed sample by sample, as on the device; the same compiled step as in batch."""
+"""``SpinStream``: an estimator of a spin fed sample by sample, as on the device; the same compiled step as in batch."""
 
 import struct
-import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple
@@ -11,27 +10,27 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings, choose_settings
-from stillpoint.filters.advance import look
-from stillpoint.filters.precision import Precision, in_precision
-from stillpoint.filters.sample import counts
+from stillpoint.filters.advance import read_cell
+from stillpoint.filters.precision import Precision, to_precision
+from stillpoint.filters.sample import collect_counts
 from stillpoint.filters.spin import front as roll_front
-from stillpoint.filters.spin.advance import RollAnswer, Row, beginning, entry_point, filled
-from stillpoint.filters.spin.noise import RollParams, spin_channels
-from stillpoint.filters.table import RollEstimator, find
+from stillpoint.filters.spin.advance import Row, SpinAnswer, compile_advance, make_begin, restore_cell
+from stillpoint.filters.spin.noise import SpinParams, make_channels
+from stillpoint.filters.table import SpinEstimator, find_estimator
 
 
-class SavedRoll(NamedTuple):
+class SavedSpin(NamedTuple):
     """A stream between two samples: plain numbers, tuples and arrays, to be pickled or kept in memory."""
 
     name: str  # of the estimator
     precision: str
     front: roll_front.State
     state: Any
-    answer: RollAnswer
+    answer: SpinAnswer
 
 
-class RollStream:
-    """One run of an estimator of roll, sample by sample.
+class SpinStream:
+    """One run of an estimator of a spin, sample by sample.
 
     Raises :class:`BadParameter` for an unknown estimator or parameter, for an estimator of attitude and for a saved
     state of another kind of run, :class:`Unobservable` for a geometry that does not fix rate and angular acceleration.
@@ -54,33 +53,32 @@ class RollStream:
         geometry: SpinGeometry,
         params: Settings | Mapping[str, Any] | None = None,
         precision: Precision = "double",
-        saved: SavedRoll | None = None,
+        saved: SavedSpin | None = None,
     ) -> None:
-        entry = find(name)
-        if not isinstance(entry, RollEstimator):
+        entry = find_estimator(name)
+        if not isinstance(entry, SpinEstimator):
             raise BadParameter(f"{name}: estimates an attitude; use Stream({name!r})")
         kind = (name, precision)
         if saved is not None and tuple(saved[:2]) != kind:
             raise BadParameter(f"the saved state is of {' '.join(saved[:2])}, not of {' '.join(kind)}; go on with that")
         settings = choose_settings(entry.params(), params, name)
-        assert isinstance(settings, RollParams)
-        front_c = roll_front.coefficients(spin_channels(settings, geometry), settings, precision)
-        c = in_precision(entry.coefficients(settings, geometry), precision)
+        assert isinstance(settings, SpinParams)
+        front_c = roll_front.coefficients(make_channels(settings, geometry), settings, precision)
+        c = to_precision(entry.coefficients(settings, geometry), precision)
         self._k, self._m = len(geometry.accel_r_b_m), len(geometry.gyro_axis_b)
         values = np.zeros(self._k + self._m)
         row = Row(values[None, : self._k], values[None, self._k :])
-        estimator = sys.modules[entry.step.__module__]
         if saved is None:
-            self._cell = beginning(estimator)(front_c, c, row)
+            self._cell = make_begin(entry.module)(front_c, c, row)
         else:
-            state = in_precision(deepcopy(saved.state), precision)
-            self._cell = filled(front_c, c, saved.front, state, saved.answer, row)
+            state = to_precision(deepcopy(saved.state), precision)
+            self._cell = restore_cell(front_c, c, saved.front, state, saved.answer, row)
         self._kind = kind
         self._buffer = values.data  # the memory of the row in the cell
         self._pack = struct.Struct(f"{self._k + self._m}d").pack_into
-        self._advance = entry_point(estimator, self._cell)
+        self._advance = compile_advance(entry.module, self._cell)
 
-    def update(self, t_ns: int, accel_mps2: Sequence[float], gyro_radps: Sequence[float] = ()) -> RollAnswer:
+    def update(self, t_ns: int, accel_mps2: Sequence[float], gyro_radps: Sequence[float] = ()) -> SpinAnswer:
         """Angle and rate after one sample: a number per accelerometer and gyro of the geometry, NaN where it is lost.
 
         A stamp that does not rise is left out and counted, and the answer before is returned. Raises
@@ -92,12 +90,12 @@ class RollStream:
         self._pack(self._buffer, 0, *accel_mps2, *gyro_radps)
         return self._advance(self._cell, t_ns)
 
-    def save(self) -> SavedRoll:
+    def save(self) -> SavedSpin:
         """All that is needed to go on from here, also in another process."""
-        return SavedRoll(*self._kind, *deepcopy(look(self._cell)[2:5]))
+        return SavedSpin(*self._kind, *deepcopy(read_cell(self._cell)[2:5]))
 
     @property
     def counts(self) -> dict[str, int]:
         """What was left out or met, before the estimator and by it."""
-        _, _, passed, state, *_ = look(self._cell)
-        return counts(passed) | counts(state)
+        _, _, passed, state, *_ = read_cell(self._cell)
+        return collect_counts(passed) | collect_counts(state)

@@ -12,7 +12,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.spin.stream import RollStream
+from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.bench.timing import Timing, seconds_of
 
@@ -50,7 +50,7 @@ def _streamed(recording: Recording, name: str) -> Callable[[], float]:
     rows = list(zip(spin.t_ns[:STREAMED].tolist(), spin.accel_mps2[:STREAMED].tolist(), strict=True))
 
     def fed() -> float:
-        update = RollStream(name, spin.geometry).update
+        update = SpinStream(name, spin.geometry).update
 
         def calls() -> None:
             for t_ns, accel_mps2 in rows:

@@ -10,7 +10,7 @@ from pathlib import Path
 from stillpoint.datasets.settings import Settings, describe
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.front import guard, heading_source
-from stillpoint.filters.table import find
+from stillpoint.filters.table import find_estimator
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
 PAGES = (Path("docs/estimators.md"), Path("docs/method.md"), Path("docs/roll.md"), Path("docs/streaming.md"))
@@ -48,7 +48,7 @@ def _estimators() -> str:
 
 def _section(name: str) -> str:
     """What its module says, as Markdown, and a place for its settings."""
-    said = sys.modules[find(name).params.__module__].__doc__ or ""
+    said = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
     said = re.sub(r":\w+:`([^`]*)`", r"`\1`", said.replace("``", "`"))
     return f"## {name}\n\n{re.sub(r' ?::$', ':', said, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
 
@@ -60,7 +60,7 @@ def _defaults(name: str) -> Settings:
     if name == "range":
         return guard.Ranges()
     methods = METHODS | ROLL_METHODS
-    return methods[name].defaults if name in methods else find(name).params()
+    return methods[name].defaults if name in methods else find_estimator(name).params()
 
 
 def _settings(settings: Settings) -> str:

@@ -7,9 +7,9 @@ from typing import Any
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.settings import choose_settings
 from stillpoint.filters.front.heading_source import Heading
-from stillpoint.filters.front.sources import front_of
+from stillpoint.filters.front.sources import make_front
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, RollEstimator, find
+from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, SpinEstimator, find_estimator
 from stillpoint.scripts.shared.batch import assignments
 
 EXAMPLE = "cf.omega0_radps=0.3"
@@ -31,20 +31,20 @@ class Run:
 def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
     """One run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
     names = _names(estimators)
-    entries = {name: find(name) for name in names}
+    entries = {name: find_estimator(name) for name in names}
     peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
     if precision == "single" and peers:
         raise BadParameter(
             f"--precision single: is not for {', '.join(peers)}: other packages compute in a precision of their own; "
             "leave it out, or these"
         )
-    spins = [name for name, entry in entries.items() if isinstance(entry, RollEstimator)]
+    spins = [name for name, entry in entries.items() if isinstance(entry, SpinEstimator)]
     if heading != "mag" and spins:
         raise BadParameter(
             f"--heading {heading}: {', '.join(spins)} follows a spin, which has no heading; leave it out"
         )
     settings = _settings(set_, names)
-    front_of(heading, settings[HEADING], settings[RANGE], None)
+    make_front(heading, settings[HEADING], settings[RANGE], None)
     for name, entry in entries.items():
         choose_settings(entry.params(), settings[name], name)
     return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]

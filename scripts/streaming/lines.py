@@ -28,7 +28,7 @@ class Arrival(NamedTuple):
 
 
 class SpinArrival(NamedTuple):
-    """One line: what :meth:`stillpoint.filters.RollStream.update` takes."""
+    """One line: what :meth:`stillpoint.filters.SpinStream.update` takes."""
 
     t_ns: int
     accel_mps2: Vector

@@ -12,7 +12,7 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any, BinaryIO, TextIO
 
-from stillpoint.filters import RollAnswer
+from stillpoint.filters import SpinAnswer
 from stillpoint.filters.sample import Output
 from stillpoint.scripts.streaming.latency import Latency
 from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
@@ -83,7 +83,7 @@ def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: 
     return "".join(line(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
 
 
-def line(t_ns: int, name: str, output: Output | RollAnswer) -> str:
+def line(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
     """One estimate as NDJSON; a number that is not finite is null, what is not estimated is not there."""
     facts: dict[str, Any] = {"t_ns": t_ns, "estimator": name}
     for field_name, value in output._asdict().items():

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from stillpoint.datasets import Recording
-from stillpoint.filters.front.sources import magnetometer, newest
+from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.streaming.lines import Arrival
 
 
@@ -13,9 +13,9 @@ def samples(recording: Recording) -> Iterator[Arrival]:
     A magnetometer that is not calibrated is left out, the course of a fix that is not valid is NaN. Raises
     :class:`BadRecording` without an IMU.
     """
-    imu, (mag, _, _), gps = recording.require_imu(), magnetometer(recording), recording.gps
-    field = None if mag is None else newest(mag.t_ns, imu.t_ns)
-    fix = None if gps is None else newest(gps.t_ns, imu.t_ns)
+    imu, (mag, _, _), gps = recording.require_imu(), choose_magnetometer(recording), recording.gps
+    field = None if mag is None else newest_rows(mag.t_ns, imu.t_ns)
+    fix = None if gps is None else newest_rows(gps.t_ns, imu.t_ns)
     for k, t_ns in enumerate(imu.t_ns.tolist()):
         here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
         course = None

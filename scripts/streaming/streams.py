@@ -9,12 +9,12 @@ from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
-from stillpoint.filters import RollStream, Saved, SavedRoll, Stream
-from stillpoint.filters.saved import plain, rebuilt
+from stillpoint.filters import Saved, SavedSpin, SpinStream, Stream
+from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.scripts.shared.estimator_choice import Run
 from stillpoint.scripts.shared.text_file import write_text
 
-Live = Stream | RollStream
+Live = Stream | SpinStream
 Make = Callable[..., Any]  # of a stream
 
 
@@ -32,16 +32,16 @@ def attitude(run: Run, declination_deg: float | None) -> Callable[..., Stream]:
     )
 
 
-def roll(run: Run, geometry: SpinGeometry) -> Callable[..., RollStream]:
+def roll(run: Run, geometry: SpinGeometry) -> Callable[..., SpinStream]:
     """What makes a stream of roll, of a saved state or anew."""
-    return partial(RollStream, run.estimator, geometry, run.params, run.precision)
+    return partial(SpinStream, run.estimator, geometry, run.params, run.precision)
 
 
 def kind_of(runs: Sequence[Run], declination_deg: float | None, geometry: SpinGeometry | None) -> dict[str, Any]:
     """What has to be the same to go on."""
     kind: dict[str, Any] = {"runs": [vars(run) for run in runs], "declination_deg": declination_deg}
     if geometry is not None:
-        kind["geometry"] = {name: plain(value) for name, value in vars(geometry).items()}
+        kind["geometry"] = {name: to_plain(value) for name, value in vars(geometry).items()}
     return kind
 
 
@@ -54,15 +54,15 @@ def live(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]
     if missing:
         raise BadParameter(f"--resume {resume}: holds no state of {', '.join(missing)}; start without it")
     try:
-        return {name: make(saved=rebuilt(kept[name], make().save())) for name, make in makes.items()}
+        return {name: make(saved=from_plain(kept[name], make().save())) for name, make in makes.items()}
     except OverflowError as error:
         raise BadParameter(f"--resume {resume}: holds a number that no state has ({error}); start without it") from None
 
 
 def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
     """Write the file that :func:`live` goes on from."""
-    states: dict[str, Saved | SavedRoll] = {name: one.save() for name, one in streams.items()}
-    kept = {name: plain(state) for name, state in states.items()}
+    states: dict[str, Saved | SavedSpin] = {name: one.save() for name, one in streams.items()}
+    kept = {name: to_plain(state) for name, state in states.items()}
     write_text(save, json.dumps({"kind": kind, "states": kept}) + "\n")
 
 

@@ -15,7 +15,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.datasets.trajectories import format_tum
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.filters.front.sources import magnetometer, newest
+from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, OutDir
@@ -102,12 +102,14 @@ def _samples(file: Path, thing: Kept) -> str:
         raise BadParameter(f"{file}: holds no samples; give the recording that it was made from, or --format csv")
     if thing.imu is None:
         return csv_text(tables_of(thing)["spin"])
-    mag, declination_rad, facts = magnetometer(thing)
+    mag, declination_rad, facts = choose_magnetometer(thing)
     said = []
     if mag is None:
         said.append(f"the heading is {facts['heading']}")
     for what, sensor in (("fields", mag), ("fixes", thing.gps)):
-        n_unused = 0 if sensor is None else len(sensor.t_ns) - int((newest(sensor.t_ns, thing.imu.t_ns) >= 0).sum())
+        n_unused = (
+            0 if sensor is None else len(sensor.t_ns) - int((newest_rows(sensor.t_ns, thing.imu.t_ns) >= 0).sum())
+        )
         if n_unused:
             said.append(f"{n_unused} {what} are left out as by estimate: a newer one came before the next IMU sample")
     if facts["heading"].startswith("true north"):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.filters.spin.noise import RollParams
+from stillpoint.filters.spin.noise import SpinParams
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir, recordings
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
@@ -103,7 +103,7 @@ def _is_allowed(name: str, value: float) -> bool:
     """Whether the estimators take a variance; sensors without noise have one that they refuse."""
     setting: dict[str, Any] = {name: float(f"{value:.3g}")}
     try:
-        RollParams(**setting)
+        SpinParams(**setting)
     except BadParameter:
         return False
     return True

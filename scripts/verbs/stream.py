@@ -15,7 +15,7 @@ from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ROLLS, Peer, find
+from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared.estimator_choice import Run, runs_of
 from stillpoint.scripts.shared.flags import SetFlag, Whole
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, writable, write_json
@@ -100,7 +100,7 @@ def stream(
         foxglove is not None, {"--resume": resume, "--save": save, "--json": json}, {"--host": host, "--speed": speed}
     )
     runs = runs_of(estimators, set_, precision, heading)
-    peers = [run.estimator for run in runs if isinstance(find(run.estimator), Peer)]
+    peers = [run.estimator for run in runs if isinstance(find_estimator(run.estimator), Peer)]
     if peers:
         names, take = ",".join(peers), "takes" if len(peers) == 1 else "take"
         raise BadParameter(f"{names}: {take} whole recordings only; use stillpoint estimate -e {names}")

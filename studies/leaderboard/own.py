@@ -22,7 +22,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter, BadRecording, StillpointError
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.filters.front.sources import magnetometer, newest
+from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 
 
 def load_own(target: str) -> Any:
@@ -75,8 +75,8 @@ def run_own(own: Any, target: str, name: str, recording: Recording) -> Estimate:
 def _run_samples(instance: Any, recording: Recording) -> Floats:
     """Feed an object with the samples in the order of their stamps; an uncalibrated magnetometer is left out."""
     imu = recording.require_imu()
-    mag, _, _ = magnetometer(recording)
-    rows = np.full(len(imu.t_ns), -1) if mag is None else newest(mag.t_ns, imu.t_ns)
+    mag, _, _ = choose_magnetometer(recording)
+    rows = np.full(len(imu.t_ns), -1) if mag is None else newest_rows(mag.t_ns, imu.t_ns)
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     update: Callable[..., Any] = instance.update
     q_nb = np.empty((len(t_s), 4))

@@ -16,7 +16,7 @@ from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.saved import plain
+from stillpoint.filters.saved import to_plain
 from stillpoint.filters.table import Estimator
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
@@ -269,8 +269,8 @@ def test_time_that_does_not_rise_changes_nothing(name: str) -> None:
         assert stream.update(t_ns, (NAN, 1, 2), (INF, 0, 0), (0, 0, 0), (1.0, 2.0)).q_nb == tuple(said[-1])
     after = stream.save()
     assert stream.counts["n_out_of_order"] == 4
-    assert repr(plain(after.state)) == repr(plain(before.state))  # NaN included
-    assert plain(after.front.heading) == plain(before.front.heading)
+    assert repr(to_plain(after.state)) == repr(to_plain(before.state))  # NaN included
+    assert to_plain(after.front.heading) == to_plain(before.front.heading)
 
 
 @pytest.mark.parametrize("name", FILTERS)

@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-from stillpoint.filters.table import Estimator, RollEstimator
+from stillpoint.filters.table import Estimator, SpinEstimator
 from stillpoint.scripts.pages.settings_pages import refreshed
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
-ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, RollEstimator)]
+ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]
 FOLLOWING = [name for name in FILTERS if name != "acc-ma"]  # acc-ma is late by half its window, by design
 
 

@@ -68,7 +68,7 @@ def test_log_is_never_longer_than_half_a_turn(q) -> None:
 @example((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
 @example((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0))
 def test_between_takes_one_direction_to_the_other_by_the_smallest_turn(u, v) -> None:
-    q = rotation.between(u, v)
+    q = rotation.rotation_between(u, v)
     a, b = np.array(u) / np.linalg.norm(u), np.array(v) / np.linalg.norm(v)
     assert np.allclose(of(q).apply(a), b, atol=1e-6)
     assert of(q).magnitude() == pytest.approx(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b), abs=1e-6)
@@ -80,12 +80,14 @@ def test_between_takes_one_direction_to_the_other_by_the_smallest_turn(u, v) -> 
 @example((0.0, 0.0, 0.0, 1.0))
 def test_from_rows_is_the_inverse_of_the_matrix(q) -> None:
     rows = tuple(tuple(float(x) for x in row) for row in of(q).as_matrix())
-    assert same(rotation.from_rows(*rows), of(q), atol=1e-11)
+    assert same(rotation.quaternion_from_rows(*rows), of(q), atol=1e-11)
 
 
 @given(st.floats(-20, 20))
 def test_about_up_turns_counter_clockwise(angle) -> None:
-    assert np.allclose(rotation.rotate(rotation.about_up(angle), (1.0, 0.0, 0.0)), (np.cos(angle), np.sin(angle), 0))
+    assert np.allclose(
+        rotation.rotate(rotation.rotation_about_up(angle), (1.0, 0.0, 0.0)), (np.cos(angle), np.sin(angle), 0)
+    )
 
 
 def test_single_precision_stays_single_in_every_function() -> None:
@@ -96,10 +98,10 @@ def test_single_precision_stays_single_in_every_function() -> None:
         rotation.log(q),
         rotation.multiply(q, q),
         rotation.rotate(q, v),
-        rotation.between(v, (v[1], v[2], v[0])),
-        rotation.about_up(v[0]),
+        rotation.rotation_between(v, (v[1], v[2], v[0])),
+        rotation.rotation_about_up(v[0]),
         rotation.normalise(q),
-        rotation.from_rows(*(tuple(np.float32(row)) for row in np.eye(3))),
+        rotation.quaternion_from_rows(*(tuple(np.float32(row)) for row in np.eye(3))),
         rotation.blend(v, v, v[2]),
     )
     for result in results:

@@ -9,7 +9,7 @@ from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import choose_settings
 from stillpoint.filters import ESTIMATORS
-from stillpoint.filters.precision import Precision, in_precision
+from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.sample import Log, Track
 from stillpoint.filters.table import Estimator
 
@@ -77,9 +77,9 @@ def run(name: str, log: Log, params: dict[str, Any], state: Any = None, precisio
     """From the start, or on from a state."""
     entry = ESTIMATORS[name]
     assert isinstance(entry, Estimator)
-    c = in_precision(entry.coefficients(choose_settings(entry.params(), params, name), 0.0), precision)
+    c = to_precision(entry.coefficients(choose_settings(entry.params(), params, name), 0.0), precision)
     n = len(log.dt_s)
     track = Track(np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 9)), np.empty((n, 3)), np.empty(n, dtype=np.bool_))
-    begin = in_precision(entry.start(c) if state is None else state, precision)
-    end = entry.run(in_precision(log, precision), begin, c, track)
+    begin = to_precision(entry.start(c) if state is None else state, precision)
+    end = entry.run(to_precision(log, precision), begin, c, track)
     return Ran(track, end)

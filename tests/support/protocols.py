@@ -1,4 +1,4 @@
-"""Recordings as paper 002 asks for them: from a rest in the base pose out and back, by a perfect sensor."""
+"""Recordings by the protocol of Elmi Aziz and Mohseni Araste 2021: out of a base pose and back, by a perfect sensor."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""``cf`` against scipy's discretisation of paper 002's eq (11), and what that equation promises."""
+"""``cf`` against scipy's discretisation of Elmi Aziz and Mohseni Araste's eq (11), and what that equation promises."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import rotation, wrap
 from stillpoint.filters import estimate
-from stillpoint.filters.complementary.complementary import Params, coefficients, transition
+from stillpoint.filters.complementary.complementary import Params, coefficients, transition_matrix
 from stillpoint.filters.fields import LONGEST_HOLD_S
 
 STEP_S = 0.01
@@ -83,7 +83,7 @@ def test_a_slower_magnetometer_gives_11_at_its_own_rate() -> None:
 def test_the_transition_is_the_matrix_exponential(w0: float, zeta: float, dt_s: float) -> None:
     c = coefficients(Params(omega0_radps=w0, zeta=zeta), 0.0)
     exact = expm(np.array([[-2 * zeta * w0, -1], [w0**2, 0]]) * dt_s)
-    assert np.allclose(np.reshape(transition(dt_s, c), (2, 2)), exact, atol=1e-10)
+    assert np.allclose(np.reshape(transition_matrix(dt_s, c), (2, 2)), exact, atol=1e-10)
 
 
 def test_a_constant_gyro_bias_is_found_and_its_error_vanishes() -> None:
@@ -148,7 +148,7 @@ def test_after_a_pause_of_the_magnetometer_one_field_counts_for_a_second_at_most
     q_nb = estimate(recording, "cf", {"kappa": 1.0}).q_nb
     at = np.searchsorted(t_ns, mag_ns[-1])
     before, after = angle_of(q_nb[[at - 1, at]], 2)
-    left = transition(hold_s, coefficients(Params(), 0.0))[0]
+    left = transition_matrix(hold_s, coefficients(Params(), 0.0))[0]
     assert before == pytest.approx(0.0, abs=1e-9)
     assert after == pytest.approx(turned * (1 - left), rel=1e-6)
 

@@ -1,4 +1,4 @@
-"""Paper 003's mission, end to end: what its filters reach on five seeds of ``auv-dolphin``."""
+"""Zia 2022's mission, end to end: what its filters reach on five seeds of ``auv-dolphin``."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""``cf-fixed``: paper 003's eq (10) by other means, and what it promises."""
+"""``cf-fixed``: Zia's eq (10) by other means, and what it promises."""
 
 from math import atan2, cos, hypot, pi, remainder, sin, tan
 

@@ -1,4 +1,4 @@
-"""``gyro`` by Euler kinematics: eq (1) of paper 004 against a plain loop, and against the rotation it approximates."""
+"""``gyro`` by the Euler rates of Byambajav et al., eq (1): against a plain loop and against the exact rotation."""
 
 import numpy as np
 import pytest

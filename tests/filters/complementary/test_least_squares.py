@@ -1,4 +1,4 @@
-"""``cf-lse`` and ``cf-lse-literal``: the tautology of paper 003's eq (22), the regression, and what it finds."""
+"""``cf-lse`` and ``cf-lse-literal``: the tautology of Zia's eq (22), the regression, and what it finds."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""``acc`` and ``acc-ma`` against paper 002's equations, written out as printed."""
+"""``acc`` and ``acc-ma`` against Elmi Aziz and Mohseni Araste's equations, written out as printed."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import euler, from_euler, heading_rotation, quaternion, rotation, wrap
 from stillpoint.filters import estimate
-from stillpoint.filters.fields import level, levelled, tilt_of, turn_to_north
-from stillpoint.filters.rotation import about_up, exp, multiply, rotate
+from stillpoint.filters.fields import level_attitude, level_vector, north_error, tilt_error
+from stillpoint.filters.rotation import exp, multiply, rotate, rotation_about_up
 
 number = st.floats(-20, 20, allow_subnormal=False)
 vectors = st.tuples(number, number, number).filter(lambda v: np.linalg.norm(v) > 1.0)
@@ -39,9 +39,9 @@ def test_acc_is_the_papers_equations_4_to_8(accel, mag, declination_east) -> Non
     roll, pitch, yaw = papers_angles(a, b, -declination_east)  # (7): D = atan(b_W / b_N) counts west
     assume(abs(pitch) < 1.5)
     assume(np.linalg.norm(np.cross(a, b)) > 0.05 * np.linalg.norm(a) * np.linalg.norm(b))
-    q_level = level(accel)
-    turn, found = turn_to_north(rotate(q_level, mag), declination_east)
-    q_nb = np.array(multiply(about_up(turn), q_level))
+    q_level = level_attitude(accel)
+    turn, found = north_error(rotate(q_level, mag), declination_east)
+    q_nb = np.array(multiply(rotation_about_up(turn), q_level))
     assert found
     assert np.abs(wrap(euler(q_nb, "nwu") - np.array([roll, pitch, yaw]))).max() < 1e-9
 
@@ -51,27 +51,27 @@ def test_without_a_field_the_papers_yaw_is_0(accel) -> None:
     a = np.array(accel)
     assume(abs(a[0]) < 0.999 * np.linalg.norm(a))
     roll, pitch = np.arctan2(-a[1], a[2]), np.arcsin(a[0] / np.linalg.norm(a))
-    assert np.abs(wrap(euler(np.array(level(accel)), "nwu") - np.array([roll, pitch, 0]))).max() < 1e-7
+    assert np.abs(wrap(euler(np.array(level_attitude(accel)), "nwu") - np.array([roll, pitch, 0]))).max() < 1e-7
 
 
 @given(vectors, vectors)
 def test_levelling_is_the_smallest_turn_to_the_true_up(up, v) -> None:
     unit = tuple(float(x) for x in np.array(up) / np.linalg.norm(up))
     assume(unit[2] > -0.999)
-    q_upright = exp((*tilt_of(up), 0.0))
+    q_upright = exp((*tilt_error(up), 0.0))
     assert rotate(q_upright, unit) == pytest.approx((0, 0, 1), abs=1e-12)
-    assert levelled(v, unit) == pytest.approx(rotate(q_upright, v), abs=1e-9)
+    assert level_vector(v, unit) == pytest.approx(rotate(q_upright, v), abs=1e-9)
 
 
 def test_levelling_from_straight_down_turns_about_x() -> None:
     down, v = (0.0, 0.0, -1.0), (3.0, 4.0, 5.0)
-    assert levelled(v, down) == (3.0, -4.0, -5.0)
-    assert rotate(exp((*tilt_of(down), 0.0)), v) == pytest.approx((3, -4, -5))
+    assert level_vector(v, down) == (3.0, -4.0, -5.0)
+    assert rotate(exp((*tilt_error(down), 0.0)), v) == pytest.approx((3, -4, -5))
 
 
 @pytest.mark.parametrize("up", [(9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (9.81, 1e-9, -1e-9)])
 def test_a_vertical_x_axis_has_an_attitude_too(up: tuple[float, float, float]) -> None:
-    q_nb = np.array(level(up))
+    q_nb = np.array(level_attitude(up))
     assert np.linalg.norm(q_nb) == pytest.approx(1.0, abs=1e-12)
     assert rotation(q_nb).apply(up)[2] == pytest.approx(9.81)
 

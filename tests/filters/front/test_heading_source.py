@@ -14,8 +14,8 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.front import front
-from stillpoint.filters.front.sources import as_raw_log, sources_of
-from stillpoint.filters.precision import in_precision
+from stillpoint.filters.front.sources import find_sources, make_raw_log
+from stillpoint.filters.precision import to_precision
 
 Course = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 HARD_IRON = np.array([3.0, -2.0, 1.5])
@@ -63,9 +63,9 @@ def sail(
 
 def given(recording: Recording, **params: float) -> tuple[front.State, NDArray[np.float64], NDArray[np.float64]]:
     """The state at the end, and the stamps (s) and azimuths (deg, clockwise) of the fields that an estimator gets."""
-    sources = sources_of(recording, "gps-course", params, None)
-    raw, _ = as_raw_log(recording.require_imu(), sources)
-    state, log = front.run(raw, front.start(sources.front), sources.front)
+    sources = find_sources(recording, "gps-course", params, None)
+    raw, _ = make_raw_log(recording.require_imu(), sources)
+    state, log = front.filter_log(raw, front.start(sources.front), sources.front)
     t_s = recording.require_imu().t_ns[log.has_mag] / 1e9
     return state, t_s, log.mag_b_ut[log.has_mag]
 
@@ -186,19 +186,19 @@ def test_the_bias_is_taken_off_for_an_estimator_that_has_no_state_for_it() -> No
 
 def test_single_precision_is_single_throughout_and_near_double() -> None:
     recording = sail(circling)
-    sources = sources_of(recording, "gps-course", None, None)
-    raw, _ = as_raw_log(recording.require_imu(), sources)
+    sources = find_sources(recording, "gps-course", None, None)
+    raw, _ = make_raw_log(recording.require_imu(), sources)
     logs = []
     for precision in ("double", "single"):
-        c = in_precision(sources.front, precision)
-        logs.append(front.run(in_precision(raw, precision), in_precision(front.start(c), precision), c)[1])
+        c = to_precision(sources.front, precision)
+        logs.append(front.filter_log(to_precision(raw, precision), to_precision(front.start(c), precision), c)[1])
     assert logs[1].mag_b_ut.dtype == np.float32
     assert np.abs(logs[0].mag_b_ut - logs[1].mag_b_ut).max() < 0.05
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_heading_of_the_dolphin_after_600_s_under_water(seed: int) -> None:
-    """Paper 003: within about 2 deg of GPS; findings B-3: that is its hard iron, and courses take it away."""
+    """Zia 2022: within about 2 deg of GPS; findings B-3: that is its hard iron, and courses take it away."""
     recording = simulate("auv-dolphin", seed=seed, rate_hz=50.0)
     imu, truth, gps = recording.require_imu(), recording.truth, recording.gps
     submerged = np.flatnonzero(~gps.valid)

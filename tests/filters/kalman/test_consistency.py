@@ -133,7 +133,7 @@ def worst_deg(q_nb: Floats, true: Rotation, begin_s: float, end_s: float) -> flo
 
 
 def test_each_mode_answers_to_the_fault_it_is_made_for() -> None:
-    """Paper 000: trust the observation less where that is not known exactly, the prediction where the system is not."""
+    """Asghari et al. 2018: reduce the weight of the observation or of the prediction, whichever is uncertain."""
     recording, true, _ = matched(3, SECONDS)
     log, none = columns(recording), {}
     at = (np.arange(len(log.dt_s)) >= 20 * RATE_HZ) & (np.arange(len(log.dt_s)) < 22 * RATE_HZ)
@@ -153,7 +153,7 @@ def test_each_mode_answers_to_the_fault_it_is_made_for() -> None:
 
 
 def test_the_gain_of_the_adaptive_one_has_a_floor() -> None:
-    """findings of paper 000: a wrong rate makes residuals, these alpha, alpha a smaller gain, that larger residuals."""
+    """A wrong rate makes residuals, these enlarge alpha, alpha reduces the gain, and that makes larger residuals."""
     recording, true, _ = matched(4, SECONDS)
     log = columns(recording)
     from_10_s = np.arange(len(log.dt_s)) >= 10 * RATE_HZ

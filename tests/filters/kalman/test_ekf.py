@@ -14,13 +14,13 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.kalman.ekf import Params
-from stillpoint.filters.kalman.known_field import no_field
-from stillpoint.filters.kalman.model import transition
-from stillpoint.filters.kalman.update import heading_measurement
-from stillpoint.filters.kalman.window import Window, no_samples, pushed, turned, with_field
+from stillpoint.filters.kalman.known_field import start_field
+from stillpoint.filters.kalman.model import transition_matrix
+from stillpoint.filters.kalman.update import measure_heading
+from stillpoint.filters.kalman.window import Window, add_field, add_force, add_turn, empty_window
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.rotation import multiply
-from stillpoint.filters.sample import Log, sample_at
+from stillpoint.filters.sample import Log, read_sample
 from stillpoint.scoring import score
 
 KALMAN = ["ekf", "aekf", "iekf"]
@@ -52,15 +52,15 @@ def test_at_every_sample_it_is_the_textbooks_filter_in_dense_matrices() -> None:
 
 def window_of(log: Log, start: Rotation, bias: np.ndarray, first: int, last: int) -> Window:
     """The integrals of some samples, from this attitude on and with this bias taken off."""
-    q, window = quaternion(start[0]), no_samples(0.0)
+    q, window = quaternion(start[0]), empty_window(0.0)
     for k in range(first, last):
         turning, forces, fields = window
         dt_s, gyro, accel, mag = log.dt_s[k], log.gyro_b_radps[k], log.accel_b_mps2[k], log.mag_b_ut[k]
         rot = rotation(q) * Rotation.from_rotvec((gyro - bias) * dt_s)
         q_to = quaternion(rot) * np.sign(quaternion(rot) @ q)
-        turning = turned(turning, sample_at(log, k), tuple(gyro - bias), tuple(q), tuple(q_to))
-        forces = pushed(forces, tuple(rot.apply(accel)), tuple(accel), dt_s)
-        window = Window(turning, forces, with_field(fields, tuple(rot.apply(mag)), tuple(mag)))
+        turning = add_turn(turning, read_sample(log, k), tuple(gyro - bias), tuple(q), tuple(q_to))
+        forces = add_force(forces, tuple(rot.apply(accel)), tuple(accel), dt_s)
+        window = Window(turning, forces, add_field(fields, tuple(rot.apply(mag)), tuple(mag)))
         q = q_to
     return window
 
@@ -80,7 +80,7 @@ def test_the_transition_over_a_window_is_the_derivative_of_what_the_window_does(
         return rot, velocity
 
     window = window_of(log, start, bias, first, last)
-    a = from_python(transition)(window, np.eye(8))
+    a = from_python(transition_matrix)(window, np.eye(8))
     base_rot, base_v = after(np.zeros(3), np.zeros(3))
     small = 1e-6
     for j in range(6):
@@ -103,17 +103,17 @@ def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
     field_n = Rotation.from_rotvec([0, 0, -declination]).apply(FIELD_N)
     log = log._replace(mag_b_ut=true.inv().apply(field_n))
 
-    measured = from_python(heading_measurement)
+    measured = from_python(measure_heading)
 
     def heading(error: np.ndarray) -> float:
         """What the window's field says of a heading whose attitude is wrong by ``error`` (q_true = exp(e) q)."""
         wrong = Rotation.from_rotvec(error).inv() * true
-        window = no_samples(0.0)
+        window = empty_window(0.0)
         for k in range(20, 33):
             turning, forces, fields = window
             field = tuple(wrong[k].apply(log.mag_b_ut[k]))
-            window = Window(turning._replace(length_s=0.26), forces, with_field(fields, field, tuple(log.mag_b_ut[k])))
-        m = measured(np.zeros(8), window, 0.0, no_field(0.0), coefficients)
+            window = Window(turning._replace(length_s=0.26), forces, add_field(fields, field, tuple(log.mag_b_ut[k])))
+        m = measured(np.zeros(8), window, 0.0, start_field(0.0), coefficients)
         rows.append(m.row)
         return m.seen
 

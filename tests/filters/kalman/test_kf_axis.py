@@ -12,8 +12,8 @@ from stillpoint.datasets import Estimate, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import euler, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters import Stream, estimate
-from stillpoint.filters.euler_axes import STEEP, covariance, frame_of
-from stillpoint.filters.kalman.kf_axis import GIMBAL, Params, without_coriolis
+from stillpoint.filters.euler_axes import STEEP, covariance, euler_frame
+from stillpoint.filters.kalman.kf_axis import GIMBAL, Params, remove_coriolis
 
 G = 9.81
 NORTH = np.array([0.0, 20.0, 0.0])  # a level field: tilt errors do not leak into the heading
@@ -246,7 +246,7 @@ def test_the_coriolis_term_of_a_steady_circle() -> None:
 
 
 axes = st.tuples(*[st.floats(-20, 20)] * 3)
-force_without_coriolis = from_python(without_coriolis)
+force_without_coriolis = from_python(remove_coriolis)
 
 
 @given(axes, axes, st.floats(0, 50))
@@ -315,7 +315,7 @@ def test_a_vertical_x_axis_has_a_positive_covariance(precision: str) -> None:
 
 def test_the_covariance_goes_over_without_a_step() -> None:
     frames = [
-        from_python(frame_of)(tuple(quaternion(Rotation.from_euler("Y", 75.5 + x, degrees=True)))) for x in (0, 0.1)
+        from_python(euler_frame)(tuple(quaternion(Rotation.from_euler("Y", 75.5 + x, degrees=True)))) for x in (0, 0.1)
     ]
     assert frames[0].cos_pitch > STEEP > frames[1].cos_pitch
     before, after = (np.array(from_python(covariance)(1e-3, 2e-3, 3e-3, frame)) for frame in frames)

@@ -12,7 +12,7 @@ from spins import CONSTANT, spoilt
 from stillpoint.datasets import Encoder, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
 from stillpoint.filters import estimate
-from stillpoint.filters.spin.stream import RollStream
+from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.spin import score_roll
 
@@ -74,7 +74,7 @@ def test_whatever_comes_rate_and_variance_stay_numbers(name, params, precision, 
 @pytest.mark.parametrize("name", ROLLS)
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e300, 9e8, -9e8])
 def test_no_value_whatever_poisons_a_stream(name, precision, value):
-    stream = RollStream(name, replace(BENCH, accel_range_mps2=None), CONSTANT, precision)
+    stream = SpinStream(name, replace(BENCH, accel_range_mps2=None), CONSTANT, precision)
     for k in range(200):
         good = (-0.1 * 35**2, 0.0)
         bad = ((value, value), (value, 0.0), (good[0], value), (0.0, 0.0))[k % 4]

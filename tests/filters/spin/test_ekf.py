@@ -1,4 +1,4 @@
-"""Observation, EKF and AEKF of paper 000: by hand, by closed form, beside a plain version of the equations."""
+"""Observation, EKF and AEKF of Asghari et al. 2018: by hand, in closed form, and against a plain version."""
 
 from math import sqrt
 
@@ -11,7 +11,7 @@ from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import estimate
-from stillpoint.filters.spin.stream import RollStream
+from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.scoring.spin import score_roll
 
 T, Q, R = 0.004, 0.5, 80.0
@@ -95,7 +95,7 @@ def test_the_steady_gain_is_that_of_the_riccati_equation():
 
 
 def test_with_q_as_printed_the_ekf_is_the_observation():
-    """K H = 0.97 at constant, 0.999 at variable speed: findings on paper 000, table A1."""
+    """K H = 0.97 at constant, 0.999 at variable speed: findings on Asghari et al. 2018, table A1."""
     recording = simulate("spin-variable", seed=1, sensor="white")
     literal = score_roll(
         estimate(recording, "roll-ekf", {**VARIABLE, "process_noise": "literal"}), recording.roll_truth
@@ -110,7 +110,7 @@ def test_lambda_twice_loses_the_variance_and_is_refused_in_one_line():
     with pytest.raises(BadParameter, match=r"variance is not positive at sample \d+ .* fading = once") as refusal:
         estimate(recording, "roll-aekf", {**settings, "fading": "literal", "first_rate": "first"})
     assert "\n" not in str(refusal.value)
-    stream = RollStream("roll-aekf", BENCH, {**settings, "fading": "literal"})
+    stream = SpinStream("roll-aekf", BENCH, {**settings, "fading": "literal"})
     answers = [
         stream.update(int(t), row) for t, row in zip(recording.spin.t_ns, recording.spin.accel_mps2, strict=True)
     ]

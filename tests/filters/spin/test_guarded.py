@@ -1,4 +1,4 @@
-"""``roll-guarded`` against what spoils the filters of paper 000, and these beside it: the point is the difference."""
+"""``roll-guarded`` on faults that spoil the filters of Asghari et al. 2018, compared with these filters."""
 
 from dataclasses import replace
 from math import sqrt
@@ -13,8 +13,8 @@ from spins import CONSTANT, VARIABLE, exact, spoilt
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.filters.spin.guarded import Bias, Push, corrected, moved
-from stillpoint.filters.spin.sample import Roll
+from stillpoint.filters.spin.guarded import Bias, Drive, correct_state, predict_state
+from stillpoint.filters.spin.sample import SpinMotion
 from stillpoint.scoring.spin import RollScore, compare_roll, score_roll
 
 
@@ -93,7 +93,7 @@ def test_no_event_costs_the_guarded_filter_more_than_a_degree(event):
 
 
 def test_the_adaptive_filter_runs_away_on_a_bias_of_f5():
-    """Bias -> residual -> alpha up -> gain down -> larger residual: findings on paper 000, table A6."""
+    """Bias -> residual -> alpha up -> gain down -> larger residual: findings on Asghari et al. 2018, table A6."""
     recording = spoilt(f5_bias)
     assert scored(recording, "roll-aekf").angle_max_deg > 2000
     assert 100 < scored(recording, "roll-ekf").angle_max_deg < 400
@@ -208,7 +208,7 @@ def test_a_new_start_keeps_a_sense_that_the_rate_had():
     assert found.rate_radps[-1] == pytest.approx(-20, abs=0.5)
 
 
-def as_matrices(roll: Roll, bias: Bias):
+def as_matrices(roll: SpinMotion, bias: Bias):
     """State (angle, rate, bias) and its covariance."""
     state = np.array([roll.rest_rad, roll.rate_radps, bias.accel_radps2])
     upper = [[roll.angle_var, roll.cross_var, bias.angle_cov], [0, roll.rate_var, bias.rate_cov], [0, 0, bias.var]]
@@ -219,16 +219,16 @@ def as_matrices(roll: Roll, bias: Bias):
 def test_prediction_and_correction_are_those_of_the_matrices(root, residual, accel):
     """F P F' + G q G' and (I - K H) P, element by element."""
     cov = root @ root.T + 0.1 * np.eye(3)
-    roll = Roll(0, 0.1, 3.0, cov[0, 0], cov[0, 1], cov[1, 1])
+    roll = SpinMotion(0, 0.1, 3.0, cov[0, 0], cov[0, 1], cov[1, 1])
     bias = Bias(0.2, cov[0, 2], cov[1, 2], cov[2, 2])
     before, t, q, drift = as_matrices(roll, bias)[0], 0.02, 0.5, 0.01
     f = np.array([[1, t, -t * t / 2], [0, 1, -t], [0, 0, 1]])
     noise = t * t * q * np.array([[t * t / 3, t / 2, 0], [t / 2, 1, 0], [0, 0, 0]]) + np.diag([0, 0, t * drift])
-    state, found = as_matrices(*moved(roll, bias, Push(accel, q, True), t, drift))
+    state, found = as_matrices(*predict_state(roll, bias, Drive(accel, q, True), t, drift))
     assert state == pytest.approx(f @ before + np.array([t * t / 2, t, 0]) * accel, abs=1e-12)
     assert found == pytest.approx(f @ cov @ f.T + noise, abs=1e-10)
     h = np.array([0.0, 6.0, 0.0])
-    state, found = as_matrices(*corrected(roll, bias, residual, 80.0))
+    state, found = as_matrices(*correct_state(roll, bias, residual, 80.0))
     gain = cov @ h / (h @ cov @ h + 80.0)
     assert state == pytest.approx(before + gain * residual, abs=1e-12)
     assert found == pytest.approx((np.eye(3) - np.outer(gain, h)) @ cov, abs=1e-10)

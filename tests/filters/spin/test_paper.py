@@ -1,4 +1,4 @@
-"""What comes of the filters of paper 000: its numbers, its order, and their stated sd."""
+"""What comes of the filters of Asghari et al. 2018: its numbers, its order, and their stated sd."""
 
 from math import sqrt
 

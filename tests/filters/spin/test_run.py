@@ -14,8 +14,8 @@ from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, measure, specif
 from stillpoint.filters import estimate
 from stillpoint.filters.spin import ekf as roll_ekf
 from stillpoint.filters.spin import front as roll_front
-from stillpoint.filters.spin.noise import spin_channels
-from stillpoint.filters.spin.stream import RollStream
+from stillpoint.filters.spin.noise import make_channels
+from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.filters.table import ROLLS
 
 
@@ -36,11 +36,11 @@ def untidy() -> Recording:
 def test_a_stream_is_the_batch_bit_for_bit_also_when_cut_in_two(name, precision):
     spin = untidy().spin
     batch = estimate(untidy(), name, CONSTANT, precision)
-    stream = RollStream(name, BENCH, CONSTANT, precision)
+    stream = SpinStream(name, BENCH, CONSTANT, precision)
     answers = []
     for k, (t_ns, row) in enumerate(zip(spin.t_ns, spin.accel_mps2, strict=True)):
         if k == len(spin.t_ns) // 2:
-            stream = RollStream(name, BENCH, CONSTANT, precision, saved=pickle.loads(pickle.dumps(stream.save())))
+            stream = SpinStream(name, BENCH, CONSTANT, precision, saved=pickle.loads(pickle.dumps(stream.save())))
         answers.append(stream.update(int(t_ns), row))
     for field in ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
         assert np.array_equal([getattr(answer, field) for answer in answers], getattr(batch, field)), field
@@ -72,7 +72,7 @@ def test_gyros_and_further_accelerometers_are_the_batch_too(precision, saturated
     spin = of_five().spin
     params = {"saturated": saturated}
     batch = estimate(of_five(), "roll-ekf", params, precision)
-    stream = RollStream("roll-ekf", spin.geometry, params, precision)
+    stream = SpinStream("roll-ekf", spin.geometry, params, precision)
     rows = zip(spin.t_ns.tolist(), spin.accel_mps2.tolist(), spin.gyro_radps.tolist(), strict=True)
     answers = np.array([stream.update(*row) for row in rows])
     assert np.array_equal(answers[:, 0], batch.angle_rad)
@@ -84,10 +84,10 @@ def test_gyros_and_further_accelerometers_are_the_batch_too(precision, saturated
 @pytest.mark.parametrize("make", [untidy, of_five])
 def test_the_compiled_channels_are_those_of_the_doctor_and_the_smoother(make):
     spin, params = make().spin, roll_ekf.Params()
-    by = spin_channels(params, spin.geometry)
+    by = make_channels(params, spin.geometry)
     seen = measure(spin, by)
     c = roll_front.coefficients(by, params, "double")
-    _, log = roll_front.run(spin.t_ns, spin.accel_mps2, spin.gyro_radps, roll_front.start(), c)
+    _, log = roll_front.filter_log(spin.t_ns, spin.accel_mps2, spin.gyro_radps, roll_front.start(), c)
     assert np.array_equal(log.has_accel, seen.omega_dot_valid)
     assert np.array_equal(log.has_square, seen.omega_squared_valid)
     assert np.array_equal(log.accel_radps2, seen.omega_dot_radps2, equal_nan=True)
@@ -95,16 +95,16 @@ def test_the_compiled_channels_are_those_of_the_doctor_and_the_smoother(make):
 
 
 def test_another_number_of_values_is_refused_in_one_line():
-    stream = RollStream("roll-ekf", BENCH, CONSTANT)
+    stream = SpinStream("roll-ekf", BENCH, CONSTANT)
     with pytest.raises(BadParameter, match="3 accelerometers and 0 gyros: the geometry has 2 and 0"):
         stream.update(0, (1.0, 2.0, 3.0))
-    other = RollStream("roll-ekf", BENCH, CONSTANT, "single").save()
+    other = SpinStream("roll-ekf", BENCH, CONSTANT, "single").save()
     with pytest.raises(BadParameter, match="of roll-ekf single, not of roll-ekf double"):
-        RollStream("roll-ekf", BENCH, CONSTANT, saved=other)
+        SpinStream("roll-ekf", BENCH, CONSTANT, saved=other)
 
 
 def test_a_stamp_that_does_not_rise_is_left_out_and_counted():
-    stream = RollStream("roll-ekf", BENCH, CONSTANT)
+    stream = SpinStream("roll-ekf", BENCH, CONSTANT)
     first = stream.update(1000, (-124.0, 0.0))
     assert np.array_equal(stream.update(1000, (-60.0, 9.0)), first, equal_nan=True)
     assert stream.counts["n_out_of_order"] == 1
@@ -138,4 +138,4 @@ def test_what_does_not_fit_is_one_line():
     with pytest.raises(BadParameter, match="radial_var_m2ps4"):
         estimate(untidy(), "roll-ekf", {"radial_var_m2ps4": 0.0})
     with pytest.raises(BadParameter, match="estimates an attitude"):
-        RollStream("cf", BENCH)
+        SpinStream("cf", BENCH)

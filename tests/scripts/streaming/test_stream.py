@@ -20,7 +20,7 @@ from motions import untidy
 from stillpoint.datasets import BadParameter, Recording, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import Stream, estimate
-from stillpoint.filters.saved import plain, rebuilt
+from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ESTIMATORS, Estimator
 from stillpoint.scripts.shared.estimator_choice import runs_of
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
@@ -140,16 +140,16 @@ def test_a_state_kept_as_text_goes_on_bit_for_bit(name: str, precision: str) -> 
     _, whole = through(b"".join(rows), **{name: Stream(name, precision=precision)})
     first = Stream(name, precision=precision)
     _, head = through(b"".join(rows[:301]), **{name: first})
-    kept = json.loads(json.dumps(plain(first.save())))
-    again = Stream(name, precision=precision, saved=rebuilt(kept, Stream(name, precision=precision).save()))
+    kept = json.loads(json.dumps(to_plain(first.save())))
+    again = Stream(name, precision=precision, saved=from_plain(kept, Stream(name, precision=precision).save()))
     _, tail = through(b"".join([rows[0], *rows[301:]]), **{name: again})
     assert head + tail == whole
 
 
 def test_a_kept_state_of_another_estimator_is_refused() -> None:
-    kept = plain(Stream("acc").save())
+    kept = to_plain(Stream("acc").save())
     with pytest.raises(BadParameter, match="not one of cf as it is now"):
-        rebuilt(kept, Stream("cf").save())
+        from_plain(kept, Stream("cf").save())
 
 
 @pytest.mark.parametrize("declination_rad", [np.nan, np.inf, 3.2])

@@ -13,8 +13,8 @@ from spins import CONSTANT
 from stillpoint.datasets import BadParameter, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS
-from stillpoint.filters import RollStream, Stream, estimate
-from stillpoint.filters.saved import plain, rebuilt
+from stillpoint.filters import SpinStream, Stream, estimate
+from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.streaming.lines import Lines, spin_layout
 from stillpoint.scripts.streaming.pipe import Passed, pipe
@@ -33,7 +33,7 @@ def as_text(recording: Recording, form: str) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def through(text: bytes, streams: dict[str, RollStream]) -> tuple[Passed, list[dict]]:
+def through(text: bytes, streams: dict[str, SpinStream]) -> tuple[Passed, list[dict]]:
     target = io.StringIO()
     passed = pipe(streams, io.BytesIO(text), target, spin_layout(2, 0))
     return passed, [json.loads(line) for line in target.getvalue().splitlines()]
@@ -42,7 +42,7 @@ def through(text: bytes, streams: dict[str, RollStream]) -> tuple[Passed, list[d
 @pytest.mark.parametrize("form", ["csv", "ndjson"])
 def test_what_is_said_is_the_batch_run_to_the_last_bit(form: str) -> None:
     recording = bench_with_glitches()
-    _, said = through(as_text(recording, form), {name: RollStream(name, BENCH, CONSTANT) for name in ROLLS})
+    _, said = through(as_text(recording, form), {name: SpinStream(name, BENCH, CONSTANT) for name in ROLLS})
     for name in ROLLS:
         batch, own = estimate(recording, name, CONSTANT), [one for one in said if one["estimator"] == name]
         for field in ("t_ns", "angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
@@ -55,22 +55,22 @@ def test_what_is_said_is_the_batch_run_to_the_last_bit(form: str) -> None:
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", ROLLS)
 def test_a_state_kept_as_text_goes_on_bit_for_bit(name: str, precision: str) -> None:
-    def new(saved=None) -> RollStream:
-        return RollStream(name, BENCH, CONSTANT, precision, saved)
+    def new(saved=None) -> SpinStream:
+        return SpinStream(name, BENCH, CONSTANT, precision, saved)
 
     rows = as_text(bench_with_glitches(), "csv").splitlines(keepends=True)
     for cut in (4, 150):  # while it is starting, and later
         first = new()
         _, whole = through(b"".join(rows), {name: new()})
         _, head = through(b"".join(rows[:cut]), {name: first})
-        again = new(rebuilt(json.loads(json.dumps(plain(first.save()))), new().save()))
+        again = new(from_plain(json.loads(json.dumps(to_plain(first.save()))), new().save()))
         _, tail = through(b"".join([rows[0], *rows[cut:]]), {name: again})
         assert head + tail == whole
 
 
 def test_bad_lines_are_left_out_and_lost_values_counted(capsys: pytest.CaptureFixture[str]) -> None:
     text = b"t_s,a1,a2\n0,-124,0\n0.004,-124\n0.008,,0\nx,-124,0\n0.012,-200,0\n0.012,-124,0\n"
-    stream = RollStream("roll-ekf", BENCH)
+    stream = SpinStream("roll-ekf", BENCH)
     passed, said = through(text, {"roll-ekf": stream})
     assert (passed.n_samples, passed.n_malformed, len(said)) == (4, 2, 4)
     counts = stream.counts
@@ -131,4 +131,4 @@ def test_what_does_not_go_together_is_one_line(
 
 def test_a_state_of_attitude_is_not_one_of_roll() -> None:
     with pytest.raises(BadParameter, match="not one of roll-ekf as it is now"):
-        rebuilt(plain(Stream("cf").save()), RollStream("roll-ekf", BENCH).save())
+        from_plain(to_plain(Stream("cf").save()), SpinStream("roll-ekf", BENCH).save())

@@ -24,7 +24,7 @@ from stillpoint.datasets import Imu, Info, Recording
 from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-from stillpoint.filters.spin.stream import RollStream
+from stillpoint.filters.spin.stream import SpinStream
 from stillpoint.filters.table import ROLLS
 t_ns = np.arange(10) * 10_000_000
 imu = Imu(t_ns, np.zeros((10, 3)), np.tile([0, 0, 9.81], (10, 1)))
@@ -34,7 +34,7 @@ for name, entry in ESTIMATORS.items():
     if not entry.is_peer:
         estimate(Recording("x", imu, spin=spin, info=Info(units_unchecked=True)), name)
         if name in ROLLS:
-            RollStream(name, BENCH).update(0, (-100.0, 0.0))
+            SpinStream(name, BENCH).update(0, (-100.0, 0.0))
         else:
             Stream(name).update(0, (0, 0, 0), (0, 0, 9.81))
         for part in (entry.start, entry.step, entry.run):
