@@ -98,7 +98,7 @@ class _RoundConstants(FunctionPass):
         return True
 
 
-class _Compiler(CompilerBase):  # type: ignore[misc]
+class _Compiler(CompilerBase):
     """numba's compiler with :class:`_RoundConstants`."""
 
     def define_pipelines(self) -> list[Any]:
@@ -122,7 +122,7 @@ def _has_single(kind: Any) -> bool:
     if isinstance(kind, types.Float):
         return bool(kind == types.float32)
     if isinstance(kind, types.BaseTuple):
-        return any(_has_single(part) for part in kind)
+        return any(_has_single(part) for part in kind.types)
     return isinstance(kind, types.Array | types.ListType) and _has_single(kind.dtype)
 
 
