@@ -3,17 +3,31 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from stillpoint.datasets.archive import Archive
 from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import Fault, verify_archive
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.shared.flags import Jobs, Whole
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
+TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md has what was measured across kinds
 
-def verify(*, archive: ArchiveDir = None, json: JsonFile = None) -> int:
+
+def verify(
+    *,
+    archive: ArchiveDir = None,
+    remake: str | None = None,
+    seed: Whole = 0,
+    tolerance: float = TOLERANCE_RAD,
+    jobs: Jobs = None,
+    json: JsonFile = None,
+) -> int:
     """Read everything, and list what is wrong and how to repair it; the exit code is 1 when something is.
 
     Checked are the hash of every object, all checksums in MCAP files, every record, the catalogue against the
@@ -23,22 +37,74 @@ def verify(*, archive: ArchiveDir = None, json: JsonFile = None) -> int:
     ----------
     archive
         The archive; by default STILLPOINT_ARCHIVE.
+    remake
+        Also make this many references and estimates anew, drawn at random, or all, with their recorded settings and
+        inputs, and compare them with those that are kept.
+    seed
+        Of the draw.
+    tolerance
+        Largest difference, in rad; the default holds on one kind of machine, docs/archive.md has others.
+    jobs
+        Processes for --remake; by default one per core.
     json
         Also write the faults as JSON to this file; - is the standard output.
     """
+    count = _read_count(remake)
     begun = time.perf_counter()
     with open_named(archive) as opened:
         found = verify_archive(opened)
-    seconds = time.perf_counter() - begun
-    if json != STDOUT:
-        print_faults(found.faults)
-        speed = found.bytes / 1e6 / max(seconds, 1e-9)
-        state = f"{len(found.faults)} faults" if found.faults else "clean"
-        print(
-            f"{found.objects} objects, {found.bytes / 1e6:.1f} MB read in {seconds:.1f} s ({speed:.0f} MB/s): {state}"
-        )
-    write_json(json, [asdict(fault) for fault in found.faults])
-    return 1 if found.faults else 0
+        seconds = time.perf_counter() - begun
+        if json != STDOUT:
+            print_faults(found.faults)
+            state = f"{len(found.faults)} faults" if found.faults else "clean"
+            speed = found.bytes / 1e6 / max(seconds, 1e-9)
+            read = f"{found.bytes / 1e6:.1f} MB read in {seconds:.1f} s ({speed:.0f} MB/s)"
+            print(f"{found.objects} objects, {read}: {state}")
+        faults = list(found.faults)
+        if remake is not None:
+            differing, lines = _remake(opened, count, seed, tolerance, jobs)
+            faults += differing
+            if json != STDOUT:
+                print_faults(differing)
+                print("\n".join(lines))
+    write_json(json, [asdict(fault) for fault in faults])
+    return 1 if faults else 0
+
+
+def _read_count(remake: str | None) -> int | None:
+    """How many to make anew; None for all."""
+    if remake is None or remake == "all":
+        return None
+    if not remake.isdecimal():
+        raise BadParameter(f"--remake {remake}: give a number, or all")
+    return int(remake)
+
+
+def _remake(
+    archive: Archive, count: int | None, seed: int, tolerance: float, jobs: int | None
+) -> tuple[list[Fault], list[str]]:
+    """Make drawn objects anew; returns those that differ, and lines that say what was done."""
+    from stillpoint.scripts.shared.jobs import run_jobs  # loads estimators and smoother, which verify alone needs not
+    from stillpoint.studies.remake import draw_jobs, remake
+
+    drawn, reasons = draw_jobs(archive, count, seed)
+    outcomes = run_jobs(remake, drawn, jobs, "remake") if drawn else []
+    here = version("stillpoint")
+    faults = []
+    for job, outcome in zip(drawn, outcomes, strict=True):
+        if outcome.value is None:
+            what = f"{job.file_name} could not be made anew: {outcome.error}"
+        elif outcome.value.difference_rad > tolerance:
+            what = f"{job.file_name} differs by {outcome.value.difference_rad:.3g} rad from what is made now"
+        else:
+            continue
+        if job.version != here:
+            what += f" (stillpoint {job.version} made it, this is {here})"
+        repair = f"install stillpoint {job.version}, or make the file anew and add it"
+        faults.append(Fault("remade", job.sha256, str(job.kept), what, repair))
+    largest = max((one.value.difference_rad for one in outcomes if one.value is not None), default=0.0)
+    lines = [f"{len(drawn)} made anew, {len(faults)} differ by more than {tolerance:g} rad; the largest: {largest:.3g}"]
+    return faults, lines + [f"not made anew: {name}: {reason}" for name, reason in reasons.items()]
 
 
 def repair(
