@@ -81,9 +81,18 @@ def _read_trial(folder: Path, options: TyrexOptions) -> Recording:
         sha256=digests(used, folder.parent.parent),
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
-        extra={"north": "true", "platform": "iOS" if ios else "Android"},
+        extra={"north": "true", "platform": "iOS" if ios else "Android", **_describe_motion(folder.name)},
     )
     return Recording(folder.name, imu=imu, mag=Mag(mag.t_ns, mag.values), truth=truth, info=info)
+
+
+def _describe_motion(name: str) -> dict[str, str]:
+    """Return motion and tags of a trial PERSON_DEVICE_Dist_MOTION or PERSON_DEVICE_NoDist_MOTION."""
+    words = name.split("_")
+    if len(words) != 4 or words[2] not in ("Dist", "NoDist"):
+        return {}
+    text = f"{'disturbed' if words[2] == 'Dist' else 'undisturbed'} {words[3]}"
+    return {"motion": text, "tags": text}
 
 
 def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:

@@ -41,7 +41,7 @@ def find_file(source: Path, label: str) -> Path:
     """Return the trajectory with this label beside a recording; raises :class:`BadRecording` when there is none."""
     file = files_of_label(source).get(label)
     if file is None:
-        raise BadRecording(f"no file {source.stem}.{label}.tum, .csv, .mcap or .bag beside {source.name}")
+        raise BadRecording(f"there is no file NAME.{label}.tum, .csv, .mcap or .bag beside NAME.mcap")
     return file
 
 
