@@ -22,7 +22,7 @@ do for scores, since they align the heading.
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -76,7 +76,7 @@ class PoseOptions:
     times: Path | None = None  # kitti: the file of stamps; None looks for times.txt beside the poses
 
 
-def read_trajectory(path: Path | str, *, name: str | None = None, **options: object) -> Estimate:
+def read_trajectory(path: Path | str, *, name: str | None = None, **options: Any) -> Estimate:
     """Return the attitudes of a trajectory file as an estimate, called ``name`` or by the name of the file.
 
     ``options`` are the fields of :class:`PoseOptions`. Raises :class:`BadSource` for a file that is no trajectory,
@@ -86,12 +86,12 @@ def read_trajectory(path: Path | str, *, name: str | None = None, **options: obj
     return Estimate(poses.t_ns, name or Path(path).stem, q_nb=poses.q_nb, params={"source": Path(path).name})
 
 
-def read_poses(path: Path | str, log: Log | None = None, **options: object) -> Truth:
+def read_poses(path: Path | str, log: Log | None = None, **options: Any) -> Truth:
     """Return the poses of a trajectory file, all of them counted as moving; see :func:`read_trajectory`.
 
     What was sorted or dropped goes to ``log``. Positions are NaN-free or None.
     """
-    given = PoseOptions(**options)  # type: ignore[arg-type]
+    given = PoseOptions(**options)
     if given.frame not in EULER_FRAMES:
         raise BadParameter(f"frame {given.frame!r}: is not one of {', '.join(EULER_FRAMES)}")
     log = log or Log()

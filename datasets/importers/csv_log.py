@@ -39,7 +39,7 @@ from stillpoint.datasets.importers.log import (
     shift_to_zero,
 )
 from stillpoint.datasets.importers.options import make_info
-from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu
+from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, make_gps, merge_imu
 from stillpoint.datasets.recording import Floats, Mag, Recording, Truth
 from stillpoint.datasets.trajectories import read_poses
 
@@ -87,16 +87,14 @@ def read_csv(source: Path, options: CsvOptions) -> Iterator[Imported]:
 def _read_log(file: Path, options: CsvOptions) -> Recording:
     log = Log()
     reading = Reading(read_table(file, options.delimiter, log), options, log)
-    streams = {what: reading.read_sensor(what) for what in SENSORS}
-    gyro, accel = streams["gyro"], streams["accel"]
-    if gyro is None or accel is None:
+    found = {what: reading.read_sensor(what) for what in SENSORS}
+    if found["gyro"] is None or found["accel"] is None:
         raise BadParameter(
             f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
             f"the file has {reading.table.listed}"
         )
-    streams["gps"] = reading.read_gps()
-    streams["truth"] = reading.read_truth()
-    streams = shift_to_zero({what: series for what, series in streams.items() if series is not None}, log)
+    found |= {"gps": reading.read_gps(), "truth": reading.read_truth()}
+    streams = shift_to_zero({what: series for what, series in found.items() if series is not None}, log)
     imu = merge_imu(streams["gyro"], streams["accel"], str(file), log)
     mag = Mag(streams["mag"].t_ns, streams["mag"].values) if "mag" in streams else None
     gps = make_gps(streams["gps"], log) if "gps" in streams else None
@@ -176,7 +174,7 @@ class Reading:
             q_nl = self._read_quaternions(options.truth)
         else:
             return None
-        known = np.isfinite(q_nl).all(axis=1)
+        known = find_finite_rows(q_nl)
         clock = self._clock("truth")
         if not known.all():
             self.log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")

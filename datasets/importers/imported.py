@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillpoint.datasets.importers.series import Log, Series
+from stillpoint.datasets.importers.series import Log, Series, find_finite_rows
 from stillpoint.datasets.plausible import describe_field_size
 from stillpoint.datasets.recording import Floats, Mag, Recording, Times
 from stillpoint.datasets.trajectory import Estimate
@@ -27,8 +27,7 @@ def make_mag(series: Series, uncalibrated: bool, log: Log) -> tuple[Mag | None, 
     A bad magnetometer does not stop the import of the rest: without a single value it is left out, and with a size
     that is not the Earth's it is marked as uncalibrated; both are noted.
     """
-    keep = np.isfinite(series.values).all(axis=1)
-    series = series.where(keep)
+    series = series.where(find_finite_rows(series.values))
     if len(series.t_ns) == 0 or not series.values.any():
         log.noted("mag: no value other than 0 or NaN; left out")
         return None, uncalibrated

@@ -25,6 +25,7 @@ from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
 from stillpoint.datasets.importers.xio import scale_arbitrary_field
 from stillpoint.datasets.recording import Imu, Recording, Times
+from stillpoint.datasets.trajectory import Estimate
 
 RATE_LINE = re.compile(r"Update Rate:\s*([0-9.]+)\s*Hz", re.IGNORECASE)
 XYZ = "XYZ"
@@ -65,7 +66,7 @@ def _read_file(file: Path, options: MovellaOptions) -> Imported:
         series = _read(table, t_ns, tuple(f"Mag_{axis}" for axis in XYZ), "mag", log)
         mag, uncalibrated = scale_arbitrary_field(series, log)
     sha256 = digests([file], file.parent)
-    estimates = ()
+    estimates: tuple[Estimate, ...] = ()
     names = next((names for names in QUATERNIONS if all(name in table.columns for name in names)), None)
     if names is not None:
         attitude = _read(table, t_ns, names, "attitude", log)

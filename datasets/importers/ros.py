@@ -5,7 +5,7 @@ tesla; an attitude takes the body to a local East-North-Up frame. A first covari
 not give that part of the message.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,9 @@ from stillpoint.datasets.importers.series import (
     merge_imu,
     sort_by_time,
 )
+from stillpoint.datasets.mcap.reader import Log as McapLog
 from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
+from stillpoint.datasets.trajectory import Estimate
 
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
 TF_LIST = "transforms"
@@ -115,7 +117,7 @@ def read_ros(source: Path, options: RosOptions) -> Iterator[Imported]:
         truth = read_pose_topic(bag, truth_topic, logs, options.truth_parent, options.truth_child, log)
 
     sha256 = digests(bag.files, source.parent if source.is_file() else source)
-    estimates = ()
+    estimates: tuple[Estimate, ...] = ()
     if device is not None:
         source_name = f"orientation of {imu_topics[0]}"
         estimates = make_device_estimate(device.t_ns, device.values, source.stem, source_name, sha256, log)
@@ -169,8 +171,8 @@ def _choose_imu_topics(bag: RosFiles, options: RosOptions) -> list[str]:
         return found  # united if one is a gyro and the other an accelerometer
     if options.imu_topic is None and not found:
         raise BadSource(f"{bag.source}: has no topic of sensor_msgs/Imu; it has {_list_topics(bag)}")
-    topic = _choose_topic(bag, "imu", (IMU,), options.imu_topic)
-    return [topic] if topic is not None else []
+    chosen = _choose_topic(bag, "imu", (IMU,), options.imu_topic)
+    return [chosen] if chosen is not None else []
 
 
 def _choose_truth_topic(bag: RosFiles, options: RosOptions, log: Log) -> str | None:
@@ -294,7 +296,9 @@ def _read_fixes(messages: Messages, log: Log) -> Series:
     return _settle_stamps(messages, values, log)
 
 
-def read_pose_topic(bag: RosFiles, topic: str, logs: list, parent: str | None, child: str | None, log: Log) -> Truth:
+def read_pose_topic(
+    bag: RosFiles, topic: str, logs: Sequence[McapLog], parent: str | None, child: str | None, log: Log
+) -> Truth:
     """Return the poses of a topic whose fixed frame is ``parent`` and, of a TF topic, whose moving frame is ``child``.
 
     Raises :class:`BadParameter` where there are several frames and none is named.

@@ -8,7 +8,7 @@ import sqlite3
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote
@@ -288,9 +288,14 @@ class Messages:
 
     def where(self, keep: NDArray[np.bool_]) -> "Messages":
         """Return the messages of a mask."""
-        numbers = {name: values[keep] for name, values in self.numbers.items()}
-        columns = (self.stamps_ns, self.logged_ns, self.frames, self.children)
-        return Messages(self.topic, self.kind, *(column[keep] for column in columns), numbers)
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[keep],
+            logged_ns=self.logged_ns[keep],
+            frames=self.frames[keep],
+            children=self.children[keep],
+            numbers={name: values[keep] for name, values in self.numbers.items()},
+        )
 
 
 Leaves = dict[str, tuple[str, ...]]  # name -> leaves of a message
@@ -363,5 +368,12 @@ def _join(topic: str, kind: str, pieces: Sequence[Messages]) -> Messages:
         return np.concatenate(columns)[order]
 
     numbers = {name: joined([piece.numbers[name] for piece in pieces]) for name in pieces[0].numbers}
-    columns = ([getattr(piece, name) for piece in pieces] for name in ("stamps_ns", "logged_ns", "frames", "children"))
-    return Messages(topic, kind, *(joined(column) for column in columns), numbers)
+    return Messages(
+        topic,
+        kind,
+        stamps_ns=joined([piece.stamps_ns for piece in pieces]),
+        logged_ns=logged_ns[order],
+        frames=joined([piece.frames for piece in pieces]),
+        children=joined([piece.children for piece in pieces]),
+        numbers=numbers,
+    )

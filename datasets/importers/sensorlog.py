@@ -23,6 +23,7 @@ from stillpoint.datasets.importers.log import list_logs, read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu, sort_by_time
 from stillpoint.datasets.recording import Gps, Mag, Recording
+from stillpoint.datasets.trajectory import Estimate
 
 XYZ = "XYZ"
 MOTION_TIME = "motionTimestamp_sinceReboot(s)"
@@ -72,7 +73,7 @@ def _read_file(file: Path, options: SensorLogOptions) -> Imported:
     gps = _read_gps(table, gyro, log)
     sha256 = digests([file], file.parent)
     attitude = _read(table, MOTION_TIME, "motionQuaternion{}(R)", "WXYZ", "attitude", log)
-    estimates = ()
+    estimates: tuple[Estimate, ...] = ()
     if attitude is not None:
         estimates = read_device_attitude(attitude, imu, False, file.stem, "motionQuaternion", sha256, log)
     known = {"mag_uncalibrated": uncalibrated, "extra": {"platform": "ios"}}

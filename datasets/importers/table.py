@@ -33,6 +33,7 @@ from stillpoint.datasets.recording import Recording
 class Importer:
     """A kind of source: how to read it, what the user may set, and what it is."""
 
+    kind: str
     read: Callable[[Path, Any], Iterator[Imported]]
     options: type[Options]
     summary: str
@@ -51,7 +52,10 @@ class Importer:
         that break a rule of the vocabulary, becomes a :class:`BadSource` with the name of the source.
         """
         options = options or self.options()
-        with reading(source, "a source of this kind"), np.errstate(all="ignore"):  # absurd sizes are judged afterwards
+        with (
+            reading(source, f"a source of kind {self.kind}"),
+            np.errstate(all="ignore"),
+        ):  # absurd sizes are judged afterwards
             try:
                 for imported in self.read(Path(source), options):
                     recording = imported.recording
@@ -62,23 +66,24 @@ class Importer:
                 raise BadSource(f"{source}: {error}") from None
 
 
-IMPORTERS: dict[str, Importer] = {
-    "broad": Importer(read_broad, Options, "BROAD: .mat or .hdf5 trials with optical truth (a file or a folder)"),
-    "tyrex": Importer(
-        read_tyrex, TyrexOptions, "Tyrex: Android and iOS phones with optical truth (a trial or a folder)"
+_ALL = (
+    Importer("broad", read_broad, Options, "BROAD: .mat or .hdf5 trials with optical truth (a file or a folder)"),
+    Importer(
+        "tyrex", read_tyrex, TyrexOptions, "Tyrex: Android and iOS phones with optical truth (a trial or a folder)"
     ),
-    "bench": Importer(read_bench, Options, "bench logs of an MPU6050 and an HMC5883L (folders of MATLAB 7.3 files)"),
-    "csv": Importer(read_csv, CsvOptions, "any delimited log: columns, units and clocks by flags or a TOML file"),
-    "sensorlogger": Importer(read_sensorlogger, PhoneOptions, "the phone app Sensor Logger: its zip or its folder"),
-    "phyphox": Importer(read_phyphox, OwnOptions, "the phone app phyphox: its zip, its folder or one CSV file"),
-    "spin": Importer(read_spin, SpinOptions, "delimited logs of accelerometers on a spinning body, with its encoder"),
-    "flatball": Importer(read_flatball, Options, "flights of the instrumented disc of flatball-ins"),
-    "ros": Importer(read_ros, RosOptions, "ROS 1 bags, ROS 2 bags and MCAP files of others"),
-    "euroc": Importer(read_euroc, OwnOptions, "folders in the ASL format: EuRoC MAV, TUM-VI"),
-    "kitti": Importer(read_kitti, OwnOptions, "KITTI raw data: the OXTS unit of a drive"),
-    "ulog": Importer(read_ulog, OwnOptions, "logs of the PX4 autopilot (.ulg)"),
-    "ngimu": Importer(read_ngimu, OwnOptions, "folders of x-io's NGIMU"),
-    "ximu3": Importer(read_ximu3, OwnOptions, "folders of x-io's x-IMU3"),
-    "movella": Importer(read_movella, MovellaOptions, "CSV files of Movella DOT, text exports of Xsens MTi and MTw"),
-    "sensorlog": Importer(read_sensorlog, SensorLogOptions, "CSV files of the iOS app SensorLog"),
-}
+    Importer("bench", read_bench, Options, "bench logs of an MPU6050 and an HMC5883L (folders of MATLAB 7.3 files)"),
+    Importer("csv", read_csv, CsvOptions, "any delimited log: columns, units and clocks by flags or a TOML file"),
+    Importer("sensorlogger", read_sensorlogger, PhoneOptions, "the phone app Sensor Logger: its zip or its folder"),
+    Importer("phyphox", read_phyphox, OwnOptions, "the phone app phyphox: its zip, its folder or one CSV file"),
+    Importer("spin", read_spin, SpinOptions, "delimited logs of accelerometers on a spinning body, with its encoder"),
+    Importer("flatball", read_flatball, Options, "flights of the instrumented disc of flatball-ins"),
+    Importer("ros", read_ros, RosOptions, "ROS 1 bags, ROS 2 bags and MCAP files of others"),
+    Importer("euroc", read_euroc, OwnOptions, "folders in the ASL format: EuRoC MAV, TUM-VI"),
+    Importer("kitti", read_kitti, OwnOptions, "KITTI raw data: the OXTS unit of a drive"),
+    Importer("ulog", read_ulog, OwnOptions, "logs of the PX4 autopilot (.ulg)"),
+    Importer("ngimu", read_ngimu, OwnOptions, "folders of x-io's NGIMU"),
+    Importer("ximu3", read_ximu3, OwnOptions, "folders of x-io's x-IMU3"),
+    Importer("movella", read_movella, MovellaOptions, "CSV files of Movella DOT, text exports of Xsens MTi and MTw"),
+    Importer("sensorlog", read_sensorlog, SensorLogOptions, "CSV files of the iOS app SensorLog"),
+)
+IMPORTERS: dict[str, Importer] = {importer.kind: importer for importer in _ALL}

@@ -6,7 +6,9 @@ The body is forward-right-down, the world of attitudes North-East-Down. ``sensor
 """
 
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from stillpoint.datasets.importers.series import (
     sort_by_time,
 )
 from stillpoint.datasets.recording import Floats, Gps, Mag, Recording, Truth
+from stillpoint.datasets.trajectory import Estimate
 
 NOT_VALID = 2**31 - 1  # of a relative stamp: the accelerometer gave nothing
 TOPICS = (
@@ -51,7 +54,8 @@ def read_ulog(source: Path, options: OwnOptions) -> Iterator[Imported]:
 def _read_log(file: Path, options: OwnOptions) -> Imported:
     log = Log()
     with reading(file, "a log of PX4 (ULog)"):
-        ulog = ULog(str(file), list(TOPICS))
+        with redirect_stdout(StringIO()):  # the package prints what it finds damaged
+            ulog = ULog(str(file), list(TOPICS))
         data = {one.name: one.data for one in ulog.data_list if one.multi_id == 0}
         if ulog.file_corruption:
             log.noted("the log is damaged; what could be read was read")
@@ -59,7 +63,7 @@ def _read_log(file: Path, options: OwnOptions) -> Imported:
         mag, uncalibrated = _read_mag(data, options, log)
         gps, date = _read_gps(data, log)
         sha256 = digests([file], file.parent)
-        estimates = ()
+        estimates: tuple[Estimate, ...] = ()
         if (attitude := _read_vectors(data, "vehicle_attitude", "q", 4)) is not None:
             attitude = sort_by_time(drop_incomplete_rows(attitude, "vehicle_attitude", log), "vehicle_attitude", log)
             estimates = read_device_attitude(attitude, imu, False, file.stem, "vehicle_attitude", sha256, log)

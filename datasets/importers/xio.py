@@ -21,6 +21,7 @@ from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
 from stillpoint.datasets.recording import Imu, Mag, Recording
+from stillpoint.datasets.trajectory import Estimate
 
 XYZ = "XYZ"
 ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
@@ -74,7 +75,7 @@ def _read_folder(folder: Path, device: Device, options: OwnOptions) -> Imported:
     imu = Imu(inertial.t_ns, RATE["deg/s"] * inertial.values[:, :3], FORCE["g"] * inertial.values[:, 3:])
     files = [folder / device.imu]
     mag, uncalibrated = _read_mag(folder, device, options, files, log)
-    estimates = ()
+    estimates: tuple[Estimate, ...] = ()
     file = folder / device.attitude
     if file.is_file():
         attitude = _read_columns(read_table(file, ",", log), device, tuple("WXYZ"), "attitude", log)
