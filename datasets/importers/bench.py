@@ -32,7 +32,7 @@ WHAT = {GYRO: "gyro", ACCEL: "accelerometer", MAG: "mag"}
 
 
 def read_bench(source: Path, options: Options) -> Iterator[Imported]:
-    """The log of one folder, or of all folders below. Raises :class:`BadSource`."""
+    """Yield the log of one folder, or of all folders below. Raises :class:`BadSource`."""
     for folder in find_folders(source, GYRO, "name the folder of a log"):
         yield Imported(_read_log(folder, options))
 

@@ -29,7 +29,7 @@ CITATION = (
 
 
 def read_broad(source: Path, options: Options) -> Iterator[Imported]:
-    """The trial of a file, or all trials of a folder in the order of their names. Raises :class:`BadSource`."""
+    """Yield the trial of a file, or all trials of a folder in the order of their names. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted([*source.glob("*.mat"), *source.glob("*.hdf5")]) if source.is_dir() else [source]
     if not files:

@@ -74,7 +74,7 @@ class CsvOptions(LogOptions):
 
 
 def read_csv(source: Path, options: CsvOptions) -> Iterator[Imported]:
-    """The recording of one file, or of each .csv, .tsv and .txt file of a folder.
+    """Yield the recording of one file, or of each .csv, .tsv and .txt file of a folder.
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """

@@ -33,7 +33,7 @@ UNITS = {"rad s^-1": "rad/s", "m s^-2": "m/s^2"}
 
 
 def read_euroc(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The recordings of the folders at or below a source that hold ``imu0/data.csv``. Raises :class:`BadSource`."""
+    """Yield the recordings of the folders with ``imu0/data.csv`` at or below a source. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.rglob("imu0/data.csv")) if source.is_dir() else []
     if not files:

@@ -32,7 +32,7 @@ GEOMETRY = SpinGeometry(
 
 
 def read_flatball(source: Path, options: Options) -> Iterator[Imported]:
-    """The flight of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
+    """Yield the flight of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
     for file in list_logs(source):
         yield Imported(_read_flight(file, options))
 

@@ -24,7 +24,7 @@ PLACE, ANGLES, NORTH_EAST, ACCEL, RATES = slice(0, 3), slice(3, 6), slice(6, 8),
 
 
 def read_kitti(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The recordings of the drives at or below a source. Raises :class:`BadSource`."""
+    """Yield the recordings of the drives at or below a source. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.rglob("timestamps.txt")) if source.is_dir() else []
     folders = [file.parent for file in files if (file.parent / "data").is_dir() and _is_oxts(file.parent)]

@@ -40,7 +40,7 @@ class MovellaOptions(OwnOptions):
 
 
 def read_movella(source: Path, options: MovellaOptions) -> Iterator[Imported]:
-    """The recording of one file, or of each .csv and .txt file of a folder. Raises :class:`BadSource`."""
+    """Yield the recording of one file, or of each .csv and .txt file of a folder. Raises :class:`BadSource`."""
     for file in list_logs(source):
         yield _read_file(file, options)
 

@@ -50,7 +50,7 @@ class Found:
 
 
 def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The one recording of an export. Raises :class:`BadSource`."""
+    """Yield the one recording of an export. Raises :class:`BadSource`."""
     bundle = _open(source)
     log = Log()
     tables = [
@@ -92,7 +92,7 @@ def _open(source: Path) -> Bundle:
 
 
 def _find_sensors(table: Table, log: Log) -> Iterator[Found]:
-    """The sensors of a file, by the units of columns that end in x, y, z."""
+    """Yield the sensors of a file, by the units of columns that end in x, y, z."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for column in table.columns:
         match = AXIS.match(column)
@@ -133,7 +133,7 @@ def _find_time_column(table: Table) -> str:
 
 
 def _read_clock(table: Table, starts: Floats) -> Times:
-    """Nanoseconds: since 1970 where the starts are known, else since the start of the experiment."""
+    """Return nanoseconds: since 1970 where the starts are known, else since the start of the experiment."""
     t_ns = table.times(_find_time_column(table), 0)
     if len(starts) == 0:
         return t_ns
@@ -144,7 +144,7 @@ def _read_clock(table: Table, starts: Floats) -> Times:
 
 
 def _read_starts(bundle: Bundle, log: Log) -> Floats:
-    """(K, 2) experiment time and system time, in s, of every start; K = 0 where they are not said."""
+    """Return (K, 2) experiment time and system time, in s, of every start; K = 0 where they are not said."""
     name = bundle.find("meta/time.csv")
     if name is None:
         log.noted("no meta/time.csv: times count from the start of the experiment, without its pauses")

@@ -87,7 +87,7 @@ class RosOptions(OwnOptions):
 
 
 def read_ros(source: Path, options: RosOptions) -> Iterator[Imported]:
-    """The one recording of a ``.bag``, a ROS 2 bag (folder), or an ``.mcap``. Raises :class:`BadSource`."""
+    """Yield the one recording of a ``.bag``, a ROS 2 bag (folder), or an ``.mcap``. Raises :class:`BadSource`."""
     require_existing(source)
     bag = open_ros(source)
     log = Log(notes=list(bag.notes))

@@ -48,7 +48,7 @@ class SensorLogOptions(OwnOptions):
 
 
 def read_sensorlog(source: Path, options: SensorLogOptions) -> Iterator[Imported]:
-    """The recording of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
+    """Yield the recording of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
     for file in list_logs(source):
         yield _read_file(file, options)
 

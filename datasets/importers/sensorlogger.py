@@ -44,7 +44,7 @@ class Phone:
 
 
 def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Imported]:
-    """The one recording of a zip or folder. Raises :class:`BadSource`."""
+    """Yield the one recording of a zip or folder. Raises :class:`BadSource`."""
     bundle = open_bundle(source)
     log = Log()
     empty = bundle.find_empty(*GYRO_FILES, *ACCEL_FILES, *MAG_FILES["raw"])

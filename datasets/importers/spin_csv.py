@@ -60,7 +60,7 @@ class SpinOptions(LogOptions):
 
 
 def read_spin(source: Path, options: SpinOptions) -> Iterator[Imported]:
-    """The recording of one file, or of each .csv, .tsv and .txt file of a folder.
+    """Yield the recording of one file, or of each .csv, .tsv and .txt file of a folder.
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """

@@ -42,7 +42,7 @@ MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.t
 
 
 def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Imported]:
-    """The trial of a folder (``android/NAME`` or ``ios/NAME``), or all trials below. Raises :class:`BadSource`."""
+    """Yield the trial of a folder ``android/NAME`` or ``ios/NAME``, or all trials below. Raises :class:`BadSource`."""
     for folder in find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them"):
         yield Imported(_read_trial(folder, options))
 
@@ -96,7 +96,7 @@ def _describe_motion(name: str) -> dict[str, str]:
 
 
 def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:
-    """The first four columns, ``t x y z``, of a text file."""
+    """Return the first four columns, ``t x y z``, of a text file."""
     path = folder / name
     if not path.is_file():
         raise BadSource(f"{folder}: has no {name}; the trial is not whole: download it again")
@@ -110,7 +110,7 @@ def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) ->
 
 
 def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]:
-    """The Qualisys attitude on the phone's clock, its file, and its date.
+    """Return the Qualisys attitude on the phone's clock, its file, and its date.
 
     The phones hardly rest, so every frame with a body counts as moving, but those that the authors leave out.
     """
@@ -183,7 +183,7 @@ def _read_properties(path: Path) -> configparser.ConfigParser:
 
 
 def _read_date(folder: Path) -> str:
-    """The UTC day of an Android record, "" where none is written."""
+    """Return the UTC day of an Android record, "" where none is written."""
     path = folder / "record.properties"
     start = _read_properties(path).get("Time", "StartTime", fallback="") if path.is_file() else ""
     return datetime.fromtimestamp(int(start), UTC).date().isoformat() if start.isdigit() else ""

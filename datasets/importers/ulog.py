@@ -42,7 +42,7 @@ TOPICS = (
 
 
 def read_ulog(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The recording of one ``.ulg`` file, or of each of a folder. Raises :class:`BadSource`."""
+    """Yield the recording of one ``.ulg`` file, or of each of a folder. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.glob("*.ulg")) if source.is_dir() else [source]
     if not files:

@@ -48,12 +48,12 @@ XIMU3 = Device(
 
 
 def read_ngimu(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The recordings of the NGIMU folders at or below a source. Raises :class:`BadSource`."""
+    """Yield the recordings of the NGIMU folders at or below a source. Raises :class:`BadSource`."""
     yield from _read_folders(source, NGIMU, options)
 
 
 def read_ximu3(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """The recordings of the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
+    """Yield the recordings of the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
     yield from _read_folders(source, XIMU3, options)
 
 

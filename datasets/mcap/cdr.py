@@ -57,7 +57,7 @@ def _typestore() -> Any:
 
 @lru_cache(maxsize=64)
 def definition(type_name: str) -> str:
-    """The full concatenated ros2msg text of a common type, such as ``sensor_msgs/msg/Imu``."""
+    """Return the full concatenated ros2msg text of a common type, such as ``sensor_msgs/msg/Imu``."""
     return str(_typestore().generate_msgdef(type_name, ros_version=2)[0])
 
 
@@ -110,7 +110,7 @@ def layout_of(message_type: MessageType, body: bytes) -> Layout:
 
 
 def layout_for(message_type: MessageType, lengths: Mapping[str, int]) -> Layout:
-    """The little-endian layout of a message to be written, strings (with their NUL) and sequences of these lengths."""
+    """Return the little-endian layout of a message to be written; lengths of strings include their NUL."""
     layout = _Walk("<", lambda leaf, _, empty: lengths.get(leaf, empty)).layout(message_type)
     return Layout(layout.dtype, ((0, b"\0\1"), *layout.words))
 
@@ -177,7 +177,7 @@ class _Walk:
         return length
 
     def _leaf(self, path: str, primitive: str, count: int | None) -> None:
-        """One primitive, ``count`` of them in a row, or a string."""
+        """Place one primitive, ``count`` of them in a row, or a string."""
         if primitive == "string":
             length = self._length(path, empty=1)
             self._place(path, f"S{max(length - self.terminated, 0)}", length)

@@ -23,7 +23,7 @@ NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"
 
 
 def kind_of(thing: Kept) -> str:
-    """The name of its kind in files."""
+    """Return the name of its kind in files."""
     for kind, of_kind in KINDS.items():
         if isinstance(thing, of_kind):
             return kind
@@ -31,7 +31,7 @@ def kind_of(thing: Kept) -> str:
 
 
 def facts_of(thing: Kept) -> dict[str, Any]:
-    """Everything that is no column of a topic."""
+    """Return everything that is no column of a topic."""
     if isinstance(thing, Recording):
         geometry = None if thing.spin is None else _shallow(thing.spin.geometry)
         facts = {
@@ -51,7 +51,7 @@ def facts_of(thing: Kept) -> dict[str, Any]:
 
 
 def info_from(facts: Mapping[str, Any]) -> Info:
-    """The :class:`Info` of a recording's facts."""
+    """Return the :class:`Info` of a recording's facts."""
     info: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in facts["info"].items()
     }
@@ -59,7 +59,7 @@ def info_from(facts: Mapping[str, Any]) -> Info:
 
 
 def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
-    """The :class:`SpinGeometry` of a recording's facts."""
+    """Return the :class:`SpinGeometry` of a recording's facts."""
     geometry = dict(facts["spin_geometry"])
     for name in ("accel_r_b_m", "accel_axis_b", "gyro_axis_b"):
         geometry[name] = np.array(geometry[name], np.float64).reshape(-1, 3)
@@ -69,7 +69,7 @@ def spin_geometry_from(facts: Mapping[str, Any]) -> SpinGeometry:
 
 
 def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of a :class:`Reference` that its facts hold."""
+    """Return the keywords of a :class:`Reference` that its facts hold."""
     calibration: dict[str, Any] = {
         name: np.array(value, np.float64) if isinstance(value, list) else value
         for name, value in facts["calibration"].items()
@@ -84,7 +84,7 @@ def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_json(facts: Mapping[str, Any]) -> str:
-    """One line of JSON; raises :class:`BadRecording` for a value that JSON has no word for."""
+    """Return one line of JSON; raises :class:`BadRecording` for a value that JSON has no word for."""
     plain = _plain(facts, "facts")
     text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
     try:
@@ -95,7 +95,7 @@ def to_json(facts: Mapping[str, Any]) -> str:
 
 
 def from_json(text: str) -> dict[str, Any]:
-    """The inverse of :func:`to_json`; sequences come back as lists. Raises ``ValueError``."""
+    """Return the inverse of :func:`to_json`; sequences come back as lists. Raises ``ValueError``."""
     facts = json.loads(text, object_hook=_special)
     if not isinstance(facts, dict):
         raise ValueError("facts are no mapping")

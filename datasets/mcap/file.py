@@ -26,14 +26,14 @@ FOOTER_SIZE = RECORD_HEAD.itemsize + 20 + len(MAGIC)  # the footer record and th
 
 
 def windows(buffer: Any, size: int) -> NDArray[np.void]:
-    """Every run of ``size`` bytes of a buffer as one overlapping array: indexing it copies whole records at once."""
+    """Return every run of ``size`` bytes of a buffer as an overlapping array; indexing it copies whole records."""
     count = max(len(buffer) - size + 1, 0)
     return np.ndarray((count,), np.dtype((np.void, size)), buffer=buffer, strides=(1,))
 
 
 @contextmanager
 def atomic(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that appears under its name whole, on disk, or not at all. Raises :class:`BadFile`."""
+    """Open a binary file that appears under its name whole, on disk, or not at all. Raises :class:`BadFile`."""
     target = path.resolve()
     if target.exists() and not target.is_file():
         raise BadFile(f"{path}: is there already and is no ordinary file; name another")

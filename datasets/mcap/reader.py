@@ -55,7 +55,7 @@ class Topic:
     parts: tuple[Part, ...]
 
     def column(self, leaf: str) -> NDArray[Any]:
-        """One leaf, (N,) or (N, k); raises :class:`BadFile` when not all messages have it with one shape."""
+        """Return one leaf, (N,) or (N, k); raises :class:`BadFile` when not all messages have it with one shape."""
         if not self.parts or any(leaf not in part.columns for part in self.parts):
             some = ", ".join(list(self.parts[0].columns)[:8]) if self.parts else "no message"
             raise BadFile(f"{self.path}: {self.name} ({self.type_name}) has no {leaf} in all messages; it has {some} …")
@@ -69,11 +69,11 @@ class Topic:
         return out
 
     def vector(self, path: str, axes: str) -> NDArray[np.float64]:
-        """Leaves ``path.x``, ``path.y`` … side by side, (N, len(axes)) float64."""
+        """Return leaves ``path.x``, ``path.y`` … side by side, (N, len(axes)) float64."""
         return np.stack([self.column(f"{path}.{axis}") for axis in axes], axis=1).astype(np.float64, copy=False)
 
     def text(self, leaf: str) -> NDArray[np.str_]:
-        """A string leaf, (N,)."""
+        """Return a string leaf, (N,)."""
         return np.char.decode(self.column(leaf), "utf-8", "replace")
 
     def has(self, leaf: str) -> bool:
@@ -81,7 +81,7 @@ class Topic:
         return bool(self.parts) and all(leaf in part.columns for part in self.parts)
 
     def stamps_ns(self, path: str = "header.stamp") -> NDArray[np.int64]:
-        """Stamps in the messages, (N,) ns; the log times where the type has none."""
+        """Return stamps in the messages, (N,) ns; the log times where the type has none."""
         if not self.has(f"{path}.sec"):
             return self.t_ns
         seconds = self.column(f"{path}.sec").astype(np.int64)
@@ -106,12 +106,12 @@ class Log:
 
 
 def survey(path: Path | str) -> Log:
-    """Topics, types, counts, metadata and attachments; checks all checksums and decodes no message."""
+    """Return topics, types, counts, metadata and attachments; checks all checksums and decodes no message."""
     return read_log(path, topics=())
 
 
 def read_log(path: Path | str, topics: Wanted = None, columns: Mapping[str, Columns] | None = None) -> Log:
-    """The topics (all, those named, or those for which a function of the name is true) of an MCAP file.
+    """Return the topics (all, those named, or those for which a function of the name is true) of an MCAP file.
 
     ``columns`` says per topic which leaves to take, and which to put side by side in one column; a topic that it does
     not name gives each of its leaves as a column. Several channels of one topic and type are joined.
@@ -193,7 +193,7 @@ class _Gather:
             self.refusal = str(error)
 
     def take(self, block: Block, channel: int) -> None:
-        """The messages of one channel in one block."""
+        """Take the messages of one channel in one block."""
         offsets = block.offsets[channel]
         rows = np.arange(self.count, self.count + len(offsets))
         self.count += len(offsets)
@@ -216,7 +216,7 @@ class _Gather:
             self.found.clear()
 
     def _take_equal(self, data: bytes, offsets: NDArray[np.int64], rows: NDArray[np.int64], size: int) -> None:
-        """Messages of equal length: those that one layout fits go together, then the next layout takes the rest."""
+        """Take messages of equal length: those that one layout fits together, then the rest by the next layout."""
         records = windows(data, size)[offsets]
         view = self.views.get(size)
         while len(rows):
@@ -256,7 +256,7 @@ class _Gather:
                     room[:, k] = body[part]
 
     def topic(self, path: Path, name: str, type_name: str) -> Topic:
-        """All that was collected, by time."""
+        """Return all that was collected, by time."""
         t_ns = self.t_ns.whole()
         place = None
         if (np.diff(t_ns) < 0).any():
@@ -286,7 +286,7 @@ class _View:
         self.words = [(MESSAGE_HEAD.itemsize + at, f"<u{len(word)}", word) for at, word in layout.words]
 
     def fits(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Which records have the lengths of the message that the layout was made from."""
+        """Return which records have the lengths of the message that the layout was made from."""
         fits = np.ones(len(records), np.bool_)
         for at, form, word in self.words:
             column: NDArray[Any] = np.ndarray((len(records),), form, records, at, (records.itemsize,))
@@ -306,7 +306,7 @@ class _Growing:
         self.count = 0
 
     def add(self, n: int, dtype: np.dtype[Any], shape: tuple[int, ...] = ()) -> NDArray[Any]:
-        """Room for n more rows, to be filled; of strings, the wider ones widen all."""
+        """Return room for n more rows, to be filled; of strings, the wider ones widen all."""
         end = self.count + n
         dtype = dtype.newbyteorder("=")
         if self.count:
@@ -321,6 +321,6 @@ class _Growing:
         return room
 
     def whole(self) -> NDArray[Any]:
-        """All rows, without the room that is left."""
+        """Return all rows, without the room that is left."""
         self.array.resize((self.count, *self.array.shape[1:]), refcheck=False)
         return self.array

@@ -74,7 +74,7 @@ class Scan:
         self.lost = ""  # what is missing of a file that was cut, "" for a whole one
 
     def blocks(self) -> Iterator[Block]:
-        """The messages of the file; raises :class:`BadFile`."""
+        """Yield the messages of the file; raises :class:`BadFile`."""
         try:
             with open_binary(self.path) as file:
                 yield from self._read(file)
@@ -101,7 +101,7 @@ class Scan:
             self.lost = f"the file is cut short, nothing could be read from byte {records.start} of {size} on ({error})"
 
     def _data_section(self, records: "_Records") -> Iterator[Block]:
-        """All records up to the one that ends the data; what came whole before a damage is handed out first."""
+        """Yield all records up to the one that ends the data; what came whole before a damage is handed out first."""
         chunk: bytes | None = None
         listed: list[NDArray[np.int64]] = []
         loose = bytearray()
@@ -218,7 +218,7 @@ class _Records:
             crc = zlib.crc32(body, zlib.crc32(head, crc))
 
     def until_footer(self) -> Iterator[tuple[int, bytes]]:
-        """The records of the summary."""
+        """Yield the records of the summary."""
         while True:
             head, body = self._next()
             if head[0] == Opcode.FOOTER:
@@ -227,7 +227,7 @@ class _Records:
 
 
 def iterate_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """The records in some bytes, which end with a whole one or with a footer; raises :class:`DamagedError`."""
+    """Yield the records in some bytes, which end with a whole one or with a footer; raises :class:`DamagedError`."""
     at = 0
     while at < len(data):
         if len(data) - at < _HEAD.size:
@@ -304,7 +304,7 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
 
 
 def listed_offsets(body: bytes) -> NDArray[np.int64]:
-    """The offsets of a message index."""
+    """Return the offsets of a message index."""
     usable = (len(body) - 6) // INDEX_ENTRY.itemsize * INDEX_ENTRY.itemsize
     if usable <= 0:
         return np.empty(0, np.int64)
@@ -312,7 +312,7 @@ def listed_offsets(body: bytes) -> NDArray[np.int64]:
 
 
 def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:
-    """Offsets of all messages in ``data``, and (opcode, begin, end) of the bodies of its other records.
+    """Return offsets of all messages in ``data``, and (opcode, begin, end) of its other records.
 
     ``listed`` comes from message indexes and is only a hint: what it leaves out is found by walking the gaps, and
     where it points at something else, everything is walked.
@@ -345,7 +345,7 @@ def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int6
 
 
 def _walk(data: bytes, begin: int, end: int) -> tuple[list[int], list[tuple[int, int, int]]]:
-    """The records between two offsets, by reading each head."""
+    """Return the records between two offsets, by reading each head."""
     messages, others = [], []
     while begin < end:
         if end - begin < _HEAD.size:

@@ -58,7 +58,7 @@ def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None
 
 
 def read(path: Path | str, units_unchecked: bool = False) -> Kept:
-    """What a file of stillpoint holds.
+    """Return the recording, reference or estimate in a file.
 
     ``units_unchecked`` opens a recording whose sizes do not fit their units. A recording that was cut short gives its
     whole chunks, and its ``info.notes`` say what is lost; a reference or estimate that was cut is refused. Raises
@@ -92,17 +92,17 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
 
 
 def read_recording(path: Path | str, units_unchecked: bool = False) -> Recording:
-    """The recording in a file; raises :class:`BadFile` when it holds something else."""
+    """Return the recording in a file; raises :class:`BadFile` when it holds something else."""
     return _of_kind(path, Recording, read(path, units_unchecked))
 
 
 def read_reference(path: Path | str) -> Reference:
-    """The reference in a file; raises :class:`BadFile` when it holds something else."""
+    """Return the reference in a file; raises :class:`BadFile` when it holds something else."""
     return _of_kind(path, Reference, read(path))
 
 
 def read_estimate(path: Path | str) -> Estimate:
-    """The estimate in a file; raises :class:`BadFile` when it holds something else."""
+    """Return the estimate in a file; raises :class:`BadFile` when it holds something else."""
     return _of_kind(path, Estimate, read(path))
 
 
@@ -120,7 +120,7 @@ class Provenance:
 
 
 def provenance(path: Path | str) -> Provenance:
-    """What a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
+    """Return what a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
     log = survey(path)
     kind, facts = _open(log)
     record = log.metadata[RECORD]
@@ -136,7 +136,7 @@ def provenance(path: Path | str) -> Provenance:
 
 
 def sha256(path: Path | str) -> str:
-    """The SHA-256 of a file, in hex; raises :class:`BadFile` when it cannot be read."""
+    """Return the SHA-256 of a file, in hex; raises :class:`BadFile` when it cannot be read."""
     try:
         with open_binary(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -145,7 +145,7 @@ def sha256(path: Path | str) -> str:
 
 
 def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
-    """The messages of each topic, and which fields of them are None ("/truth/pose position_n_m")."""
+    """Return the messages of each topic, and which fields of them are None ("/truth/pose position_n_m")."""
     streams, absent = [], []
     for topic in TOPICS:
         if topic.kind != kind:
@@ -167,7 +167,7 @@ def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
 
 
 def _mag_remainder(topic: Topic, mag: Mag | None) -> list[Stream]:
-    """The rows whose microtesla are no double in tesla times a million; see :func:`topics.tesla`."""
+    """Return the rows whose microtesla are no double in tesla times a million; see :func:`topics.tesla`."""
     if mag is None:
         return []
     remainder = tesla(mag.mag_b_ut)[1]
@@ -201,7 +201,7 @@ def _stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[A
 
 
 def _open(log: Log) -> tuple[str, dict[str, Any]]:
-    """Kind and facts of a file of stillpoint; raises :class:`BadFile` for any other."""
+    """Return kind and facts of a file of stillpoint; raises :class:`BadFile` for any other."""
     record = log.metadata.get(RECORD)
     if record is None:
         if log.lost:
@@ -228,7 +228,7 @@ def _open(log: Log) -> tuple[str, dict[str, Any]]:
 
 
 def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Stamps and columns of one topic, in the shapes that they have in memory."""
+    """Return stamps and columns of one topic, in the shapes that they have in memory."""
     found = log.topics[topic.name]
     columns: dict[str, Any] = {}
     for column in topic.columns:
@@ -242,7 +242,7 @@ def _columns(log: Log, topic: Topic, absent: Sequence[str]) -> tuple[NDArray[np.
 
 
 def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Per stream ("" for the thing itself): ``t_ns`` and columns, joined from the topics that hold them.
+    """Return per stream ("" for the thing itself) ``t_ns`` and columns, joined from their topics.
 
     Where a cut file lacks the last messages of one topic of a stream, the others are cut to the same length.
     """

@@ -59,7 +59,7 @@ def _flag(name: str, leaf: str = "data") -> Column:
 
 
 def _block_of_36(name: str, leaf: str, unit: str, derived: bool = False) -> Column:
-    """A covariance (N, 3, 3) as the upper left block of ROS's 6 x 6, row-major; the rest of that is 0: not stated."""
+    """Return a covariance (N, 3, 3) as the upper left block of ROS's 6 x 6, row-major; the rest is 0, not stated."""
 
     def to_file(cov: Array) -> Array:
         whole = np.zeros((len(cov), 6, 6))
@@ -247,7 +247,7 @@ TOPICS: tuple[Topic, ...] = (
 
 
 def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Microtesla (N, 3) as tesla, and what tesla × 10⁶ lacks (N, 3) in microtesla.
+    """Return microtesla (N, 3) as tesla, and what tesla × 10⁶ lacks (N, 3) in microtesla.
 
     Doubles are spaced more widely on one side of a power of two than on the other, so about one value in thirty has
     no double in tesla that multiplies back to it. The remainder is exact, and -0.0 (which changes no bit) elsewhere.
@@ -263,5 +263,5 @@ def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def microtesla(field_t: NDArray[np.float64], remainder_ut: NDArray[np.float64] | float = -0.0) -> NDArray[np.float64]:
-    """The inverse of :func:`tesla`, bit for bit."""
+    """Return the inverse of :func:`tesla`, bit for bit."""
     return field_t * UT_PER_TESLA + remainder_ut

@@ -138,7 +138,7 @@ class _Messages:
         self.stamped = "header.stamp.sec" in (layout.dtype.names or ())
 
     def records(self, rows: slice) -> NDArray[np.void]:
-        """The records of these rows, packed one after the other."""
+        """Return the records of these rows, packed one after the other."""
         t_ns = self.stream.t_ns[rows]
         out = np.repeat(self.blank, len(t_ns)).view(self.dtype)
         out["sequence"] = np.arange(rows.start, rows.stop)
@@ -152,7 +152,7 @@ class _Messages:
 
 
 def _chunks(streams: Sequence[Stream]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
-    """The bytes of each chunk, and per channel its message index; each group of streams has chunks of its own."""
+    """Yield the bytes of each chunk, and per channel its message index; each group of streams has chunks of its own."""
     groups: dict[str, list[_Messages]] = {}
     for k, stream in enumerate(streams):
         groups.setdefault(stream.group, []).append(_Messages(stream, k + 1))
@@ -164,7 +164,7 @@ def _first_time(indexes: Mapping[int, NDArray[np.void]]) -> int:
 
 
 def _chunks_of_group(makers: Sequence[_Messages]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
-    """The chunks of streams that share them, by time."""
+    """Yield the chunks of streams that share them, by time."""
     streams = [maker.stream for maker in makers]
     times = np.concatenate([np.asarray(stream.t_ns) for stream in streams]) if streams else np.empty(0, np.int64)
     which = np.repeat(np.arange(len(streams), dtype=np.int32), [len(stream.t_ns) for stream in streams])
@@ -197,7 +197,7 @@ def _chunks_of_group(makers: Sequence[_Messages]) -> Iterator[tuple[NDArray[np.u
 
 
 def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
-    """The schemas of the streams' types, and one channel per stream."""
+    """Return the schemas of the streams' types, and one channel per stream."""
     schemas: dict[str, Schema] = {}
     channels = []
     for k, stream in enumerate(streams):
@@ -260,7 +260,7 @@ class _Writer:
             self.attach(name, data)
 
     def attach(self, name: str, data: bytes) -> None:
-        """An attachment; its times are 0, so that the same input gives the same bytes."""
+        """Write an attachment; its times are 0, so that the same input gives the same bytes."""
         kind = "application/json" if name.endswith(".json") else "application/octet-stream"
         at, length = self.record(Attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data))
         self.attachments.append(
@@ -270,7 +270,7 @@ class _Writer:
         )
 
     def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
-        """One chunk and its message indexes."""
+        """Write one chunk and its message indexes."""
         first = _first_time(indexes)
         last = max(int(entries["log_time"][-1]) for entries in indexes.values())
         raw = buffer.data
@@ -305,7 +305,7 @@ class _Writer:
         )
 
     def finish(self) -> None:
-        """The end of the data section, the summary with its CRC, the footer."""
+        """Write the end of the data section, the summary with its CRC, the footer."""
         self.record(DataEnd(self.crc))
         statistics = Statistics(
             attachment_count=len(self.attachments),
