@@ -259,7 +259,7 @@ class Archive:
         if not reason.strip():
             raise BadParameter("--reason: say why; the reason stays in the archive")
         wanted = dict.fromkeys(sha256s)
-        for sha256 in wanted:
+        for sha256 in list(wanted):
             derived = [entry for entry in self._derived(sha256) if entry.sha256 not in wanted]
             if derived and not with_derived:
                 names = ", ".join(entry.file_name for entry in derived[:5])

@@ -44,6 +44,15 @@ def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None
     ``attachments`` are kept beside it, byte for byte, under their names. Raises :class:`BadFile` when the file cannot
     be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
+    streams, record = contents_of(thing)
+    write_mcap(Path(path), streams, {RECORD: record}, attachments or {}, library=f"stillpoint {version('stillpoint')}")
+
+
+def contents_of(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
+    """Return the messages of a file, and its metadata record ``stillpoint``.
+
+    Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
+    """
     kind = kind_of(thing)
     streams, absent = _streams(kind, thing)
     samples = {stream.topic: len(stream.t_ns) for stream in streams}
@@ -54,7 +63,7 @@ def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None
         "convention": CONVENTION,
         "facts": to_json({**facts_of(thing), "samples": samples, "absent": absent}),
     }
-    write_mcap(Path(path), streams, {RECORD: record}, attachments or {}, library=f"stillpoint {version('stillpoint')}")
+    return streams, record
 
 
 def read(path: Path | str, units_unchecked: bool = False) -> Kept:

@@ -18,6 +18,7 @@ for _place, (_name, _target, _help) in enumerate(
         ("rebuild", "check:rebuild", "Make the catalogue anew from the objects."),
         ("export", "publish:export", "Write a bundle for Zenodo or Hugging Face, with all metadata."),
         ("import", "publish:import_", "Take such a bundle into the archive."),
+        ("bundle", "publish:bundle", "Write a recording with its reference and estimates as one MCAP file."),
     )
 ):
     app.command(f"stillpoint.scripts.verbs.archives.{_target}", name=_name, help=_help, sort_key=_place)

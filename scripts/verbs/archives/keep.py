@@ -18,6 +18,7 @@ from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named, print_entries, read_ids
 
+Ids = Annotated[list[str], Parameter(negative=(), allow_leading_hyphen=True)]
 Tags = Annotated[list[str] | None, Parameter(negative=())]
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w|y)")
 _SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400, "y": 365.25 * 86400}
@@ -82,7 +83,7 @@ def add(
 
 
 def tag(
-    ids: Annotated[list[str], Parameter(negative=())],
+    ids: Ids,
     /,
     *,
     archive: ArchiveDir = None,
@@ -114,7 +115,7 @@ def tag(
 
 
 def remove(
-    ids: Annotated[list[str], Parameter(negative=())],
+    ids: Ids,
     /,
     *,
     reason: str,

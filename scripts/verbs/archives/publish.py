@@ -10,14 +10,19 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from stillpoint.datasets.archive import Archive, Entry
 from stillpoint.datasets.archive.bundle import STUDY_SUFFIX, bundle_files
 from stillpoint.datasets.archive.pack import LARGEST_BUNDLE, open_bundle, write_bundle
 from stillpoint.datasets.archive.selection import About, Item, select_items
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
+from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.trajectory import Reference, RollReference
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
+from stillpoint.studies.one_file import write_one_file
 from stillpoint.studies.publish.page import page_html
 
 
@@ -132,3 +137,59 @@ def import_(
     ]
     write_json(json, [{**row, "error": one.reason or None} for row, one in zip(rows, added, strict=True)])
     return 2 if refused else 0
+
+
+def bundle(
+    identity: str,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    archive: ArchiveDir = None,
+    estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
+) -> None:
+    """Write a recording with its reference, estimates and their errors as one MCAP file, with a layout for Foxglove.
+
+    Foxglove, PlotJuggler, rerun and ros2 bag open it; stillpoint reads it as the recording. The reference and the
+    estimates are the latest that were made from the recording.
+
+    Parameters
+    ----------
+    identity
+        The recording, or anything that was made from it: an ID, the beginning of one, or a file name.
+    out
+        The file, NAME.mcap; NAME.foxglove.json is written beside it.
+    archive
+        The archive; by default STILLPOINT_ARCHIVE.
+    estimators
+        Names with commas between; by default all that the archive has.
+    """
+    if out.suffix != ".mcap" or not out.absolute().parent.is_dir():
+        raise BadParameter(f"--out {out}: name a file NAME.mcap in a folder that is there")
+    with open_named(archive) as opened:
+        entry = _recording_of(opened, opened.resolve(identity))
+        children = {child.sha256: child for child in opened.children(entry.sha256)}.values()
+        references = [child for child in children if child.kind in ("reference", "roll reference")]
+        found = {str(child.columns["estimator"]): child for child in children if child.kind == "estimate"}
+        named = list(found) if estimators is None else [name.strip() for name in estimators.split(",")]
+        for name in named:
+            require_known(name, found, f"estimate of {entry.name}")
+        recording = read_recording(opened.path_of(entry))
+        reference = read(opened.path_of(references[-1])) if references else None
+        estimates = [read_estimate(opened.path_of(found[name])) for name in named]
+    if not isinstance(reference, Reference | RollReference | None):
+        raise BadParameter(f"{references[-1].file_name}: is no reference")
+    reasons = write_one_file(out, recording, reference, estimates)
+    print(f"{out}: {entry.name}, reference: {'yes' if reference else 'no'}, estimates: {', '.join(named) or 'none'}")
+    for name, reason in reasons.items():
+        print(f"without error ({name}): {reason}")
+
+
+def _recording_of(archive: Archive, entry: Entry) -> Entry:
+    """The recording that an object is, or was made from."""
+    if entry.kind == "recording":
+        return entry
+    kept = [archive.entry(parent) for _, parent in archive.parents(entry.sha256)]
+    found = [parent for parent in kept if parent is not None and parent.kind == "recording"]
+    if len(found) != 1:
+        raise BadParameter(f"{entry.file_name}: was made from {len(found)} recordings of the archive; name one of them")
+    return found[0]

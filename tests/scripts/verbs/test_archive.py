@@ -1,0 +1,152 @@
+"""The command `stillpoint archive`: exit codes, lines for people and for other commands, JSON."""
+
+import io
+import json
+
+import pytest
+from shelf import write_family, write_recording
+
+
+@pytest.fixture
+def lab(tmp_path, call, monkeypatch, capsys):
+    """An archive with one family of files, named by the environment."""
+    monkeypatch.setenv("STILLPOINT_ARCHIVE", str(tmp_path / "lab"))
+    files = tmp_path / "files"
+    files.mkdir()
+    write_family(files, "walk", 1, sensor="iPhone 5")
+    assert call("archive", "init", tmp_path / "lab") == 0
+    assert call("archive", "add", files, "--tag", "fast", "--set", "subject=anna") == 0
+    assert "3 added: 1 estimate, 1 recording, 1 reference" in capsys.readouterr().out
+    return tmp_path / "lab"
+
+
+def test_find_gives_lines_paths_and_json(lab, call, capsys):
+    assert call("archive", "find", "kind:recording and tag:fast and sensor ~ iphone") == 0
+    sha256, kind, name = capsys.readouterr().out.strip().split("\t")
+    assert (len(sha256), kind, name) == (64, "recording", "walk.mcap")
+    assert call("archive", "find", "has:imu", "--paths") == 0
+    assert capsys.readouterr().out.strip() == str(lab / "names" / "walk.mcap")
+    assert call("archive", "find", "all", "--json", "-") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["kind"] for row in rows] == ["estimate", "recording", "reference"]
+    assert rows[1]["metadata"] == {"subject": "anna"}
+    assert call("archive", "find", "all", "--archive", lab) == 0
+
+
+def test_the_lines_of_find_are_read_from_the_standard_input(lab, call, capsys, monkeypatch):
+    call("archive", "find", "kind:recording")
+    monkeypatch.setattr("sys.stdin", io.StringIO(capsys.readouterr().out))
+    assert call("archive", "tag", "-", "--tag", "checked", "--without", "fast") == 0
+    call("archive", "find", "tag:checked", "--json", "-")
+    (row,) = json.loads(capsys.readouterr().out.partition("\n")[2])["rows"]
+    assert row["tags"] == ["checked"]
+
+
+def test_show_draws_what_an_object_was_made_from_and_what_was_made_from_it(lab, call, capsys):
+    assert call("archive", "show", "walk.reference.mcap") == 0
+    said = capsys.readouterr().out
+    assert "made from" in said
+    assert "walk.mcap  (recording)" in said
+    assert call("archive", "show", "walk") == 0
+    said = capsys.readouterr().out
+    assert "derived" in said
+    assert "walk.ekf.estimate.mcap  (estimate)" in said
+    assert call("archive", "show", "walk", "--json", "-") == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert {child["kind"] for child in row["derived"]} == {"reference", "estimate"}
+    assert row["facts"]["info"]["sensor"] == "iPhone 5"
+
+
+def test_verify_ends_with_0_when_clean_and_with_1_when_not(lab, call, capsys):
+    assert call("archive", "verify") == 0
+    assert "3 objects" in capsys.readouterr().out
+    (path,) = [path for path in (lab / "objects").rglob("*.mcap") if path.samefile(lab / "names" / "walk.mcap")]
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert call("archive", "verify", "--json", "-") == 1
+    (fault,) = json.loads(capsys.readouterr().out)["rows"]
+    assert fault["level"] == "object"
+    assert "repair --from OTHER" in fault["repair"]
+    assert call("archive", "repair") == 1
+    assert call("archive", "repair", "--from", lab.parent / "files") == 0
+    assert path.read_bytes() == whole
+    assert call("archive", "verify") == 0
+
+
+def test_a_refused_file_is_one_line_and_exit_code_2(lab, call, capsys, tmp_path):
+    broken = write_recording(tmp_path / "broken.mcap", 5)
+    broken.write_bytes(broken.read_bytes()[:-9] + b"x" * 9)
+    assert call("archive", "add", broken) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_remove_and_gc_say_what_they_do(lab, call, capsys):
+    assert call("archive", "remove", "walk", "--reason", "wrong subject") == 2
+    assert "were made from it" in capsys.readouterr().err
+    assert call("archive", "remove", "walk", "--reason", "wrong subject", "--with-derived") == 0
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    assert call("archive", "gc", "--older-than", "0s") == 0
+    assert "--yes deletes them" in capsys.readouterr().err
+    assert len(list((lab / "objects").rglob("*.mcap"))) == 3
+    assert call("archive", "gc", "--older-than", "0s", "--yes") == 0
+    assert not list((lab / "objects").rglob("*.mcap"))
+    assert call("archive", "verify") == 0
+
+
+def test_export_and_import_round_trip(lab, call, capsys, tmp_path):
+    pytest.importorskip("rocrate")
+    pytest.importorskip("mlcroissant")
+    assert call("archive", "export", "all", "-o", tmp_path / "walks.zip", "--author", "Anna Example") == 0
+    assert "walks.zip: 1 estimate, 1 recording, 1 reference" in capsys.readouterr().out
+    assert call("archive", "init", tmp_path / "other") == 0
+    assert call("archive", "import", tmp_path / "walks.zip", "--archive", tmp_path / "other") == 0
+    assert call("archive", "verify", "--archive", tmp_path / "other") == 0
+    capsys.readouterr()
+    call("archive", "list")
+    here = capsys.readouterr().out
+    call("archive", "list", "--archive", tmp_path / "other")
+    assert capsys.readouterr().out == here
+    assert call("archive", "export", "all", "-o", tmp_path / "walks.zip") == 2
+
+
+def test_one_file_for_viewers(lab, call, tmp_path):
+    assert call("archive", "bundle", "walk.ekf.estimate.mcap", "-o", tmp_path / "one.mcap") == 0
+    assert call("info", tmp_path / "one.mcap") == 0
+    assert (tmp_path / "one.foxglove.json").is_file()
+    assert call("archive", "bundle", "walk", "-e", "kef", "-o", tmp_path / "one.mcap") == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["find", "rate >> 3"], "cannot be understood"),
+        (["show", "nothing"], "no such object"),
+        (["gc", "--older-than", "soon"], "write a number and"),
+        (["verify", "--remake", "some"], "give a number, or all"),
+        (["add", "absent.mcap"], "no such file"),
+        (["tag", "walk"], "nothing to change"),
+    ],
+)
+def test_a_mistake_is_one_line(lab, call, capsys, words, says):
+    assert call("archive", *words) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_without_an_archive_the_line_says_how_to_name_one(call, capsys, monkeypatch):
+    monkeypatch.delenv("STILLPOINT_ARCHIVE", raising=False)
+    assert call("archive", "list") == 2
+    assert "STILLPOINT_ARCHIVE" in capsys.readouterr().err
+
+
+def test_recover_writes_what_is_left_into_another_folder(call, capsys, tmp_path):
+    run = write_recording(tmp_path / "run.mcap", 4, n=9000)
+    data = bytearray(run.read_bytes())
+    data[len(data) // 2] ^= 4
+    run.write_bytes(data)
+    assert call("info", run) == 2
+    assert call("recover", run, "-o", tmp_path / "back") == 0
+    assert "lost: the chunk at byte" in capsys.readouterr().out
+    assert call("info", tmp_path / "back" / "run.mcap") == 0
+    assert call("recover", run, "-o", tmp_path) == 2
