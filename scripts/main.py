@@ -4,6 +4,8 @@ Exit codes: 0 done; 2 the user can put it right (one line on stderr); 1 a defect
 Verbs are imported when they are called, so that ``stillpoint --help`` loads neither numpy nor numba nor gtsam.
 """
 
+import errno
+import io
 import os
 import sys
 import traceback
@@ -41,6 +43,7 @@ VERBS: dict[str, tuple[str, str]] = {
 HELP, VERSION = ["--help", "-h"], ["--version"]
 # Flags of every verb: the traceback of an error, and inputs above the limits of datasets/limits.py.
 DEBUG, LARGE = "--debug", "--large"
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
 
 def app() -> "App":
@@ -80,23 +83,31 @@ def main(argv: Sequence[str] | None = None) -> None:
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
     from cyclopts import CycloptsError
 
+    if sys.stdout is None:
+        _stop("the standard output is closed, so that results would be lost; redirect it to a file or to /dev/null")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be UTF-8
     if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
         from stillpoint.datasets.nearest import nearest
 
         _stop(f"no verb {tokens[0]!r}; {nearest(tokens[0], VERBS)}")
     try:
         code = app()(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
     except CycloptsError as error:
         _stop(f"{' '.join(str(error).split())} See: stillpoint {tokens[0]} --help")
     except (BrokenPipeError, SystemExit) as end:
         broken = end if isinstance(end, BrokenPipeError) else end.__context__  # rich makes an exit of it
         if not isinstance(broken, BrokenPipeError):
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing is left to be flushed at exit
+        _discard_output()
         sys.exit(0)
     except Exception as error:
         from stillpoint.datasets.errors import StillpointError
 
+        if isinstance(error, OSError) and error.filename is None and error.errno in UNWRITABLE:
+            _discard_output()
+            _stop(f"the standard output cannot be written ({error.strerror}); what belongs there is lost: give it room")
         if isinstance(error, StillpointError):
             if debug:
                 traceback.print_exc()
@@ -105,6 +116,16 @@ def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def _discard_output() -> None:
+    """Leave nothing to be flushed at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def make_printable(text: str) -> str:
+    """Return text on one line whose control characters are escaped: names of files and columns are data."""
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
 def _stop(message: str) -> NoReturn:
-    print(f"stillpoint: {message}", file=sys.stderr)
+    print(f"stillpoint: {make_printable(message)}", file=sys.stderr)
     sys.exit(2)

@@ -1,6 +1,6 @@
 """Clocks of logs: text becomes exact nanoseconds; wrong units, wraps and wild stamps are recognised."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from typing import Protocol
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from stillpoint.datasets.errors import BadParameter, BadSource
-from stillpoint.datasets.recording import LAST_T_NS, Times
+from stillpoint.datasets.recording import LAST_T_NS, Recording, Times, rate_hz
 
 TIME_EXPONENT: dict[str, int] = {"s": 0, "ms": -3, "us": -6, "ns": -9}
 TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -21,6 +21,7 @@ BLANK = ("", "nan", "null", "none", "na", "n/a", "-nan")
 
 # Rates outside are no inertial sensor's: the slowest loggers give 5 Hz, the fastest accelerometers 27 kHz.
 RATES_HZ = (2.0, 30_000.0)
+LONGEST_S = 31 * 86_400.0
 USUAL_HZ = (10.0, 2000.0)  # where a proposed unit should lead
 DISORDER_NS = 1_000_000_000  # packets overtake each other by less; a larger step back is a clock that was set
 COUNTER_BITS = (16, 24, 32)  # widths of the counters that wrap
@@ -148,6 +149,34 @@ def _check_resolution(steps_ns: NDArray[np.int64], where: str, column: str) -> N
             f"{where}: {equal:.0%} of the stamps in {column!r} equal the one before; time was rounded {rounded}"
             "as a float32 rounds dates; log it as integers or float64, or import with --rate HZ"
         )
+
+
+def check_clock(recording: Recording) -> None:
+    """Raise :class:`BadSource` where the IMU of a recording has a rate or a span that no recording has."""
+    stream = recording.imu if recording.imu is not None else recording.spin
+    if stream is None or len(stream.t_ns) < 5:
+        return
+    hz = rate_hz(stream.t_ns)
+    if not RATES_HZ[0] <= hz <= RATES_HZ[1]:
+        raise BadSource(f"{recording.name}: has {hz:.4g} Hz, which no inertial sensor has; check the unit of its time")
+    if recording.duration_s > LONGEST_S:
+        raise BadSource(
+            f"{recording.name}: lasts {recording.duration_s / 86_400:.4g} days; a stamp or a clock is wrong: "
+            "correct it, or give --units-unchecked"
+        )
+
+
+def note_disjoint_clocks(recording: Recording) -> Recording:
+    """Return the recording with a note for every stream that does not overlap with the IMU in time."""
+    clocks = dict(recording.streams())
+    main = clocks.get("imu", clocks.get("spin"))
+    if main is None:
+        return recording
+    apart = [name for name, t_ns in clocks.items() if t_ns[0] > main[-1] or t_ns[-1] < main[0]]
+    notes = tuple(f"{name}: its stamps do not overlap with those of the IMU; its clock is another" for name in apart)
+    return (
+        replace(recording, info=replace(recording.info, notes=(*recording.info.notes, *notes))) if notes else recording
+    )
 
 
 def repair_clock(clock: Clock, log: Notes) -> Clock:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.clock import find_wild_stamps
-from stillpoint.datasets.importers.columns import FIELD
+from stillpoint.datasets.importers.columns import FIELD, STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.files import digests, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
@@ -253,12 +253,25 @@ def _read_vectors(
     log.converted(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
     series = _settle_stamps(messages, messages.numbers[what], log)
     series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
+    if what == "accel":
+        _check_one_unit(series, messages.topic)
     if options.body_frame is None:
         return series
     frame = options.imu_frame if what != "mag" and options.imu_frame is not None else str(messages.frames[0])
     turn = mounting.rotation_to(options.body_frame, frame)
     log.converted(f"{what} turned from {frame} to {options.body_frame} by /tf_static; its lever arm is left out")
     return Series(series.t_ns, turn.apply(series.values.copy()))
+
+
+def _check_one_unit(series: Series, topic: str) -> None:
+    """Raise :class:`BadSource` where some messages are in m/s^2 and others in g: two drivers on one topic."""
+    size = np.linalg.norm(series.values, axis=1)
+    shares = [float(np.mean(np.abs(size / gravity - 1) < 0.15)) for gravity in (STANDARD_GRAVITY_MPS2, 1.0)]
+    if min(shares, default=0.0) > 0.15:
+        raise BadSource(
+            f"{topic}: {shares[0]:.0%} of the accelerations are of about 9.8 and {shares[1]:.0%} of about 1: "
+            "two drivers publish on it, one of them in g; record them on topics of their own"
+        )
 
 
 def _settle_stamps(messages: Messages, values: Floats, log: Log) -> Series:

@@ -6,7 +6,7 @@ app's "Standardise Units & Frames" was on (the app's pages UNITS, COORDINATES an
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,13 @@ import numpy as np
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.importers.delimited import parse
+from stillpoint.datasets.importers.device_attitude import read_device_attitude
 from stillpoint.datasets.importers.files import Bundle, open_bundle
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import PhoneOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, merge_imu, sort_by_time
 from stillpoint.datasets.recording import Gps, Mag, Recording
+from stillpoint.datasets.trajectory import Estimate
 
 GYRO_FILES = ("GyroscopeUncalibrated.csv", "Gyroscope.csv")
 ACCEL_FILES = ("AccelerometerUncalibrated.csv", "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv")
@@ -71,7 +73,11 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Imported]
         mag_uncalibrated=uncalibrated,
         extra={"platform": phone.platform, "standardised": str(phone.standardised).lower()},
     )
-    yield Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info))
+    estimates: tuple[Estimate, ...] = ()
+    if (attitude := _read_attitude(bundle, log)) is not None:
+        estimates = read_device_attitude(attitude, imu, False, bundle.name, "Orientation.csv", bundle.sha256, log)
+        info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
+    yield Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info), estimates)
 
 
 def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
@@ -174,6 +180,20 @@ def _read_mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | No
     raw = "uncalibrated" in name.lower()
     log.converted(f"mag from {name}, uT ({'raw, with its hard iron' if raw else 'calibrated by the phone'})")
     return make_mag(series, raw or options.mag_uncalibrated, log)
+
+
+def _read_attitude(bundle: Bundle, log: Log) -> Series | None:
+    """Return the attitude (N, 4) wxyz that the phone computed; None where it was not logged or cannot be read."""
+    name = bundle.find("Orientation.csv")
+    if name is None:
+        return None
+    try:
+        table = parse(bundle.texts[name], bundle.where(name), ",")
+        series = Series(table.times("time", -9), table.floats(("qw", "qx", "qy", "qz")))
+    except BadSource as error:
+        log.noted(f"attitude left out: {error}")
+        return None
+    return sort_by_time(drop_incomplete_rows(series, name, log), name, log)
 
 
 def _read_gps(bundle: Bundle, log: Log) -> Gps | None:

@@ -10,6 +10,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadRecording, BadSource
 from stillpoint.datasets.importers.bench import read_bench
 from stillpoint.datasets.importers.broad import read_broad
+from stillpoint.datasets.importers.clock import check_clock, note_disjoint_clocks
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv
 from stillpoint.datasets.importers.euroc import read_euroc
 from stillpoint.datasets.importers.files import reading
@@ -58,7 +59,9 @@ class Importer:
         ):  # absurd sizes are judged afterwards
             try:
                 for imported in self.read(Path(source), options):
-                    recording = imported.recording
+                    recording = note_disjoint_clocks(imported.recording)
+                    if not options.units_unchecked:
+                        check_clock(recording)
                     info = apply_place_and_date(recording.info, options)
                     known = recording if info is recording.info else replace(recording, info=info)
                     yield replace(imported, recording=known)

@@ -15,7 +15,7 @@ def whole_number(_: Any, tokens: Sequence[Token]) -> int:
         raise ValueError(f"{tokens[0].value!r} is not a whole number.") from None
 
 
-Inputs = Annotated[list[Path], Parameter(negative=())]
+Inputs = Annotated[list[Path], Parameter(negative=(), json_list=False)]
 OutDir = Annotated[Path, Parameter(name=["--out", "-o"])]
 SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 Whole = Annotated[int, Parameter(converter=whole_number)]

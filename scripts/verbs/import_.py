@@ -16,6 +16,7 @@ from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.store import write
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
+from stillpoint.scripts.main import make_printable
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
@@ -171,7 +172,7 @@ def _show(kept: list[Kept]) -> None:
 def _list_lines(recording: Recording) -> list[str]:
     """Return conversions and notes, each once."""
     notes = (f"note: {note}" for note in recording.info.notes)
-    return list(dict.fromkeys((*recording.info.conversions, *notes)))
+    return [make_printable(line) for line in dict.fromkeys((*recording.info.conversions, *notes))]
 
 
 def _facts(one: Kept) -> dict[str, Any]:

@@ -194,3 +194,53 @@ def test_importing_the_package_leaves_the_name_datasets_free() -> None:
     code = "import stillpoint.datasets, sys; print('datasets' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path("/"), check=True)
     assert result.stdout.strip() == "False"
+
+
+def run_stillpoint(*words: str, **options) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, as its standard output matters."""
+    code = "import sys; from stillpoint.scripts.main import main; main(sys.argv[1:])"
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True, check=False, **options
+    )
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    path = tmp_path / "small.mcap"
+    write(path, simulate("phone-1", seed=1, minutes=0.6))
+    return path
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_standard_output_is_one_line_and_no_success(small: Path) -> None:
+    with open("/dev/full", "w") as full:
+        done = run_stillpoint("info", str(small), "--json", "-", stdout=full)
+    assert done.returncode == 2
+    assert done.stderr.startswith("stillpoint: the standard output cannot be written (No space left")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_closed_standard_output_is_refused(small: Path) -> None:
+    done = run_stillpoint("info", str(small), preexec_fn=lambda: os.close(1))
+    assert done.returncode == 2
+    assert "standard output is closed" in done.stderr
+
+
+def test_names_are_data(call, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Escape sequences and line ends in a name do not reach the terminal, and brackets are no JSON."""
+    assert call("info", tmp_path / "a\x1b[31m\nb.mcap") == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "a\\x1b[31m\\nb.mcap" in err
+    assert call("info", "[x]*.mcap") == 2
+    assert "[x]*.mcap: there is no such file" in capsys.readouterr().err
+
+
+def test_the_traceback_of_an_error_is_shown_when_asked(
+    call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "x.mat").write_bytes(b"not a mat file")
+    assert call("import", "broad", tmp_path / "x.mat", "-o", tmp_path) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert call("import", "broad", tmp_path / "x.mat", "-o", tmp_path, "--debug") == 2
+    assert "Traceback" in capsys.readouterr().err

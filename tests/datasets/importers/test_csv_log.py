@@ -241,3 +241,21 @@ def test_acceleration_without_gravity_says_so(known, tmp_path):
     file.write_text("\n".join(["t,gx,gy,gz,ax,ay,az", *(",".join(map(repr, row.tolist())) for row in table)]))
     with pytest.raises(BadSource, match="gravity was taken out"):
         only("csv", file, PLAIN)
+
+
+def test_a_recording_of_months_is_refused(known, tmp_path):
+    """Three parts, twenty days apart: no single stamp is wild."""
+    days = np.repeat([0.0, 20.0, 40.0], 200) * 86_400e3
+    table = np.column_stack([known.t_s * 1e3 + days, known.gyro_b_radps, known.accel_b_mps2])
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join(["t,gx,gy,gz,ax,ay,az", *(",".join(map(repr, row.tolist())) for row in table)]))
+    with pytest.raises(BadSource, match="lasts 40 days"):
+        only("csv", file, PLAIN)
+
+
+def test_a_truth_on_another_clock_is_noted(known, tmp_path):
+    file, truth = tmp_path / "run.csv", tmp_path / "run.tum"
+    file.write_text("\n".join(["t,gx,gy,gz,ax,ay,az", *plain_rows(known)]))
+    np.savetxt(truth, np.column_stack([known.t_s + 1e6, np.zeros((600, 3)), known.q_nb[:, [1, 2, 3, 0]]]), fmt="%.12f")
+    recording = only("csv", file, CsvOptions(**{**vars(PLAIN), "truth": str(truth)}))
+    assert any("truth: its stamps do not overlap" in note for note in recording.info.notes)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from known import START_NS, G, Known, assert_known, only
 
+from stillpoint.datasets import BadParameter, BadSource
+from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.options import PhoneOptions
+from stillpoint.datasets.importers.table import IMPORTERS
 
 # --- Sensor Logger
 
@@ -76,6 +79,35 @@ def test_sensorlogger_takes_the_raw_field_where_it_was_logged_unless_asked(known
     calibrated = only("sensorlogger", tmp_path, PhoneOptions(platform="android", mag="calibrated"))
     assert not calibrated.info.mag_uncalibrated
     np.testing.assert_allclose(calibrated.mag.mag_b_ut, known.mag_b_ut)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_the_attitude_of_the_phone_becomes_an_estimate_whichever_way_it_turns(known, tmp_path, inverse):
+    (tmp_path / "Gyroscope.csv").write_text(axis_csv(known, known.gyro_b_radps))
+    (tmp_path / "TotalAcceleration.csv").write_text(axis_csv(known, known.accel_b_mps2))
+    q = quaternion(rotation(known.q_nb).inv()) if inverse else known.q_nb
+    lines = [
+        f"{START_NS + t},{','.join(map(repr, row))}" for t, row in zip(known.t_ns.tolist(), q.tolist(), strict=True)
+    ]
+    (tmp_path / "Orientation.csv").write_text("\n".join(["time,qw,qx,qy,qz", *lines]))
+    (imported,) = IMPORTERS["sensorlogger"].read_all(tmp_path, PhoneOptions(platform="android"))
+    (device,) = imported.estimates
+    assert (rotation(device.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-6
+    assert any("other way" in note for note in imported.recording.info.notes) == inverse
+
+
+def test_an_empty_file_is_not_taken_and_a_wrong_platform_says_so(known, tmp_path):
+    (tmp_path / "Gyroscope.csv").write_text(axis_csv(known, known.gyro_b_radps))
+    (tmp_path / "AccelerometerUncalibrated.csv").write_text(axis_csv(known, -known.accel_b_mps2 / G))
+    (tmp_path / "GyroscopeUncalibrated.csv").write_text("")
+    (tmp_path / "MagnetometerUncalibrated.csv").write_text("time,seconds_elapsed,z,y,x\n")
+    recording = only("sensorlogger", tmp_path, PhoneOptions(platform="ios"))
+    assert any("GyroscopeUncalibrated.csv" in note and "empty" in note for note in recording.info.notes)
+    with pytest.raises(BadSource, match="this looks like ios: check --platform"):
+        only("sensorlogger", tmp_path, PhoneOptions(platform="android"))
+    (tmp_path / "Metadata.csv").write_text(metadata_csv("ios", False))
+    with pytest.raises(BadParameter, match=r"Metadata.csv of .* says ios"):
+        only("sensorlogger", tmp_path, PhoneOptions(platform="android"))
 
 
 # --- phyphox

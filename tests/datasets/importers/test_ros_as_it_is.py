@@ -295,3 +295,16 @@ def test_a_folder_without_metadata(known, tmp_path):
     recording = only("ros", tmp_path / "run")
     np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps)
     assert any("no metadata.yaml" in note for note in recording.info.notes)
+
+
+def test_two_drivers_with_different_units_on_one_topic_are_refused(known, tmp_path):
+    ros = Ros()
+    for k, (t, gyro, accel, _) in enumerate(samples(known)):
+        ros.imu("/imu", t, gyro, accel / 9.80665 if k % 2 else accel)
+    refuse(
+        ros.write(tmp_path / "run.mcap"),
+        None,
+        BadSource,
+        "50% of the accelerations are of about 9.8",
+        "one of them in g",
+    )
