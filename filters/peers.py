@@ -8,6 +8,7 @@ tests hold every conversion against known motions.
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -76,6 +77,11 @@ class FusionParams(Settings):
     rejection_timeout_s: float = number(0.0, 0.0, 1e4, "rejection_timeout: takes them back after so long, s")
     bias: bool = choice(True, "the package's Bias before the AHRS, as its authors advise")
     magnetometer: bool = choice(True, "use the magnetometer where there is one (9D)")
+
+
+@dataclass(frozen=True)
+class RiannParams(Settings):
+    """``riann`` has no parameters: its authors trained one network for all sensors and rates."""
 
 
 class PeerInput(NamedTuple):
@@ -184,6 +190,14 @@ def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:
     return PeerTrack(q_nb, np.deg2rad(offset_degps) if params.bias else None, ready)
 
 
+def riann(data: PeerInput, params: RiannParams) -> PeerTrack:
+    """``riann.RIANN``: body to a frame with z up, from gyro and accelerometer. Its heading has no meaning."""
+    package = _package("riann.riann")
+    peer = package.RIANN(str(files("riann") / "riann.onnx"))  # its own search for the file fails on Python 3.11
+    found = np.asarray(peer.predict(data.accel_b_mps2, data.gyro_b_radps, 1 / data.interval_s), dtype=np.float64)
+    return PeerTrack(found / np.linalg.norm(found, axis=1, keepdims=True))  # single precision
+
+
 def _ahrs(name: str, data: PeerInput, magnetometer: bool, accel: Floats, settings: dict[str, Any]) -> Floats:
     """Quaternions of one filter of the package ahrs, as it gives them."""
     peer: Callable[..., Any] = getattr(_package("ahrs").filters, name)
@@ -213,4 +227,5 @@ def _package(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise BadParameter(f"the estimator needs the package {name}; pip install 'stillpoint[peers]'") from error
+        package = name.partition(".")[0]
+        raise BadParameter(f"the estimator needs the package {package}; pip install 'stillpoint[peers]'") from error

@@ -187,6 +187,9 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
     "mahony": Peer("PI filter on SO(3) (Mahony 2008) of the package ahrs", peers.MahonyParams, peers.mahony),
     "ahrs-ekf": Peer("quaternion EKF of the package ahrs", peers.AhrsEkfParams, peers.ahrs_ekf),
     "fusion": Peer("revised Madgwick of the package imufusion", peers.FusionParams, peers.fusion),
+    "riann": Peer(
+        "neural network of the package riann (Weber et al. 2021): inclination only", peers.RiannParams, peers.riann
+    ),
     "roll-obs": _describe_spin(
         spin_observation, "spin: root of the observed square of the rate (Asghari et al. 2018)", innovations=0
     ),

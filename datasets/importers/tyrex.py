@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.frames import quaternion
+from stillpoint.datasets.frames import from_xyzw, quaternion
 from stillpoint.datasets.importers.arrays import load_mat, to_floats
 from stillpoint.datasets.importers.files import digests, find_folders, read_text, reading
-from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.imported import Imported, make_device_estimate
 from stillpoint.datasets.importers.options import TyrexOptions
 from stillpoint.datasets.importers.series import (
     Log,
@@ -31,6 +31,7 @@ from stillpoint.datasets.importers.series import (
 )
 from stillpoint.datasets.importers.tyrex_excluded import EXCLUDED_S
 from stillpoint.datasets.recording import Info, Mag, Recording, Truth
+from stillpoint.datasets.trajectory import Estimate
 
 CITATION = (
     "T. Michel, P. Geneves, H. Fourati, N. Layaida: On Attitude Estimation with Smartphones. "
@@ -44,10 +45,10 @@ MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.t
 def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Imported]:
     """Yield the trial of a folder ``android/NAME`` or ``ios/NAME``, or all trials below. Raises :class:`BadSource`."""
     for folder in find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them"):
-        yield Imported(_read_trial(folder, options))
+        yield _read_trial(folder, options)
 
 
-def _read_trial(folder: Path, options: TyrexOptions) -> Recording:
+def _read_trial(folder: Path, options: TyrexOptions) -> Imported:
     log = Log()
     ios = (folder / "description.txt").is_file()
     boot_s = _read_boot_time(folder / "description.txt") if ios else 0.0
@@ -65,7 +66,7 @@ def _read_trial(folder: Path, options: TyrexOptions) -> Recording:
     log.converted(
         f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})"
     )
-    log.noted("the attitude of the phone's own filter is not imported")
+    device = _read_device(folder, ios, boot_s, log)
     truth, truth_file, recorded = _read_truth(folder, log)
     used = [folder / name for name in (*NEEDED, mag_file)] + ([truth_file] if truth_file else [])
     used += [path for path in (folder / "timeAlignment.txt", folder / "description.txt") if path.is_file()]
@@ -83,7 +84,19 @@ def _read_trial(folder: Path, options: TyrexOptions) -> Recording:
         notes=tuple(log.notes),
         extra={"north": "true", "platform": "iOS" if ios else "Android", **_describe_motion(folder.name)},
     )
-    return Recording(folder.name, imu=imu, mag=Mag(mag.t_ns, mag.values), truth=truth, info=info)
+    recording = Recording(folder.name, imu=imu, mag=Mag(mag.t_ns, mag.values), truth=truth, info=info)
+    return Imported(recording, device)
+
+
+def _read_device(folder: Path, ios: bool, boot_s: float, log: Log) -> tuple[Estimate, ...]:
+    """Return the attitude of the phone's own filter, body to a world with z up; of iOS with x to magnetic north."""
+    name = "attitude.txt" if ios else "rotation-vector.txt"
+    if not (folder / name).is_file():
+        return ()
+    series = _read_series(folder, name, boot_s, "attitude of the phone", log, width=5)
+    q_nb = series.values if ios else from_xyzw(series.values)
+    used = digests([folder / name], folder.parent.parent)
+    return make_device_estimate(series.t_ns, q_nb, folder.name, name, used, log)
 
 
 def _describe_motion(name: str) -> dict[str, str]:
@@ -95,14 +108,14 @@ def _describe_motion(name: str) -> dict[str, str]:
     return {"motion": text, "tags": text}
 
 
-def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log) -> Series:
-    """Return the first four columns, ``t x y z``, of a text file."""
+def _read_series(folder: Path, name: str, boot_s: float, what: str, log: Log, width: int = 4) -> Series:
+    """Return the first columns of a text file: time and three values, or ``width`` columns in all."""
     path = folder / name
     if not path.is_file():
         raise BadSource(f"{folder}: has no {name}; the trial is not whole: download it again")
     with reading(path, "a text of lines 't x y z'", "download it again"):
         text = read_text(path)
-        table = np.loadtxt(text.splitlines(), usecols=(0, 1, 2, 3), ndmin=2) if text.strip() else np.empty((0, 4))
+        table = np.loadtxt(text.splitlines(), usecols=range(width), ndmin=2) if text.strip() else np.empty((0, width))
     if len(table) == 0:
         raise BadSource(f"{path}: is empty; download it again")
     series = drop_incomplete_rows(Series(seconds_to_ns(table[:, 0] - boot_s), table[:, 1:]), what, log)

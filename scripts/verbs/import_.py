@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
-from stillpoint.datasets.mcap.store import write
+from stillpoint.datasets.mcap.store import sha256, write
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.main import make_printable
@@ -89,7 +89,7 @@ def import_(
             write(file, recording)
             beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
             for estimate_file, estimate in beside.items():
-                write(estimate_file, estimate)
+                write(estimate_file, replace(estimate, made_from={**estimate.made_from, file.name: sha256(file)}))
             kept[file] = Kept(source, file, recording, tuple(beside))
     if json != STDOUT:
         _show(list(kept.values()))

@@ -37,7 +37,7 @@ class HarmonicParams(Settings):
     search: Literal["auto", "gravity", "off"] = choice(
         "auto", "test what it is; take it for gravity without a test; or do not look for it"
     )
-    window_s: float = number(2.0, 0.1, 60.0, "over which its phase is follow_line to begin with")
+    window_s: float = number(2.0, 0.1, 60.0, "over which its phase is followed to begin with")
     significance: float = number(8.0, 2.0, 100.0, "sd by which it must differ from zero")
     agreement: float = number(0.2, 0.01, 1.0, "part of gravity by which both channels may disagree on it")
     amplitude_sd_mps2: float = number(10.0, 0.1, 100.0, "of its amplitude around the start value")

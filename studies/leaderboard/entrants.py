@@ -20,7 +20,12 @@ from stillpoint.studies.leaderboard.files import files_of_label, read_estimate_o
 from stillpoint.studies.leaderboard.own import load_own, run_own, version_of_own
 
 ENTRY_POINTS = "stillpoint.estimators"
-PEER_PACKAGES = {"vqf": "vqf", "offline-vqf": "vqf", "fusion": "imufusion"}  # all others are of the package ahrs
+PEER_PACKAGES = {
+    "vqf": "vqf",
+    "offline-vqf": "vqf",
+    "fusion": "imufusion",
+    "riann": "riann",
+}  # all others are of the package ahrs
 SLOW = ("madgwick", "mahony", "ahrs-ekf", "fusion")  # loops in Python: 20-500 µs per sample
 Kind = Literal["table", "own", "file"]
 Own = Callable[..., Any] | type

@@ -143,7 +143,7 @@ def test_every_peer_follows_a_known_motion_in_our_frames(name: str, magnetic: bo
     )
     found = estimate(known, name)
     off = (rotation(found.q_nb) * rots.inv())[2000:]
-    if magnetic:
+    if magnetic and name != "riann":
         assert np.rad2deg(off.magnitude()).max() < 1.5
     else:
         up_n = off.apply([0, 0, 1])
@@ -184,7 +184,7 @@ def test_a_peer_takes_whole_recordings_in_its_own_precision(name: str) -> None:
 
 @pytest.mark.parametrize("name", PEERS)
 def test_a_missing_package_is_one_line_with_the_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in ("vqf", "ahrs", "imufusion"):
+    for package in ("vqf", "ahrs", "imufusion", "riann.riann"):
         monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(BadParameter, match=r"pip install 'stillpoint\[peers\]'"):
         estimate(moving(10), name)

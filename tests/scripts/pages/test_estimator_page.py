@@ -38,7 +38,7 @@ def test_a_section_of_ours_says_what_a_reader_needs(name: str, part: str) -> Non
 @pytest.mark.parametrize("name", [name for name, entry in ESTIMATORS.items() if entry.is_peer])
 def test_a_section_of_a_peer_names_its_package_and_version(name: str) -> None:
     said = section(name)
-    assert re.search(r"`(vqf|ahrs|imufusion)` \d|of the same package", said)
+    assert re.search(r"`(vqf|ahrs|imufusion|riann)` \d|of the same package", said)
 
 
 def test_equations_are_such_that_github_renders_them() -> None:
