@@ -36,6 +36,8 @@ def describe_failure(error: Exception) -> str:
         return "it is nested too deeply"
     text = (error.strerror or "") if isinstance(error, OSError) else str(error)
     first = " ".join(text.split())[:160]
+    if type(error) is ValueError and first:
+        return first
     return f"{type(error).__name__}: {first}" if first else type(error).__name__
 
 

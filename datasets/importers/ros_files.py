@@ -245,13 +245,16 @@ class Db3Scan(_MessageFile):
 
     def _blocks(self, connection: sqlite3.Connection) -> Iterator[Block]:
         definitions = self._definitions(connection)
-        for number, name, kind, encoding in connection.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ):
+        topics = connection.execute("SELECT id, name, type, serialization_format FROM topics")
+        for number, name, kind, encoding in topics:
+            if not (isinstance(number, int) and isinstance(name, str) and isinstance(kind, str)):
+                raise ValueError("its table of topics holds other things than topics")
             self._declare(number, name, kind, encoding or "cdr", *definitions.get(kind, ("ros2msg", b"")))
         messages = _Messages()
         query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
         for number, log_ns, data in connection.execute(query):
+            if not (isinstance(number, int) and isinstance(log_ns, int) and isinstance(data, bytes)):
+                raise ValueError("its table of messages holds other things than messages")
             channel = number & 0xFFFF
             if channel not in self.channels:
                 raise BadFile(f"{self.path}: a message belongs to topic {number}, which is not declared")
