@@ -34,7 +34,7 @@ def check_units(recording: "Recording") -> None:
         if doubt:
             raise BadRecording(
                 f"{recording.name}: mag.mag_b_ut has a {doubt}; "
-                "convert it, or set mag_uncalibrated where the sensor is not calibrated"
+                "convert it, or give --mag-uncalibrated where the sensor is not calibrated"
             )
 
 
@@ -43,7 +43,7 @@ def _check_imu(name: str, imu: "Imu") -> None:
     if fastest > FASTEST_GYRO_RADPS:
         raise BadRecording(
             f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
-            "multiply by pi/180, or set units_unchecked to look at it with the doctor"
+            "multiply by pi/180, or keep it with --units-unchecked for the doctor"
         )
     size = still_norm(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
     if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
@@ -51,13 +51,13 @@ def _check_imu(name: str, imu: "Imu") -> None:
         hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
         raise BadRecording(
             f"{name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
-            "convert it, or set units_unchecked to look at it with the doctor"
+            "convert it, or keep it with --units-unchecked for the doctor"
         )
     usual = float(np.median(np.linalg.norm(imu.accel_b_mps2, axis=1)))
     if size is None and usual < WITHOUT_GRAVITY_MPS2 and imu.t_ns[-1] - imu.t_ns[0] > WINDOW_S * 1e9:
         raise BadRecording(
             f"{name}: imu.accel_b_mps2 has a median size of {usual:.3g} m/s^2, so that gravity was taken out of it "
-            "(linear acceleration); log the accelerometer with gravity, or set units_unchecked to look at it"
+            "(linear acceleration); log the accelerometer with gravity, or keep it with --units-unchecked"
         )
 
 
