@@ -52,6 +52,30 @@ def open_binary(path: Path | str) -> IO[bytes]:
     return io.BufferedReader(RangedFile(path), READ_AHEAD)
 
 
+def list_files(path: Path | str, suffix: str) -> list[Path]:
+    """The files with this suffix that a URL stands for: one file, a folder with all below it, or a glob.
+
+    Raises :class:`BadParameter` when there is none.
+    """
+    filesystem, inside = open_url(path)
+    start, _, _ = url_of(path).partition("://")
+    try:
+        if any(letter in inside for letter in "*?["):
+            found = filesystem.glob(inside)
+        elif inside.endswith(suffix):
+            found = [inside] if filesystem.isfile(inside) else []
+        else:
+            found = filesystem.find(inside)
+    except (FileNotFoundError, NotADirectoryError):
+        found = []
+    except Exception as error:  # each protocol has exceptions of its own
+        raise BadFile(f"{url_of(path)}: cannot be listed ({error}); check the connection and your rights") from error
+    files = sorted(Path(f"{start}://{one.lstrip('/')}") for one in found if one.endswith(suffix))
+    if not files:
+        raise BadParameter(f"{url_of(path)}: there is no file *{suffix}")
+    return files
+
+
 class RangedFile(io.RawIOBase):
     """A remote file that fetches exactly the ranges that are read, and counts their bytes."""
 

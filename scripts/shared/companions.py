@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.remote import is_url, list_files
 from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
 
 
@@ -30,6 +31,8 @@ def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
 
 def neighbours(path: Path) -> list[Path]:
     """All MCAP files in the same folder."""
+    if is_url(path):
+        return [file for file in list_files(path.parent, SUFFIX) if file.parent == path.parent]
     return sorted(file for file in path.absolute().parent.glob(f"*{SUFFIX}") if not file.name.startswith("."))
 
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import provenance
 from stillpoint.datasets.mcap.topics import TOPICS
+from stillpoint.datasets.remote import is_url, list_files
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -92,7 +93,7 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     if not named:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
     for path in named:
-        if path.is_file() and path.name.endswith(SUFFIX) and kind_of(path) != kind:
+        if file_exists(path) and path.name.endswith(SUFFIX) and kind_of(path) != kind:
             raise BadParameter(f"{path}: is {A[kind_of(path)]} by its name; give {A[kind]}")
     found = [file for file in mcap_files(named) if kind_of(file) == kind]
     if not found:
@@ -101,7 +102,14 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     return found
 
 
+def file_exists(path: Path) -> bool:
+    """Whether a path names a file; a URL counts as one, and an error says later where it is not."""
+    return is_url(path) or path.is_file()
+
+
 def _expand(path: Path) -> list[Path]:
+    if is_url(path):
+        return list_files(path, SUFFIX)
     if path.is_dir():
         found = sorted(file for file in path.rglob(f"*{SUFFIX}") if file.is_file() and not _hidden(file, path))
         if not found:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from stillpoint.datasets.archive import resolve_paths
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
@@ -41,6 +42,7 @@ def leaderboard(
     groups: str | None = None,
     set_: SetFlag = None,
     study: Annotated[Path | None, Parameter(name=["--study", "-c"])] = None,
+    archive: Annotated[str | None, Parameter(name="--archive")] = None,
     jobs: Jobs = None,
     paper: Annotated[Path | None, Parameter(negative=())] = None,
     columns: Columns = None,
@@ -78,6 +80,9 @@ def leaderboard(
         A parameter, ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3; can be given several times.
     study
         A study.toml that names all of this; the other flags override it.
+    archive
+        The archive whose objects the paths name, by ID or file name, as the lines of archive find do; of these, the
+        recordings take part.
     jobs
         Processes; by default one per core.
     paper
@@ -87,7 +92,7 @@ def leaderboard(
     json
         Also write the leaderboard as JSON to this file; - is the standard output.
     """
-    asked = _study(paths, estimators, against, align, calibration, groups, set_, study)
+    asked = _study(paths, estimators, against, align, calibration, groups, set_, study, archive)
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
         return run_jobs(function, items, jobs, what)
@@ -143,6 +148,7 @@ def _study(
     groups: str | None,
     set_: Sequence[str] | None,
     study: Path | None,
+    archive: str | None,
 ) -> Study:
     """Return what the flags ask for, on top of a study file; its recordings as files."""
     if not paths and study is None:
@@ -150,6 +156,8 @@ def _study(
     base = read_study(study) if study is not None else None
     if paths:
         names = [line.strip() for line in sys.stdin if line.strip()] if paths == ["-"] else paths
+        if archive:
+            names = [str(path) for path in resolve_paths(archive, names) if inputs.kind_of(path) == inputs.RECORDING]
         base = Study(tuple(names)) if base is None else replace(base, recordings=tuple(names), sha256={})
     assert base is not None
     given: dict[str, Any] = {"against": against, "align": align}

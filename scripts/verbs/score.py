@@ -83,7 +83,7 @@ def score(
         Also write all figures as JSON to this file; - is the standard output.
     """
     files, asked = _files(paths), _Asked(align, frame, _seconds(over))
-    if against is not None and not against.is_file():
+    if against is not None and not inputs.file_exists(against):
         raise BadParameter(f"--against {against}: there is no such file; name a reference, or a recording with a truth")
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
@@ -97,7 +97,8 @@ def score(
             continue
         scores.append(found)
         row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
-        rows.append({**row, "file": str(file)})
+        made_from = {one.name: sha256(one) for one in (file, against) if one is not None}
+        rows.append({**row, "file": str(file), "made_from": made_from})
     if json != STDOUT:
         attitudes = [s for s in scores if isinstance(s, Score)]
         print_scores(attitudes)
@@ -162,7 +163,9 @@ def judge_of(path: Path) -> Judge:
 
 def _files(paths: Sequence[Path]) -> list[Path]:
     """All estimates in the paths, and references and TUM trajectories that are named one by one."""
-    named = {path for path in paths if path.is_file() and (inputs.kind_of(path) == "reference" or is_tum(path))}
+    named = {
+        path for path in paths if inputs.file_exists(path) and (inputs.kind_of(path) == "reference" or is_tum(path))
+    }
     others = [path for path in paths if path not in named]
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
 

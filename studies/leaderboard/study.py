@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import nearest, require_known
+from stillpoint.datasets.remote import is_url
 from stillpoint.scoring import ALIGN_KINDS, AlignKind
 
 Against = Literal["auto", "truth", "reference", "both"]
@@ -91,7 +92,7 @@ def _texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[str]:
 
 def _beside(path: Path, text: str) -> str:
     """Return a path of the study as seen from here."""
-    return text if Path(text).is_absolute() else str(path.parent / text)
+    return text if is_url(text) or Path(text).is_absolute() else str(path.parent / text)
 
 
 def _own_beside(path: Path, text: str) -> str:
