@@ -129,8 +129,10 @@ def _read_bag(file: Path, options: PoseOptions, log: Log) -> Truth:
         topic = options.topic
         if topic is None:
             poses = [topic for topic in found if bag.types[topic] not in TF] or found
-            if len(poses) != 1:
-                raise BadParameter(f"{file}: has {listed}; name the topic of the trajectory")
+            if not poses:
+                raise BadSource(f"{file}: has no topic of poses, so that it holds no trajectory")
+            if len(poses) > 1:
+                raise BadParameter(f"{file}: has {listed}; name one: stillpoint import trajectory --topic TOPIC")
             topic = poses[0]
         if topic not in found:
             raise BadParameter(f"{file}: has no pose topic {topic}; it has {listed}")

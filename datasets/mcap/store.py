@@ -128,6 +128,14 @@ class Provenance:
     lost: str  # "" or what is missing of a file that was cut
 
 
+def is_own_file(path: Path | str) -> bool:
+    """Return whether an MCAP file was written by stillpoint; a file that cannot be read counts as one."""
+    try:
+        return RECORD in survey(path).metadata
+    except BadFile:
+        return True
+
+
 def provenance(path: Path | str) -> Provenance:
     """Return what a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
     log = survey(path)

@@ -12,6 +12,7 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any, BinaryIO, TextIO
 
+from stillpoint.datasets.limits import LARGEST_LINE, limited
 from stillpoint.filters import SpinAnswer
 from stillpoint.filters.sample import Output
 from stillpoint.scripts.streaming.latency import Latency
@@ -129,7 +130,15 @@ def _signals_end(passed: Passed, target: TextIO) -> Iterator[tuple[Callable[[Bin
             return b""
         try:
             waits_for = "input"
-            return source.readline()
+            longest = limited(LARGEST_LINE)
+            line = source.readline(longest + 1)
+            if len(line) <= longest:
+                return line
+            passed.ended_by = "failed input"
+            passed.failure = (
+                f"standard input: a line is longer than {longest} bytes; give one sample a line, or --large"
+            )
+            return b""
         except OSError as error:
             passed.ended_by, passed.failure = "failed input", f"standard input: cannot be read ({error.strerror})"
             return b""

@@ -12,9 +12,9 @@ from rich.progress import track
 from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
-from stillpoint.datasets.mcap.store import read_recording, sha256
+from stillpoint.datasets.mcap.store import is_own_file, read_recording, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectories import read_poses
+from stillpoint.datasets.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
@@ -68,9 +68,10 @@ def score(
     ----------
     paths
         Estimates: MCAP files, folders or globs. A reference that is named by its file is scored too, and so is a
-        trajectory of any program in the TUM format, NAME.tum or NAME.txt.
+        trajectory of any program: TUM, KITTI, EuRoC, a CSV table with quaternions, or a bag with one pose topic
+        (import trajectory reads those that need options).
     against
-        A reference, a recording that holds a truth, or a TUM trajectory. By default, for each estimate, the reference
+        A reference, a recording that holds a truth, or such a trajectory. By default, for each estimate, the reference
         of the same recording in its folder (NAME.reference.mcap), else the truth in NAME.mcap there.
     align
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
@@ -150,7 +151,7 @@ def _turn_cells(s: Score) -> list[str]:
 
 def judge_of(path: Path) -> Judge:
     """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
-    if is_tum(path):
+    if is_trajectory(path):
         return Judge(path, read_poses(path), {})
     thing = read(path)
     if isinstance(thing, Reference):
@@ -162,12 +163,14 @@ def judge_of(path: Path) -> Judge:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """All estimates in the paths, and references and TUM trajectories that are named one by one."""
-    named = {
-        path for path in paths if inputs.file_exists(path) and (inputs.kind_of(path) == "reference" or is_tum(path))
-    }
+    """Return all estimates in the paths, and references and trajectories that are named one by one."""
+    named = {path for path in paths if inputs.file_exists(path) and _is_named_alone(path)}
     others = [path for path in paths if path not in named]
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
+
+
+def _is_named_alone(path: Path) -> bool:
+    return inputs.kind_of(path) == "reference" or is_trajectory(path)
 
 
 def _seconds(over: str | None) -> tuple[float, ...]:
@@ -181,8 +184,8 @@ def _seconds(over: str | None) -> tuple[float, ...]:
 
 
 def _score_file(file: Path, against: Path | None, asked: _Asked) -> Score | RollScore:
-    if is_tum(file):
-        return _score_tum(file, against, asked)
+    if is_trajectory(file):
+        return _score_trajectory(file, against, asked)
     thing = read(file)
     if isinstance(thing, Estimate | RollReference) and is_roll(thing):
         if asked.over_s:
@@ -195,12 +198,14 @@ def _score_file(file: Path, against: Path | None, asked: _Asked) -> Score | Roll
     return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
-def is_tum(path: Path) -> bool:
-    """Whether a file holds a trajectory in the TUM format, by its name."""
-    return path.suffix in (".tum", ".txt")
+def is_trajectory(path: Path) -> bool:
+    """Return whether a file holds a trajectory of another program, by its name; an MCAP file by its content."""
+    if path.suffix != ".mcap":
+        return path.suffix in SUFFIXES
+    return inputs.kind_of(path) == inputs.RECORDING and path.is_file() and not is_own_file(path)
 
 
-def _score_tum(file: Path, against: Path | None, asked: _Asked) -> Score:
+def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
     """A trajectory of another program; it cannot say which recording it was made from."""
     if against is None:
         raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")

@@ -60,7 +60,7 @@ def spoilt(array: np.ndarray, row: int, value: float) -> np.ndarray:
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([2e-5, 0, -4e-5], (N, 1)))), "looks like tesla"),
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([2e4, 0, -4e4], (N, 1)))), r"nanotesla: multiply by 0\.001"),
         (lambda: Recording("r", imu(), Mag(T_NS, np.tile([200.0, 0, -400.0], (N, 1)))), "milligauss: multiply by 0.1"),
-        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([1e4, 0, 0], (N, 1)))), "mag_uncalibrated"),
+        (lambda: Recording("r", imu(), Mag(T_NS, np.tile([1e4, 0, 0], (N, 1)))), "mag-uncalibrated"),
         (lambda: Estimate(T_NS, "ekf"), "neither an attitude nor an angle"),
         (lambda: Reference(T_NS, LEVEL, np.zeros((N, 3, 3)), ZERO, "m"), "states its accuracy"),
         (lambda: Estimate(T_NS, "ekf", LEVEL, cov_b_rad2=np.zeros((N, 3, 3))), "leave cov_b_rad2 out where none is"),

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from bags import write_pose_bag
 from known import START_NS, Known
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from stillpoint.datasets import BadParameter, BadSource, Estimate
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation, to_xyzw
@@ -95,27 +94,8 @@ def test_a_table_by_named_columns_in_another_frame_and_inverted(known, tmp_path)
         read_poses(file)
 
 
-def write_bag(path, known: Known, frames: tuple[str, ...] = ("map",)) -> None:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
-    types = store.types
-    with Writer1(path) as writer:
-        pose, tf = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
-        to_pose = writer.add_connection("/pose", pose, typestore=store)
-        to_tf = writer.add_connection("/tf", tf, typestore=store)
-        for k, t in enumerate((known.t_ns + START_NS).tolist()):
-            stamp = types["builtin_interfaces/msg/Time"](sec=t // 10**9, nanosec=t % 10**9)
-            at = types["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id=frames[k % len(frames)])
-            q = types["geometry_msgs/msg/Quaternion"](*to_xyzw(known.q_nb[k]).tolist())
-            body = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0), q)
-            writer.write(to_pose, t, store.serialize_ros1(types[pose](at, body), pose))
-            moved = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), q)
-            part = types["geometry_msgs/msg/TransformStamped"](at, "phone", moved)
-            writer.write(to_tf, t, store.serialize_ros1(types[tf]([part]), tf))
-
-
 def test_a_pose_topic_of_a_bag(known, tmp_path):
-    write_bag(tmp_path / "run.bag", known)
+    write_pose_bag(tmp_path / "run.bag", known)
     found = read_poses(tmp_path / "run.bag")  # the pose topic, as TF holds whatever moves
     assert_same(found, known, START_NS)
     assert (found.position_n_m == [1, 2, 3]).all()
@@ -125,7 +105,7 @@ def test_a_pose_topic_of_a_bag(known, tmp_path):
 
 
 def test_poses_in_two_fixed_frames_are_not_mixed(known, tmp_path):
-    write_bag(tmp_path / "run.bag", known, frames=("map", "odom"))
+    write_pose_bag(tmp_path / "run.bag", known, frames=("map", "odom"))
     with pytest.raises(BadParameter, match=r"map \(300\).*--truth-parent"):
         read_poses(tmp_path / "run.bag", topic="/pose")
     found = read_poses(tmp_path / "run.bag", topic="/pose", parent="odom")

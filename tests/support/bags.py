@@ -1,7 +1,11 @@
 """The known recording as messages of a bag."""
 
+from pathlib import Path
+
 import numpy as np
 from known import START_NS, Known
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from stillpoint.datasets.frames import to_xyzw
 
@@ -50,3 +54,23 @@ def write_bag(store, writer, known: Known, ros1: bool, truth: str = "geometry_ms
         for topic, message in messages.items():
             # Logged 5 ms late: the stamps of the headers are what counts.
             writer.write(to[topic], t + 5_000_000, serialize(message, kinds[topic]))
+
+
+def write_pose_bag(path: Path, known: Known, frames: tuple[str, ...] = ("map",)) -> None:
+    """A ROS 1 bag with the attitude as a pose on /pose and as a transform on /tf."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    types = store.types
+    with Writer1(path) as writer:
+        pose, tf = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+        to_pose = writer.add_connection("/pose", pose, typestore=store)
+        to_tf = writer.add_connection("/tf", tf, typestore=store)
+        for k, t in enumerate((known.t_ns + START_NS).tolist()):
+            stamp = types["builtin_interfaces/msg/Time"](sec=t // 10**9, nanosec=t % 10**9)
+            at = types["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id=frames[k % len(frames)])
+            q = types["geometry_msgs/msg/Quaternion"](*to_xyzw(known.q_nb[k]).tolist())
+            body = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0), q)
+            writer.write(to_pose, t, store.serialize_ros1(types[pose](at, body), pose))
+            moved = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), q)
+            part = types["geometry_msgs/msg/TransformStamped"](at, "phone", moved)
+            writer.write(to_tf, t, store.serialize_ros1(types[tf]([part]), tf))
