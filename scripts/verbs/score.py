@@ -71,8 +71,9 @@ def score(
         trajectory of any program: TUM, KITTI, EuRoC, a CSV table with quaternions, or a bag with one pose topic
         (import trajectory reads those that need options).
     against
-        A reference, a recording that holds a truth, or such a trajectory. By default, for each estimate, the reference
-        of the same recording in its folder (NAME.reference.mcap), else the truth in NAME.mcap there.
+        truth, reference or both: what lies beside each estimate, the truth in NAME.mcap or NAME.reference.mcap. Or a
+        file: a reference, a recording that holds a truth, or such a trajectory. By default the reference beside the
+        estimate, else the truth there.
     align
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
     frame
@@ -84,21 +85,26 @@ def score(
         Also write all figures as JSON to this file; - is the standard output.
     """
     files, asked = _files(paths), _Asked(align, frame, _seconds(over))
-    if against is not None and not inputs.file_exists(against):
-        raise BadParameter(f"--against {against}: there is no such file; name a reference, or a recording with a truth")
+    kinds = _kinds_of_judge(against)
+    if against is not None and not kinds and not inputs.file_exists(against):
+        raise BadParameter(
+            f"--against {against}: there is no such file; give truth, reference or both, or name a reference or a "
+            "recording with a truth"
+        )
+    work = [(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
-    for file in track(files, "score", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
+    for file, judge in track(work, "score", disable=len(work) < 2, transient=True, console=Console(stderr=True)):
         try:
-            found = _score_file(file, against, asked)
+            found = _score_file(file, judge, asked)
         except StillpointError as error:
-            if len(files) == 1:
+            if len(work) == 1:
                 raise
             rows.append({"recording": recording_name(file), "file": str(file), "error": str(error)})
             continue
         scores.append(found)
         row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
-        made_from = {one.name: sha256(one) for one in (file, against) if one is not None}
+        made_from = {one.name: sha256(one) for one in (file, judge) if isinstance(one, Path)}
         rows.append({**row, "file": str(file), "made_from": made_from})
     if json != STDOUT:
         attitudes = [s for s in scores if isinstance(s, Score)]
@@ -110,7 +116,7 @@ def score(
             if row["error"] is not None:
                 print(f"not scored: {row['error']}")
     write_json(json, rows)
-    return 2 if len(scores) < len(files) else 0
+    return 2 if len(scores) < len(work) else 0
 
 
 def print_scores(scores: Sequence[Score]) -> None:
@@ -183,17 +189,26 @@ def _seconds(over: str | None) -> tuple[float, ...]:
     raise BadParameter(f"--over {over}: give seconds above 0 with commas between, for example 1,10,60")
 
 
-def _score_file(file: Path, against: Path | None, asked: _Asked) -> Score | RollScore:
+def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
+    """Return the kinds of judge that a word of --against asks for; none where it names a file or nothing."""
+    words = {"truth": ("truth",), "reference": ("reference",), "both": ("truth", "reference")}
+    return () if against is None or inputs.file_exists(against) else words.get(str(against), ())
+
+
+def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | RollScore:
+    """Score one file against a file, against what lies beside it of one kind, or against the default beside it."""
     if is_trajectory(file):
-        return _score_trajectory(file, against, asked)
+        return _score_trajectory(file, against if isinstance(against, Path) else None, asked)
     thing = read(file)
     if isinstance(thing, Estimate | RollReference) and is_roll(thing):
         if asked.over_s:
             raise BadParameter(f"{file}: is an angle about one axis; --over compares turns of attitudes: leave it out")
+        if isinstance(against, str):
+            raise BadParameter(f"{file}: is an angle about one axis; leave --against {against} out, or name a file")
         return score_roll_file(file, thing, against, asked.align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
-    judge = judge_of(_beside(file, thing) if against is None else against)
+    judge = judge_of(against if isinstance(against, Path) else _beside(file, thing, against))
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
@@ -215,11 +230,13 @@ def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
     return score_against(made, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
-def _beside(file: Path, thing: Estimate | Reference) -> Path:
-    """What judges a file when nothing was named: the reference of its recording, else the recording's truth."""
+def _beside(file: Path, thing: Estimate | Reference, kind: str | None = None) -> Path:
+    """Return what judges a file: of a kind, or the reference of its recording, else the recording's truth."""
     name = recording_name(file) if isinstance(thing, Estimate) else thing.name
-    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
     recording = file.parent / f"{name}{inputs.SUFFIX}"
+    if kind == "truth":
+        return recording
+    candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
     plain = [path for path in candidates if path.name == f"{name}{inputs.KINDS['reference']}"]
     if plain or len(candidates) == 1:
         return (plain or candidates)[0]
@@ -227,10 +244,11 @@ def _beside(file: Path, thing: Estimate | Reference) -> Path:
         raise BadParameter(
             f"{file}: {', '.join(path.name for path in candidates)} lie beside it; name one with --against"
         )
-    if recording.is_file() and read_recording(recording).truth is not None:
+    if kind is None and recording.is_file() and read_recording(recording).truth is not None:
         return recording
+    missing = "" if kind == "reference" else f" and no truth in {recording.name}"
     raise BadParameter(
-        f"{file}: no {name}{inputs.KINDS['reference']} and no truth in {recording.name} beside it; "
+        f"{file}: no {name}{inputs.KINDS['reference']}{missing} beside it; "
         "make a reference there (stillpoint reference) or name one with --against"
     )
 

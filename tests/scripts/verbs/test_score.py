@@ -54,6 +54,19 @@ def test_score_takes_the_truth_where_there_is_no_reference(call, folder, capsys)
     assert (code, rows[0]["against"], rows[0]["reference_sd_deg"]) == (0, "truth", None)
 
 
+def test_against_both_scores_by_truth_and_by_the_reference(call, made, capsys):
+    _, rows = rows_of(call, capsys, made, "--against", "both")
+    judges = {}
+    for row in rows:
+        judges.setdefault(row["method"], []).append(row["against"])
+    assert all(found == ["truth", "reference (graph)"] for found in judges.values())
+
+
+def test_against_truth_leaves_the_reference_aside(call, made, capsys):
+    _, rows = rows_of(call, capsys, made, "--against", "truth")
+    assert {row["against"] for row in rows} == {"truth"}
+
+
 def test_score_of_a_reference_is_against_the_truth(call, made, capsys):
     code, rows = rows_of(call, capsys, made / f"{NAME}.reference.mcap")
     assert (code, rows[0]["method"], rows[0]["against"]) == (0, "reference (graph)", "truth")
