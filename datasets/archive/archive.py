@@ -19,9 +19,17 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from stillpoint.datasets.archive.catalogue import FILE, Catalogue, Entry, put_labels, put_object
+from stillpoint.datasets.archive.catalogue import (
+    FILE,
+    Catalogue,
+    Entry,
+    described_rows,
+    digest_rows,
+    put_labels,
+    put_object,
+)
 from stillpoint.datasets.archive.describe import Description, describe_object
-from stillpoint.datasets.archive.incoming import Change, Given, Incoming, finish_dead_changes
+from stillpoint.datasets.archive.incoming import Change, Given, Incoming, Wanted, finish_dead_changes, sync_files
 from stillpoint.datasets.archive.locks import hold_lock
 from stillpoint.datasets.archive.query import parse_query
 from stillpoint.datasets.archive.record import (
@@ -94,19 +102,19 @@ class Archive:
         files = iter(files)
         while batch := list(islice(files, BATCH)):
             with self._incoming() as incoming:
-                changes: dict[str, Change] = {}
+                wanted: dict[str, Wanted] = {}
                 descriptions: dict[str, Description] = {}
-                outcomes = [self._take(incoming, given, changes, descriptions) for given in batch]
-                self._commit(list(changes.values()), descriptions)
+                outcomes = [self._take(incoming, given, wanted, descriptions) for given in batch]
+                self._commit(incoming.stage(list(wanted.values())), descriptions)
             yield from outcomes
 
     def _take(
-        self, incoming: Incoming, given: Given, changes: dict[str, Change], descriptions: dict[str, Description]
+        self, incoming: Incoming, given: Given, wanted: dict[str, Wanted], descriptions: dict[str, Description]
     ) -> Added:
-        """Copy a file and stage what it needs: nothing, a new object, or a record that is not removed any more."""
+        """Copy a file and decide what it needs: nothing, a new object, or a record that is not removed any more."""
         try:
             copy, sha256, size = incoming.copy(given)
-            if sha256 in changes:
+            if sha256 in wanted:
                 return Added(given.source, sha256, descriptions[sha256].kind, "present")
             known = self.find_record(sha256)
             if known is not None and not known.removed and self.storage.has(known.object_key):
@@ -117,14 +125,14 @@ class Archive:
         except StillpointError as error:
             return Added(given.source, "", "", "refused", str(error))
         descriptions[sha256] = described
-        if known is not None:
-            back = replace(known, removed="", reason="", freed="")
-            changes[sha256] = incoming.stage(back, copy, replaces=True)
-            return Added(given.source, sha256, described.kind, "restored")
-        name, added = given.file_name, given.added or now()
-        record = Record(sha256, suffix_of(name), name, size, added, tuple(given.tags), dict(given.metadata))
-        changes[sha256] = incoming.stage(record, copy)
-        return Added(given.source, sha256, described.kind, "added")
+        if known is None:
+            name, added = given.file_name, given.added or now()
+            record = Record(sha256, suffix_of(name), name, size, added, tuple(given.tags), dict(given.metadata))
+        else:
+            record = replace(known, removed="", reason="", freed="")
+        record = replace(record, described=digest_rows(described_rows(record, described)))
+        wanted[sha256] = Wanted(record, copy, replaces=known is not None)
+        return Added(given.source, sha256, described.kind, "added" if known is None else "restored")
 
     @contextmanager
     def _incoming(self) -> Iterator[Incoming]:
@@ -146,6 +154,9 @@ class Archive:
         with hold_lock(self.home / "lock"):
             for change in changes:
                 self._move_in(change)
+            if isinstance(self.storage, FolderStorage):
+                keys = [key for change in changes for key in (change.record.object_key, change.record.record_key)]
+                sync_files({self.storage.path(key).parent for key in keys})
             with self.catalogue.change() as connection:
                 for change in changes:
                     kept = self.read_record(change.record.sha256)
@@ -303,7 +314,7 @@ class Archive:
         if not records:
             return
         with self._incoming() as incoming:
-            self._commit([incoming.stage(record, None, replaces=True) for record in records])
+            self._commit(incoming.stage([Wanted(record, None, replaces=True) for record in records]))
 
     # -- the catalogue ------------------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ views ``recordings``, ``references``, ``estimates``, ``scores`` and ``provenance
 tables change.
 """
 
+import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -47,8 +48,9 @@ MIGRATIONS: tuple[str, ...] = (
     f"""
     CREATE TABLE objects (
         sha256 TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, file_name TEXT NOT NULL, suffix TEXT NOT NULL,
-        size INTEGER NOT NULL, added TEXT NOT NULL, removed TEXT NOT NULL, reason TEXT NOT NULL, freed TEXT NOT NULL,
-        problem TEXT NOT NULL, link TEXT NOT NULL,
+        size INTEGER NOT NULL, added TEXT NOT NULL, removed TEXT NOT NULL DEFAULT '',
+        reason TEXT NOT NULL DEFAULT '', freed TEXT NOT NULL DEFAULT '',
+        problem TEXT NOT NULL, link TEXT NOT NULL DEFAULT '',
         {", ".join(f"{name} {_affinity(name)}" for name in DESCRIBED)},
         facts TEXT NOT NULL
     ) WITHOUT ROWID;
@@ -87,6 +89,8 @@ MIGRATIONS: tuple[str, ...] = (
         FROM parents p JOIN objects c ON c.sha256 = p.child LEFT JOIN objects a ON a.sha256 = p.parent;
     """,
 )
+LABELLED = ("removed", "reason", "freed", "link")  # columns of `objects` that its content does not decide
+DESCRIBED_TABLES = ("objects", "streams", "parents", "score_rows")
 TABLES = ("objects", "streams", "tags", "metadata", "parents", "score_rows")
 
 
@@ -173,6 +177,14 @@ class Catalogue:
 def put_object(connection: sqlite3.Connection, record: Record, described: Description, link: str) -> None:
     """Insert an object, or replace what the catalogue has about it."""
     forget_object(connection, record.sha256)
+    for table, rows in described_rows(record, described).items():
+        _insert(connection, table, rows)
+    connection.execute("UPDATE objects SET link = ? WHERE sha256 = ?", (link, record.sha256))
+    put_labels(connection, record)
+
+
+def described_rows(record: Record, described: Description) -> dict[str, list[dict[str, Any]]]:
+    """The rows, by table, that follow from an object's content; those of its labels are added by :func:`put_labels`."""
     columns = {
         "sha256": record.sha256,
         "kind": described.kind,
@@ -181,19 +193,35 @@ def put_object(connection: sqlite3.Connection, record: Record, described: Descri
         "suffix": record.suffix,
         "size": record.size,
         "added": record.added,
-        "removed": record.removed,
-        "reason": record.reason,
-        "freed": record.freed,
         "problem": described.problem,
-        "link": link,
         **{name: described.columns.get(name) for name in DESCRIBED},
         "facts": to_json(described.facts),
     }
-    _insert(connection, "objects", [columns])
-    _insert(connection, "streams", [{"sha256": record.sha256, **vars(stream)} for stream in described.streams])
-    _insert(connection, "parents", [_parent_row(record.sha256, *parent) for parent in described.parents])
-    _insert(connection, "score_rows", [_score_row(record.sha256, k, row) for k, row in enumerate(described.scores)])
-    put_labels(connection, record)
+    return {
+        "objects": [columns],
+        "streams": [{"sha256": record.sha256, **vars(stream)} for stream in described.streams],
+        "parents": [_parent_row(record.sha256, *parent) for parent in described.parents],
+        "score_rows": [_score_row(record.sha256, k, row) for k, row in enumerate(described.scores)],
+    }
+
+
+def digest_rows(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """The SHA-256 of described rows, the same for rows that are to be inserted and for rows that were read back."""
+    plain = {
+        table: sorted(
+            [[name, _comparable(value)] for name, value in sorted(row.items()) if name not in LABELLED]
+            for row in rows.get(table, ())
+        )
+        for table in DESCRIBED_TABLES
+    }
+    return hashlib.sha256(json.dumps(plain, ensure_ascii=True).encode()).hexdigest()
+
+
+def _comparable(value: Any) -> str:
+    """A value as text; SQLite gives whole numbers of a REAL column back as floats, and NaN as NULL."""
+    if value is None or value != value:
+        return "null"
+    return repr(float(value)) if isinstance(value, int | float) else f"'{value}"
 
 
 def put_labels(connection: sqlite3.Connection, record: Record) -> None:

@@ -10,7 +10,8 @@ import math
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -20,6 +21,7 @@ from stillpoint.datasets.archive.record import Record, record_from_bytes, record
 from stillpoint.datasets.errors import BadFile
 
 BLOCK = 1 << 20  # bytes that are copied at once
+SYNCS_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,15 @@ class Change:
     record_file: Path
     object_file: Path | None  # None: the record alone changes
     replaces: bool  # False: a record that is there already wins
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A record to be kept, and a copy of its object when that is new."""
+
+    record: Record
+    copy: Path | None
+    replaces: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,7 +74,7 @@ class Incoming:
         self._lock.release()
 
     def copy(self, given: Given) -> tuple[Path, str, int]:
-        """Copy a file here, durably, while its hash is computed; returns the copy, the SHA-256 and the size.
+        """Copy a file here while its hash is computed; returns the copy, the SHA-256 and the size.
 
         Raises :class:`BadFile` when it cannot be read, is not what was promised, or the disk is full.
         """
@@ -75,8 +86,6 @@ class Incoming:
                     digest.update(block)
                     kept.write(block)
                     size += len(block)
-                kept.flush()
-                os.fsync(kept.fileno())
         except OSError as error:
             target.unlink(missing_ok=True)
             raise BadFile(
@@ -87,23 +96,41 @@ class Incoming:
             raise BadFile(f"{given.source}: is damaged: its hash is not {given.sha256[:12]}…, as was said of it")
         return target, digest.hexdigest(), size
 
-    def stage(self, record: Record, copy: Path | None, replaces: bool = False) -> Change:
-        """Write the record, which makes the change complete: it happens even when this process is killed now."""
-        return _stage(self.folder, record, copy, replaces)
+    def stage(self, wanted: Sequence[Wanted]) -> list[Change]:
+        """Make changes complete: they happen even when this process is killed from now on, or the power fails.
+
+        The copies are flushed to disk before the records are written, all together, which costs little more than one.
+        """
+        sync_files([each.copy for each in wanted if each.copy is not None])
+        parts = []
+        for each in wanted:
+            part = self.folder / f"{each.record.sha256}.part"
+            part.write_bytes(record_to_bytes(each.record))
+            parts.append(part)
+        sync_files(parts)
+        changes = []
+        for each, part in zip(wanted, parts, strict=True):
+            sha256 = each.record.sha256
+            object_file = None if each.copy is None else each.copy.rename(self.folder / f"{sha256}.object")
+            record_file = part.rename(self.folder / f"{sha256}.{'replace' if each.replaces else 'new'}.json")
+            changes.append(Change(each.record, record_file, object_file, each.replaces))
+        return changes
 
 
-def _stage(folder: Path, record: Record, copy: Path | None, replaces: bool) -> Change:
-    object_file = None
-    if copy is not None:
-        object_file = copy.rename(folder / f"{record.sha256}.object")
-    target = folder / f"{record.sha256}.{'replace' if replaces else 'new'}.json"
-    part = target.with_suffix(".part")
-    with open(part, "xb") as file:
-        file.write(record_to_bytes(record))
-        file.flush()
-        os.fsync(file.fileno())
-    part.rename(target)
-    return Change(record, target, object_file, replaces)
+def sync_files(paths: Iterable[Path]) -> None:
+    """Flush files and folders to the disk, several at once: file systems join such requests."""
+
+    def sync(path: Path) -> None:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        except OSError:  # some file systems offer none for folders
+            pass
+        finally:
+            os.close(handle)
+
+    with ThreadPoolExecutor(SYNCS_AT_ONCE) as pool:
+        list(pool.map(sync, paths))
 
 
 def finish_dead_changes(home: Path, commit: Callable[[Sequence[Change]], None]) -> int:

@@ -31,6 +31,7 @@ class Record:
     removed: str = ""  # when it was marked as removed
     reason: str = ""  # why
     freed: str = ""  # when its bytes were deleted
+    described: str = ""  # SHA-256 of its rows in the catalogue, made when every checksum in it was tested
 
     @property
     def object_key(self) -> str:

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from stillpoint.datasets.archive.archive import Archive
-from stillpoint.datasets.archive.incoming import Given, Incoming
+from stillpoint.datasets.archive.incoming import Given, Incoming, Wanted
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_key
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
 from stillpoint.datasets.archive.verify import Fault, hash_file
@@ -118,7 +118,7 @@ def _put(archive: Archive, record: Record, source: Path | None) -> None:
             if sha256 != record.sha256:
                 raise BadFile(f"{source}: changed while it was read; run the repair again")
             archive.storage.move_in(copy, record.object_key)
-        change = incoming.stage(record, None, replaces=True)
+        (change,) = incoming.stage([Wanted(record, None, replaces=True)])
         archive.storage.move_in(change.record_file, record.record_key)
     finally:
         incoming.close()
