@@ -3,8 +3,10 @@
 import csv
 import io
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,38 @@ from stillpoint.datasets.limits import LARGEST_LINE, limited
 from stillpoint.datasets.recording import Floats, Times
 
 DELIMITERS = ("\t", ";", "|", ",")  # before commas, which may also be decimal signs
+ROWS_AT_ONCE = 50_000  # that become numbers together
 SAMPLED = 30  # lines at the end of a file that tell its delimiter and its number of columns
+
+
+class SplitLines(Sequence[list[str]]):
+    """Lines that are split into cells when asked for; as lists of texts a file would take 15 times its size."""
+
+    def __init__(self, lines: list[str], delimiter: str) -> None:
+        self.lines, self.delimiter = lines, delimiter
+
+    def __len__(self) -> int:
+        """Return the number of lines."""
+        return len(self.lines)
+
+    @overload
+    def __getitem__(self, place: int) -> list[str]: ...
+    @overload
+    def __getitem__(self, place: slice) -> "SplitLines": ...
+    def __getitem__(self, place: int | slice) -> "list[str] | SplitLines":
+        """Return the cells of a line, or some of the lines."""
+        if isinstance(place, slice):
+            return SplitLines(self.lines[place], self.delimiter)
+        return self._split(self.lines[place])
+
+    def __iter__(self) -> Iterator[list[str]]:
+        """Yield the cells of each line."""
+        return map(self._split, self.lines)
+
+    def _split(self, line: str) -> list[str]:
+        if self.delimiter == " ":
+            return line.split()
+        return [cell.strip() for cell in line.split(self.delimiter)]
 
 
 @dataclass(frozen=True)
@@ -24,7 +57,7 @@ class Table:
 
     where: str  # for messages
     columns: tuple[str, ...]
-    rows: list[list[str]]
+    rows: Sequence[list[str]]
     lines: list[int]  # the line of each row, counted from 1
     decimal_comma: bool
     skipped: int = 0  # lines before the table that belong to no row
@@ -59,19 +92,24 @@ class Table:
     def select(self, keep: NDArray[np.bool_]) -> "Table":
         """Return the table with the rows of a mask (N,)."""
         kept = np.flatnonzero(keep).tolist()
-        rows, lines = [self.rows[k] for k in kept], [self.lines[k] for k in kept]
+        rows: Sequence[list[str]] = [self.rows[k] for k in kept]
+        lines = [self.lines[k] for k in kept]
         return Table(self.where, self.columns, rows, lines, self.decimal_comma, self.skipped, self.delimiter)
 
     def floats(self, columns: tuple[str, ...]) -> Floats:
         """Return columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for any other text."""
         places = [self.place(column) for column in columns]
         values = np.empty((len(self.rows), len(places)))
-        for k, place in enumerate(places):
-            cells = self.cells(place)
+        for begin in range(0, len(self.rows), ROWS_AT_ONCE):
+            rows = [self._pick(row, places, begin + k) for k, row in enumerate(self.rows[begin : begin + ROWS_AT_ONCE])]
+            part = values[begin : begin + len(rows)]
             try:
-                values[:, k] = np.array(cells, dtype=np.float64)
+                part[:] = np.array(rows, dtype=np.float64)
             except ValueError:
-                values[:, k] = [self._number(cell, row, columns[k]) for row, cell in enumerate(cells)]
+                part[:] = [
+                    [self._number(cell, begin + k, column) for cell, column in zip(row, columns, strict=True)]
+                    for k, row in enumerate(rows)
+                ]
         return values
 
     def times(self, column: str, exponent: int) -> Times:
@@ -87,12 +125,16 @@ class Table:
 
     def cells(self, place: int) -> list[str]:
         """Return the text of a column; raises :class:`BadSource` for a row that ends before it."""
+        return [self._pick(row, [place], k)[0] for k, row in enumerate(self.rows)]
+
+    def _pick(self, row: list[str], places: list[int], number: int) -> list[str]:
+        """Return some cells of a row with decimal points; raises :class:`BadSource` where the row is too short."""
         try:
-            cells = [row[place] for row in self.rows]
+            cells = [row[place] for place in places]
         except IndexError:
-            short = next(k for k, row in enumerate(self.rows) if len(row) <= place)
+            place = next(place for place in places if place >= len(row))
             raise BadSource(
-                f"{self.where}, line {self.lines[short]}: has {len(self.rows[short])} cells, "
+                f"{self.where}, line {self.lines[number]}: has {len(row)} cells, "
                 f"column {self.columns[place]!r} is number {place + 1}; remove or complete this line"
             ) from None
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
@@ -166,13 +208,10 @@ def _find_delimiter(content: list[str]) -> str:
     return max(found)[-1] if found else " "
 
 
-def _split_cells(lines: list[str], content: list[int], delimiter: str) -> tuple[list[list[str]], list[int]]:
+def _split_cells(lines: list[str], content: list[int], delimiter: str) -> tuple[Sequence[list[str]], list[int]]:
     """Return the cells of the lines, stripped, and the number of the line on which each row starts."""
-    if delimiter == " ":
-        return [lines[k].split() for k in content], [k + 1 for k in content]
-    if not any('"' in lines[k] for k in content):
-        split = [lines[k].split(delimiter) for k in content]
-        return [[cell.strip() for cell in row] for row in split], [k + 1 for k in content]
+    if delimiter == " " or not any('"' in lines[k] for k in content):
+        return SplitLines([lines[k] for k in content], delimiter), [k + 1 for k in content]
     rows, numbers = [], []
     reader = csv.reader(io.StringIO("\n".join(lines[k] for k in content)), delimiter=delimiter, skipinitialspace=True)
     before = 0
@@ -183,7 +222,7 @@ def _split_cells(lines: list[str], content: list[int], delimiter: str) -> tuple[
     return rows, numbers
 
 
-def _find_header(cells: list[list[str]], start: int, decimal_comma: bool) -> tuple[list[str] | None, int]:
+def _find_header(cells: Sequence[list[str]], start: int, decimal_comma: bool) -> tuple[list[str] | None, int]:
     """Return the header, or None, and the index of the first row below it."""
     first = cells[start]
     numbers = [_is_number(cell, decimal_comma) for cell in first]
