@@ -18,6 +18,7 @@ GRAVITY_IN = {
 }
 FIELD_RANGE_UT = (20.0, 70.0)
 FIELD_IN = {1e6: "tesla", 100.0: "gauss", 0.1: "milligauss", 1e-3: "nanotesla"}  # by what to multiply for uT
+MISTAKEN_FOR_TESLA = {1e-4: "gauss", 1e-6: "microtesla"}  # what drivers publish where tesla are agreed
 STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at rest or close to it
 STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
@@ -67,6 +68,10 @@ def describe_field_size(median_ut: float) -> str:
         return ""
     fitting = (factor for factor in FIELD_IN if FIELD_RANGE_UT[0] <= median_ut * factor <= FIELD_RANGE_UT[1])
     hint = "".join(f"; it looks like {FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
+    mistaken = (f for f in MISTAKEN_FOR_TESLA if FIELD_RANGE_UT[0] <= median_ut * f <= FIELD_RANGE_UT[1])
+    hint += "".join(
+        f"; it looks like {MISTAKEN_FOR_TESLA[f]} that was read as tesla: multiply by {f:g}" for f in mistaken
+    )
     return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
 
 

@@ -1,5 +1,6 @@
 """Clocks of logs: text becomes exact nanoseconds; wrong units, wraps and wild stamps are recognised."""
 
+import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -15,6 +16,8 @@ from stillpoint.datasets.recording import LAST_T_NS, Recording, Times, rate_hz
 TIME_EXPONENT: dict[str, int] = {"s": 0, "ms": -3, "us": -6, "ns": -9}
 TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 ISO = "iso"  # the unit of ISO 8601 dates and times
+TIME_OF_DAY = re.compile(r"([0-2]?\d):([0-5]\d):([0-5]\d)(?:\.(\d+))?")
+DAY_NS = 86_400_000_000_000
 UNIX_FROM_NS = 10**17  # stamps beyond 1973 count from 1970; no device runs for three years
 EPOCHS_S = (6e8, 2**31)  # 1989 to 2038: a number in this range of seconds is a date
 BLANK = ("", "nan", "null", "none", "na", "n/a", "-nan")
@@ -62,7 +65,8 @@ def parse_times(cells: list[str], unit: str, where: str, lines: list[int], colum
         try:
             t_ns[row] = _parse_iso(cell) if unit == ISO else _parse_number(cell, TIME_EXPONENT[unit])
         except (ArithmeticError, ValueError):
-            advice = _propose_unit(cell, column, unit) or "remove this line"
+            usual = "write 2021-06-12T08:00:00.5 or 08:00:00.5" if unit == ISO else "remove this line"
+            advice = _propose_unit(cell, column, unit) or usual
             raise BadSource(f"{where}, line {lines[row]}: {cell[:40]!r} is not a time in {unit}; {advice}") from None
     if not known.any():
         raise BadSource(f"{where}: column {column!r} holds no time; name another column")
@@ -87,8 +91,15 @@ def _parse_number(cell: str, exponent: int) -> int:
 
 
 def _parse_iso(cell: str) -> int:
-    """Return ns since 1970 of ``2025-08-31T12:00:00.123456789+02:00``; without a zone the time is taken as UTC."""
+    """Return ns since 1970 of ``2025-08-31T12:00:00.123456789+02:00``, or since midnight of ``12:00:00.5``.
+
+    A date without a zone is taken as UTC.
+    """
     text = cell.strip().replace(",", ".")
+    if match := TIME_OF_DAY.fullmatch(text):
+        hours, minutes, seconds, digits = match.groups()
+        whole_s = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
+        return whole_s * 1_000_000_000 + int(((digits or "") + "0" * 9)[:9])
     head, point, tail = text.partition(".")
     digits = tail[: len(tail) - len(tail.lstrip("0123456789"))]
     moment = datetime.fromisoformat(head + (tail[len(digits) :] if point else ""))
@@ -194,7 +205,10 @@ def repair_clock(clock: Clock, log: Notes) -> Clock:
 
 
 def unwrap_counter(t_ns: Times, what: str, log: Notes) -> Times:
-    """Add what a counter of 16, 24 or 32 bits (of s, ms, us or ns) lost where it overflowed, with a note."""
+    """Add what a counter of 16, 24 or 32 bits (of s, ms, us or ns) lost where it overflowed, with a note.
+
+    The time of day overflows at midnight.
+    """
     steps = np.diff(t_ns)
     if not (steps < 0).any() or not (steps > 0).any():
         return t_ns
@@ -203,14 +217,16 @@ def unwrap_counter(t_ns: Times, what: str, log: Notes) -> Times:
     for k in np.flatnonzero(steps < 0):
         span = _find_wrap(int(t_ns[k]), int(t_ns[k + 1]), usual_ns)
         if span is not None:
-            bits, unit = span
-            added[k + 1 :] += (1 << bits) * 10 ** (9 + TIME_EXPONENT[unit])
-            log.noted(f"time {what!r}: counter of 2^{bits} {unit} wrapped after sample {k}; unwrapped")
+            span_ns, name = span
+            added[k + 1 :] += span_ns
+            log.noted(f"time {what!r}: counter of {name} wrapped after sample {k}; unwrapped")
     return t_ns + added
 
 
 def _find_wrap(before_ns: int, after_ns: int, usual_ns: float) -> tuple[int, str] | None:
-    """Return width and unit of the counter whose overflow explains a step back, or None."""
+    """Return size in ns and name of the counter whose overflow explains a step back, or None."""
+    if 0 < after_ns + DAY_NS - before_ns <= 10 * usual_ns and before_ns <= DAY_NS:
+        return DAY_NS, "a day"
     for unit, exponent in TIME_EXPONENT.items():
         for bits in COUNTER_BITS:
             span_ns = (1 << bits) * 10 ** (9 + exponent)
@@ -219,7 +235,7 @@ def _find_wrap(before_ns: int, after_ns: int, usual_ns: float) -> tuple[int, str
                 continue
             from_its_end = before_ns < span_ns <= before_ns + 10 * usual_ns and after_ns >= 0
             if from_its_end or span_ns > 1000 * usual_ns:
-                return bits, unit
+                return span_ns, f"2^{bits} {unit}"
     return None
 
 

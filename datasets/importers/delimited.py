@@ -85,6 +85,8 @@ class Table:
         """Return where a column stands, by its name or by its number; raises :class:`BadSource`."""
         if column in self.index:
             return self.index[column]
+        if column.lstrip("# ") in self.index:  # as the comment line writes it
+            return self.index[column.lstrip("# ")]
         if column.isdecimal() and 1 <= int(column[:6]) <= len(self.columns):
             return int(column) - 1
         raise BadSource(f"{self.where}: no column {column!r}; it has {self.listed}")

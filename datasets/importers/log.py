@@ -107,7 +107,7 @@ def read_clock(table: Table, options: LogOptions, log: Log, time: str | None = N
     if options.time is not None and options.rate is not None:
         raise BadParameter(f"{table.where}: has two clocks, --time and --rate; give one of them")
     if options.rate is not None and time is None:
-        if not options.rate > 0:
+        if not 0 < options.rate < float("inf"):
             raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
         log.converted(f"stamps from the row number at {options.rate:g} Hz")
         t_ns = np.asarray(np.round(np.arange(len(table.rows)) * (1e9 / options.rate)), dtype=np.int64)

@@ -11,6 +11,7 @@ from stillpoint.datasets.importers.clock import (
     check_rate,
     find_wild_stamps,
     parse_times,
+    repair_clock,
     unwrap_counter,
 )
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, parse_unit
@@ -200,6 +201,7 @@ def test_stamps_rounded_by_float32_are_recognised(rate_hz, says):
         ("2021-06-12 10:00:00,25 +0200", 1623484800_250000000),
         ("2021-06-12", 1623456000_000000000),
         ("2021-06-12T08:00:00", 1623484800_000000000),
+        ("23:59:59.5", 86399_500000000),
     ],
 )
 def test_dates_are_exact_to_the_nanosecond(text, ns):
@@ -243,3 +245,16 @@ def test_a_single_wild_stamp_is_dropped(offset_ns, at):
 def test_gaps_hold_no_wild_stamps():
     t_ns = np.concatenate([STEPS, STEPS[:3] + 10**13, STEPS + 2 * 10**13])
     assert not find_wild_stamps(t_ns).any()
+
+
+def test_the_time_of_day_goes_on_after_midnight():
+    cells = [f"23:59:{58 + k / 100:05.2f}" for k in range(200)] + [f"00:00:{k / 100:05.2f}" for k in range(200)]
+    log = Log()
+    clock = repair_clock(parse_times(cells, "iso", "f", list(range(400)), "t"), log)
+    assert (np.diff(clock.t_ns) == 10_000_000).all()
+    assert any("a day wrapped" in note for note in log.notes)
+
+
+def test_a_date_in_another_form_says_how_to_write_it():
+    with pytest.raises(BadSource, match=r"'12/06/2021 08:00' is not a time in iso; write 2021-06-12T08:00:00"):
+        parse_times(["12/06/2021 08:00"], "iso", "f", [1])

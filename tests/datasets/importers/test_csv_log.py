@@ -259,3 +259,19 @@ def test_a_truth_on_another_clock_is_noted(known, tmp_path):
     np.savetxt(truth, np.column_stack([known.t_s + 1e6, np.zeros((600, 3)), known.q_nb[:, [1, 2, 3, 0]]]), fmt="%.12f")
     recording = only("csv", file, CsvOptions(**{**vars(PLAIN), "truth": str(truth)}))
     assert any("truth: its stamps do not overlap" in note for note in recording.info.notes)
+
+
+def test_columns_of_a_comment_header_go_by_either_name(known, tmp_path):
+    """EuRoC writes #timestamp [ns]; brackets and blanks belong to the names."""
+    stamps = [str(START_NS + t) for t in known.t_ns.tolist()]
+    table = np.column_stack([known.gyro_b_radps, known.accel_b_mps2])
+    rows = [",".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, table.tolist(), strict=True)]
+    gyro = [f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"]
+    accel = [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
+    file = tmp_path / "imu.csv"
+    file.write_text("\n".join([",".join(["#timestamp [ns]", *gyro, *accel]), *rows]))
+    for time in ("#timestamp [ns]:ns", "timestamp [ns]:ns", "1:ns"):
+        options = CsvOptions(time=time, gyro=f"{','.join(gyro)}:rad/s", accel=f"{','.join(accel)}:m/s^2")
+        recording = only("csv", file, options)
+        assert (recording.imu.t_ns == known.t_ns + START_NS).all()
+        np.testing.assert_array_equal(recording.imu.gyro_b_radps, known.gyro_b_radps)

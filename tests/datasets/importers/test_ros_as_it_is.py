@@ -46,6 +46,11 @@ class Ros:
             (topic, IMU, logged or t_ns or START_NS, self.types[IMU](self.header(t_ns, frame), *parts))
         )
 
+    def mag(self, topic, t_ns, field, frame="imu"):
+        kind = "sensor_msgs/msg/MagneticField"
+        message = self.types[kind](self.header(t_ns, frame), self.vector(field), NINE)
+        self.messages.append((topic, kind, t_ns, message))
+
     def tf(self, topic, t_ns, *transforms):
         """Transforms are (parent, child, quaternion)."""
         stamped, moved = self.types["geometry_msgs/msg/TransformStamped"], self.types["geometry_msgs/msg/Transform"]
@@ -208,6 +213,26 @@ def test_odometry_is_the_truth_only_when_asked_for(known, tmp_path):
     assert len(asked.truth.t_ns) == 600
     assert any("odometry, which drifts" in note for note in asked.info.notes)
     assert asked.info.extra["truth_type"] == "nav_msgs/Odometry"
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [
+        (1e-2, "looks like gauss that was read as tesla"),
+        (1.0, "looks like microtesla that was read as tesla"),
+        (0.0, "left out"),
+    ],
+)
+def test_a_bad_magnetometer_does_not_stop_the_rest(known, tmp_path, factor, says):
+    ros = Ros()
+    for k, (t, gyro, accel, _) in enumerate(samples(known)):
+        ros.imu("/imu", t, gyro, accel)
+        ros.mag("/mag", t, factor * known.mag_b_ut[k])
+    recording = only("ros", ros.write(tmp_path / "run.mcap"))
+    assert len(recording.imu.t_ns) == 600
+    assert any(says in note for note in recording.info.notes)
+    assert (recording.mag is None) == (factor == 0)
+    assert recording.info.mag_uncalibrated == (factor > 0)
 
 
 # --- stamps
