@@ -139,7 +139,14 @@ def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origi
 
 
 def _entrant_of_object(own: Own) -> Entrant:
-    """Return the entrant of a function or class given from Python; without its source its results are not reused."""
+    """Return the entrant of a function or class given from Python.
+
+    Raises :class:`BadParameter` for an instance: its state would go from one recording to the next.
+    """
+    if hasattr(own, "update") and not isinstance(own, type):
+        raise BadParameter(
+            f"{type(own).__name__}: is an instance; give the class, which is made anew for each recording"
+        )
     name = getattr(own, "__name__", type(own).__name__)
     try:
         code = inspect.getsource(own)

@@ -1,7 +1,7 @@
 """From scored runs to a table: typical errors, verdicts on pairs, shared ranks, and the sentence below."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import combinations
 from statistics import fmean, median
@@ -135,7 +135,7 @@ def _fill_row(
     }
     for figure in AXES:
         figures[f"{figure}_rmse_deg"] = _summarise(runs, scored, row.label, figure) if scored else None
-    return Row(**{**row.__dict__, **figures})
+    return replace(row, **figures)
 
 
 def _summarise(runs: ScoredRuns, sources: Sequence[Source], label: str, figure: RankedBy) -> Summary:

@@ -154,6 +154,23 @@ def test_python_objects_are_estimators(files):
     assert row_of(board, "level").failed == 0
 
 
+def test_instance_is_refused_because_its_state_would_be_kept(files):
+    class Keeps:
+        def update(self, t_s, gyro_b_radps, accel_b_mps2, mag_b_ut):
+            return [1.0, 0, 0, 0]
+
+    with pytest.raises(BadParameter, match="give the class"):
+        leaderboard(files[1:2], [Keeps()])
+
+
+def test_entry_point_of_a_package_is_found_by_its_name(folder, files, monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    found = EntryPoint("mine", f"{folder}/own.py:truth", "stillpoint.estimators")
+    monkeypatch.setattr("stillpoint.studies.leaderboard.entrants.entry_points", lambda group, name: [found])
+    assert row_of(leaderboard(files[1:2], ["mine"]), "mine").failed == 0
+
+
 def test_wrong_shape_of_own_result_is_said(folder, files):
     board = leaderboard(files[1:2], [f"{folder}/own.py:short"])
     assert "returned shape (3, 4)" in board.failures[0].error
