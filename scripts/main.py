@@ -7,6 +7,7 @@ Verbs are imported when they are called, so that ``stillpoint --help`` loads nei
 import errno
 import io
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -74,10 +75,18 @@ def main(argv: Sequence[str] | None = None) -> None:
 
         os.environ[limits.LARGE] = "1"
     tokens = [token for token in tokens if token not in (DEBUG, LARGE)]
+    before = signal.signal(signal.SIGTERM, _end_by_signal)
     try:
         _run(tokens, debug)
     except KeyboardInterrupt:
         sys.exit(130)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _end_by_signal(*_: object) -> NoReturn:
+    """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
+    sys.exit(143)
 
 
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:

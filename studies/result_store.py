@@ -6,8 +6,6 @@ version, the alignment, and the version of stillpoint. Results are written whole
 
 import hashlib
 import json
-import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.atomic import write_atomically
 from stillpoint.datasets.errors import BadParameter
 
 FACTS = "facts"
@@ -64,14 +63,8 @@ class ResultStore:
         place = self._path(key)
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(prefix=f".{key[:16]}.", suffix=".part", dir=place.parent)
-            try:
-                with open(handle, "wb") as file:
-                    np.savez(file, allow_pickle=False, **{FACTS: text, **(arrays or {})})
-                os.replace(name, place)
-            except BaseException:
-                Path(name).unlink(missing_ok=True)
-                raise
+            with write_atomically(place) as file:
+                np.savez(file, allow_pickle=False, **{FACTS: text, **(arrays or {})})
         except OSError as error:
             raise BadParameter(f"{place.parent}: cannot be written ({error.strerror}); name another folder") from None
 

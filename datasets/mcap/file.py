@@ -4,8 +4,6 @@ The record classes of the ``mcap`` package read and write all records but two: m
 a file has millions, go through the dtypes below as whole columns.
 """
 
-import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.atomic import write_atomically
 from stillpoint.datasets.errors import BadFile
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -32,37 +31,15 @@ def windows(buffer: Any, size: int) -> NDArray[np.void]:
 
 
 @contextmanager
-def atomic(path: Path) -> Iterator[IO[bytes]]:
+def write_file(path: Path) -> Iterator[IO[bytes]]:
     """Open a binary file that appears under its name whole, on disk, or not at all. Raises :class:`BadFile`."""
     target = path.resolve()
     if target.exists() and not target.is_file():
         raise BadFile(f"{path}: is there already and is no ordinary file; name another")
-    temporary = target.with_name(f"{target.name}.{secrets.token_hex(4)}.part")
     try:
-        with open(temporary, "xb", buffering=1 << 20) as file:
+        with write_atomically(path) as file:
             yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise BadFile(
-                f"{path}: cannot be written ({error.strerror}); check the disk and the folder {target.parent}"
-            ) from error
-        raise
-    _sync_folder(target.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name itself durable; some file systems do not offer it, and the file is whole without."""
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return
-    try:
-        os.fsync(handle)
-    except OSError:
-        pass
-    finally:
-        os.close(handle)
+    except OSError as error:
+        raise BadFile(
+            f"{path}: cannot be written ({error.strerror}); check the disk and the folder {target.parent}"
+        ) from error

@@ -38,7 +38,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from stillpoint.datasets.mcap import cdr
-from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, atomic, windows
+from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows, write_file
 
 CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
 CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
@@ -75,7 +75,7 @@ def write_mcap(
     Within a group of streams, messages are ordered by time, and at equal times by the order of ``streams``; chunks are
     ordered by their first message. Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with atomic(path) as file:
+    with write_file(path) as file:
         out = _Writer(file)
         out.file_bytes(MAGIC)
         out.record(Header(profile="ros2", library=library))
@@ -98,7 +98,7 @@ def write_blocks(
 
     Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with atomic(path) as file:
+    with write_file(path) as file:
         out = _Writer(file)
         out.file_bytes(MAGIC)
         out.record(Header(profile="ros2", library="stillpoint"))
