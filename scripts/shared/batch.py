@@ -7,7 +7,7 @@ from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scripts.shared.jobs import Outcome
-from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.output import STDOUT, write_json
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 
 
@@ -42,16 +42,18 @@ def report_made(
     rows: Sequence[dict[str, Any]],
     cells: Callable[[dict[str, Any]], list[str]],
     json: str | None,
+    wanted: str | None = None,
 ) -> int:
     """Print and write the rows; return 0, 1 when one is a defect of stillpoint, 2 when one has another error.
 
     The error of a single row is raised when the user can fix it. The second column is what the file was made by; its
-    heading is the key of that in the rows.
+    heading is the key of that in the rows. ``wanted`` names the columns to show, as for
+    :func:`~stillpoint.scripts.shared.tables.print_table`.
     """
     if len(rows) == 1 and rows[0]["error"] is not None and not rows[0]["defect"]:
         raise StillpointError(rows[0]["error"])
     if json != STDOUT:
-        print_table(title, columns, [[cells(row) for row in rows]])
+        print_table(title, columns, [[cells(row) for row in rows]], wanted=wanted)
         print_refusals("not made", ((row["error"], row[columns[1]]) for row in rows if row["error"] is not None))
     write_json(json, rows)
     if any(row.get("defect") for row in rows):

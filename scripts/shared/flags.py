@@ -17,6 +17,7 @@ def whole_number(_: Any, tokens: Sequence[Token]) -> int:
 
 Inputs = Annotated[list[Path], Parameter(negative=(), json_list=False)]
 OutDir = Annotated[Path, Parameter(name=["--out", "-o"])]
+OutBeside = Annotated[Path | None, Parameter(name=["--out", "-o"])]  # None: beside the file it is made of
 SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 Whole = Annotated[int, Parameter(converter=whole_number)]
 Jobs = Annotated[int | None, Parameter(converter=whole_number)]

@@ -88,6 +88,11 @@ def output_dir(path: str | Path) -> Path:
     return folder
 
 
+def folder_for(source: Path, out: Path | None) -> Path:
+    """Return the folder for what is made of a file: ``out``, or the file's own folder when that is None."""
+    return source.parent if out is None else out
+
+
 def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     named = [Path(path) for path in paths]
     if not named:

@@ -17,10 +17,8 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.scripts.shared.progress import show_progress
 
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
 END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
@@ -50,17 +48,13 @@ def run_jobs(
     if jobs is not None and jobs < 1:
         raise BadParameter(f"--jobs {jobs}: give 1 or more")
     worthwhile = min(os.cpu_count() or 1, -(-len(items) // ITEMS_PER_WORKER))
-    alone = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    columns = alone if len(items) == 1 else Progress.get_default_columns()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=len(items))
+    with show_progress(what, len(items)) as count:
         if len(items) < 2:
             return [_print_defect(item, _run(function, item)) for item in items]
         outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
         for place, outcome in _run_in_processes(function, items, min(jobs or worthwhile, len(items))):
             outcomes[place] = _print_defect(items[place], outcome)
-            progress.advance(task)
+            count()
     return outcomes
 
 

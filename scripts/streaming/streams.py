@@ -12,7 +12,7 @@ from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters import Saved, SavedSpin, SpinStream, Stream
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.scripts.shared.estimator_choice import Run
-from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.shared.output import write_text
 
 Live = Stream | SpinStream
 Make = Callable[..., Any]  # of a stream

@@ -7,8 +7,8 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stillpoint.datasets.nearest import require_known
-from stillpoint.scripts.shared.flags import whole_number
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.flags import Columns, whole_number
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 
 # name -> a function from the number of runs to a list of Timing
@@ -20,7 +20,7 @@ BENCHES = {
     "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
     "start": "stillpoint.scripts.bench.start:bench_start",
 }
-COLUMNS = ("what", "against", "median, s", "min", "max", "runs", "per sample, ns", "beside 'against'")
+COLUMNS = ("what", "against", "median, s", "beside 'against'", "per sample, ns", "min", "max", "runs")
 
 
 def bench(
@@ -28,6 +28,7 @@ def bench(
     /,
     *,
     runs: Annotated[int, Parameter(converter=whole_number, validator=Number(gte=1))] = 5,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> None:
     """Time a part of stillpoint beside its peers, run by run in turn, so that a busy machine slows all alike.
@@ -44,6 +45,8 @@ def bench(
         each), start (the help page, and the first estimate after an installation, once each).
     runs
         Runs of each row; the table gives their median, least and most.
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write the rows as JSON to this file; - is the standard output.
     """
@@ -52,18 +55,18 @@ def bench(
     timings = getattr(import_module(module), function)(runs)
     rows = [timing.row() for timing in timings]
     if json != STDOUT:
-        print_table(f"bench {name}", COLUMNS, [[_cells(row) for row in rows]])
+        print_table(f"bench {name}", COLUMNS, [[_cells(row) for row in rows]], wanted=columns)
     write_json(json, rows)
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    times = [f"{row[key]:.3f}" for key in ("median_s", "min_s", "max_s")]
+    median, least, most = (f"{row[key]:.3f}" for key in ("median_s", "min_s", "max_s"))
     per_sample = "" if row["per_sample_ns"] is None else f"{row['per_sample_ns']:.0f}"
-    return [row["name"], row["against"] or "", *times, str(row["runs"]), per_sample, _ratio(row)]
+    return [row["name"], row["against"] or "", median, _ratio(row), per_sample, least, most, str(row["runs"])]
 
 
 def _ratio(row: dict[str, Any]) -> str:
-    """``14.8 times as long``: three digits, and which way it counts."""
+    """Return the ratio in words, for example ``14.8 times as long``, with three digits."""
     ratio = row["ratio"]
     if ratio is None:
         return ""

@@ -20,8 +20,8 @@ from stillpoint.filters import estimate
 from stillpoint.scoring.report.page import Material, judge, report_html
 from stillpoint.scripts.shared.flags import OutDir, Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.rest_lines import rests_of
-from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.verbs.report import PAGE, gather
 from stillpoint.scripts.verbs.score import print_scores
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
@@ -58,7 +58,7 @@ def demo(
         path = folder / f"{recording.name}.mcap"
         write(path, recording)
     with _step("doctor"):
-        rests_ns = rests_of(recording)
+        rests_ns = find_rests_at_default(recording)
         diagnosis = diagnose(recording, rests_ns)
     _say(recording, rests_ns, diagnosis)
     made_from = {path.name: sha256(path)}

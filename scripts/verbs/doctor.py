@@ -17,8 +17,8 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import each_read, output_dir, recordings
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.recordings import find_rests_at_default
 
 UNREADABLE = "unreadable"  # the code of a file that could not be opened
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
@@ -85,13 +85,13 @@ def examine(recording: Recording) -> Diagnosis:
     """Find the rests and diagnose; once more when remedies were needed before rests could be seen."""
     if recording.imu is None:
         return diagnose(recording, np.empty((0, 2), dtype=np.int64))
-    diagnosis = diagnose(recording, rests_of(recording))
+    diagnosis = diagnose(recording, find_rests_at_default(recording))
     units = [
         one.remedy for one in diagnosis.findings if one.code in ("gyro-units", "accel-units") and one.remedy is not None
     ]
     if not units:
         return diagnosis
-    return diagnose(recording, rests_of(apply(recording, units)))
+    return diagnose(recording, find_rests_at_default(apply(recording, units)))
 
 
 def chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:

@@ -19,10 +19,10 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.shared.estimator_choice import Run, runs_of
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, SetFlag
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.json_file import JsonFile
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import JsonFile
+from stillpoint.scripts.shared.recordings import open_recording
 
 DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
@@ -41,12 +41,13 @@ def estimate(
     /,
     *,
     estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
-    out: OutDir = Path(),
+    out: OutBeside = None,
     set_: SetFlag = None,
     precision: Precision = "double",
     heading: Heading = "mag",
     calibration: str = "none",
     jobs: Jobs = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Run streaming estimators over recordings.
@@ -64,7 +65,7 @@ def estimate(
         spin about one axis: roll-obs, roll-ekf, roll-aekf, roll-guarded. all: every one of attitude; roll: every one of
         roll, the default for recordings of a spinning body.
     out
-        Folder to write into; made when it is not there.
+        Folder to write into; made when it is not there. By default beside each recording.
     set_
         A parameter, ESTIMATOR.NAME=VALUE, for example cf.omega0_radps=0.3; can be given several times. Those of
         --heading gps-course are heading.NAME, full scales of the sensors range.NAME (docs/streaming.md).
@@ -78,18 +79,20 @@ def estimate(
         Or a file with a calibration.
     jobs
         Processes; by default one per core.
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
     sources = inputs.recordings(paths)
     runs = _runs_by_source(sources, estimators, partial(runs_of, set_=set_, precision=precision, heading=heading))
-    work = _jobs(runs, inputs.output_dir(out), calibration)
+    work = _jobs(runs, None if out is None else inputs.output_dir(out), calibration)
     outcomes = run_jobs(_make, work, jobs, "estimate")
     rows = [
         made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
-    return report_made("estimates", COLUMNS, rows, _cells, json)
+    return report_made("estimates", COLUMNS, rows, _cells, json, columns)
 
 
 def _runs_by_source(
@@ -104,9 +107,9 @@ def _runs_by_source(
     return {source: [run for run in runs if (run.estimator in ROLLS) == spins[source]] for source in sources}
 
 
-def _jobs(runs: Mapping[Path, Sequence[Run]], folder: Path, calibration: str) -> list[_Job]:
+def _jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str) -> list[_Job]:
     work = [
-        _Job(source, folder / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration)
+        _Job(source, inputs.folder_for(source, out) / f"{source.stem}.{run.estimator}.estimate.mcap", run, calibration)
         for source, wanted in runs.items()
         for run in wanted
     ]

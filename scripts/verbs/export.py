@@ -1,13 +1,11 @@
 """``stillpoint export``: what MCAP files hold as text, for other tools."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import Literal
-
-from rich.console import Console
-from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import Kept, read
@@ -18,8 +16,9 @@ from stillpoint.datasets.trajectory import RollReference
 from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.flags import Inputs, OutDir
-from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.streaming.lines import csv_lines
 from stillpoint.scripts.streaming.replay import samples
 
@@ -31,8 +30,9 @@ def export(
     paths: Inputs,
     /,
     *,
-    out: OutDir = Path(),
+    out: OutBeside = None,
     format: Format = "csv",
+    jobs: Jobs = None,
 ) -> int:
     """Write what MCAP files hold as text: CSV tables, the samples that stream reads, or TUM trajectories.
 
@@ -47,42 +47,42 @@ def export(
     paths
         MCAP files, folders or globs: recordings, references and estimates.
     out
-        Folder to write into; made when it is not there.
+        Folder to write into; made when it is not there. By default beside each file.
     format
-        csv: tables of everything; stream: what stillpoint stream reads, with the options to give it said on stderr;
+        csv: tables of everything; stream: what stillpoint stream reads, and prints the options to give it to stderr;
         tum: attitudes (and positions, 0 where not known), one pose a line.
+    jobs
+        Processes; by default one per core, fewer for few files.
     """
     files = inputs.mcap_files(paths)
     if not files:
         raise BadParameter("no input: name recordings, references or estimates as files, folders or globs")
-    require_distinct(Path(file.name) for file in files)
-    folder = inputs.output_dir(out)
-    failed = 0
-    for file in track(files, "export", disable=len(files) < 2, transient=True, console=Console(stderr=True)):
-        try:
-            written = list(_export(file, folder, format))
-        except StillpointError as error:
-            if len(files) == 1:
-                raise
-            failed += 1
-            print(f"stillpoint: {error}", file=sys.stderr)
-            continue
-        for target in written:
+    folder = None if out is None else inputs.output_dir(out)
+    require_distinct(inputs.folder_for(file, folder) / file.name for file in files)
+    outcomes = run_jobs(partial(_export, folder=folder, format=format), files, jobs, "export")
+    if len(files) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
+        raise StillpointError(outcomes[0].error)
+    for outcome in outcomes:
+        if outcome.value is None:
+            print(f"stillpoint: {outcome.error}", file=sys.stderr)
+        for target in outcome.value or ():
             print(target)
-    return 2 if failed else 0
+    return exit_code(outcomes)
 
 
-def _export(file: Path, folder: Path, format: Format) -> Iterator[Path]:
-    """Write the texts of one file, and say where."""
+def _export(file: Path, folder: Path | None, format: Format) -> list[Path]:
+    """Write the texts of one file, and return where."""
     thing, stem = read(file), file.name.removesuffix(inputs.SUFFIX)
+    written = []
     for label, text in _texts(file, thing, format):
-        target = folder / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
+        target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
         write_text(target, text)
-        yield target
+        written.append(target)
+    return written
 
 
 def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]:
-    """What to write of a file: (label, text)."""
+    """Return what to write of a file, as pairs of a label and a text."""
     if format == "csv":
         return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
     if format == "stream":
@@ -97,23 +97,23 @@ def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]
 
 
 def _samples(file: Path, thing: Kept) -> str:
-    """What ``stream`` reads of a recording; what is left out, and the options that make it the batch run, on stderr."""
+    """Return what ``stream`` reads of a recording; print what is left out, and options as of a batch run, to stderr."""
     if not isinstance(thing, Recording):
         raise BadParameter(f"{file}: holds no samples; give the recording that it was made from, or --format csv")
     if thing.imu is None:
         return csv_text(tables_of(thing)["spin"])
     mag, declination_rad, facts = choose_magnetometer(thing)
-    said = []
+    notes = []
     if mag is None:
-        said.append(f"the heading is {facts['heading']}")
+        notes.append(f"the heading is {facts['heading']}")
     for what, sensor in (("fields", mag), ("fixes", thing.gps)):
         n_unused = (
             0 if sensor is None else len(sensor.t_ns) - int((newest_rows(sensor.t_ns, thing.imu.t_ns) >= 0).sum())
         )
         if n_unused:
-            said.append(f"{n_unused} {what} are left out as by estimate: a newer one came before the next IMU sample")
+            notes.append(f"{n_unused} {what} are left out as by estimate: a newer one came before the next IMU sample")
     if facts["heading"].startswith("true north"):
-        said.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
-    for text in said:
+        notes.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
+    for text in notes:
         print(f"stillpoint: {file}: {text}", file=sys.stderr)
     return "\n".join([*csv_lines(samples(thing), mag is not None, thing.gps is not None), ""])

@@ -19,7 +19,7 @@ from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.main import make_printable
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.import_flags import Flags
 

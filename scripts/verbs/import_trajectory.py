@@ -14,7 +14,7 @@ from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectories import Format, read_trajectory
 from stillpoint.filters.table import ESTIMATORS
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 
 LEAST_OVERLAP = 0.5  # of the trajectory within the recording; less is another clock
 

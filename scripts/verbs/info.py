@@ -13,10 +13,10 @@ from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_h
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
-from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.flags import Columns, Inputs
 from stillpoint.scripts.shared.inputs import each_read, mcap_files
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
@@ -29,6 +29,7 @@ def info(
     /,
     *,
     units_unchecked: Annotated[bool, Parameter(negative="")] = False,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Say what is in a file: streams, rates, gaps, duration, rests, provenance.
@@ -41,6 +42,8 @@ def info(
         MCAP files, folders or globs: recordings, references and estimates.
     units_unchecked
         Open recordings whose sizes do not fit their units.
+    columns
+        Columns of the table of streams to show: names with commas between, or all. By default those that fit.
     json
         Also write the facts as JSON to this file; - is the standard output.
     """
@@ -52,7 +55,7 @@ def info(
         facts = facts_of(path, thing)
         rows.append({**facts, "error": None})
         if json != STDOUT:
-            _show(facts)
+            _show(facts, columns)
     write_json(json, rows)
     return 2 if any(row["error"] is not None for row in rows) else 0
 
@@ -92,7 +95,7 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
     facts = {
         "duration_s": recording.duration_s,
         "streams": [_clock(name, t_ns) for name, t_ns in recording.streams()],
-        "rests": [] if imu is None else _spans(rests_of(recording), imu.t_ns),
+        "rests": [] if imu is None else _spans(find_rests_at_default(recording), imu.t_ns),
         "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
         "spin": [] if recording.spin is None else _spin_lines(recording.spin),
     }
@@ -154,7 +157,7 @@ def _spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
     return [{"start_s": float(start - t_ns[0]) / 1e9, "length_s": float(end - start) / 1e9} for start, end in rests_ns]
 
 
-def _show(facts: dict[str, Any]) -> None:
+def _show(facts: dict[str, Any], wanted: str | None) -> None:
     rows = [
         [
             one["stream"],
@@ -166,7 +169,7 @@ def _show(facts: dict[str, Any]) -> None:
         for one in facts["streams"]
     ]
     print(f"{facts['file']}: {facts['kind']} {facts['name']}")
-    print_table("streams", COLUMNS, [rows], texts=1)
+    print_table("streams", COLUMNS, [rows], texts=1, wanted=wanted)
     if "rests" in facts:
         print(f"  {'rests':17} {_rests_line(facts['rests'])}")
     shown = {"file", "kind", "name", "streams", "rests", "duration_s"}

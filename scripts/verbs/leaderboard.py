@@ -16,9 +16,8 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Columns, Jobs, SetFlag
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.study import Against
 from stillpoint.studies.publish.curves import read_entries

@@ -8,7 +8,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.recover import Recovered, recover_file
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 
 
 def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:

@@ -17,10 +17,10 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, SetFlag
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import STDOUT, JsonFile
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother import reference as make_reference
@@ -30,12 +30,12 @@ from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
 COLUMNS = (
     "recording",
     "method",
+    "sd median, deg",
+    "sd of heading, deg",
     "rests",
     "returns",
     "closing error, deg",
-    "sd median, deg",
     "sd max, deg",
-    "sd of heading, deg",
     "iterations",
     "s",
 )
@@ -75,12 +75,13 @@ def reference(
     paths: Inputs,
     /,
     *,
-    out: OutDir = Path(),
+    out: OutBeside = None,
     method: str | None = None,
     preset: str | None = None,
     set_: SetFlag = None,
     calibration: Path | None = None,
     jobs: Jobs = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Make the reference trajectory of recordings.
@@ -94,7 +95,7 @@ def reference(
     paths
         Recordings: MCAP files, folders or globs.
     out
-        Folder to write into; made when it is not there.
+        Folder to write into; made when it is not there. By default beside each recording.
     method
         How: graph (the default), redistribution (paper 002), redistribution-earth; several with commas between. Or
         roll-graph, for spinning bodies, the default for recordings of nothing but these.
@@ -107,6 +108,8 @@ def reference(
         A reference of the same sensor, NAME.reference.mcap: readings are corrected first by the calibration in it.
     jobs
         Processes; by default one per core, fewer for few recordings.
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write the table's facts as JSON to this file; - is the standard output.
     """
@@ -118,7 +121,7 @@ def reference(
         named = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
         methods = dict.fromkeys(sources, named)
     settings = _settings(list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes)
-    work = _jobs(methods, inputs.output_dir(out))
+    work = _jobs(methods, None if out is None else inputs.output_dir(out))
     known = None
     if calibration is not None:
         known = _Known(calibration.name, calibration=_calibration_in(calibration), sha256=sha256(calibration))
@@ -128,8 +131,8 @@ def reference(
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
-        return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json)
-    code = report_made("references", COLUMNS, rows, _cells, json)
+        return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json, columns)
+    code = report_made("references", COLUMNS, rows, _cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
@@ -157,12 +160,13 @@ def _by_streams(sources: Sequence[Path], changed: bool) -> dict[Path, list[str]]
     return {source: [DEFAULT_ROLL_METHOD if spin else DEFAULT_METHOD] for source, spin in spins.items()}
 
 
-def _jobs(methods: Mapping[Path, Sequence[str]], folder: Path) -> list[_Job]:
-    work = [
-        _Job(source, folder / f"{source.stem}{f'.{name}' if len(names) > 1 else ''}.reference.mcap", name)
-        for source, names in methods.items()
-        for name in names
-    ]
+def _jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]:
+    work = []
+    for source, names in methods.items():
+        for name in names:
+            label = f".{name}" if len(names) > 1 else ""
+            target = inputs.folder_for(source, out) / f"{source.stem}{label}.reference.mcap"
+            work.append(_Job(source, target, name))
     require_distinct(job.target for job in work)
     return work
 
@@ -235,23 +239,23 @@ def _cells(row: dict[str, Any]) -> list[str]:
     return [
         row["recording"],
         row["method"],
+        f"{row['sd_median_deg']:.2f}",
+        f"{row['heading_sd_deg']:.2f}",
         str(row["rests"]),
         f"{accepted} of {len(row['returns'])}",
         ", ".join(f"{error:.1f}" for error in closing) or "-",
-        f"{row['sd_median_deg']:.2f}",
         f"{row['sd_max_deg']:.2f}",
-        f"{row['heading_sd_deg']:.2f}",
         str(row["diagnostics"].get("iterations", "-")),
         f"{row['seconds']:.1f}",
     ]
 
 
 def _roll_in_attitude_table(row: dict[str, Any]) -> list[str]:
-    """Beside attitudes an angle has its sd, and nothing else that they have."""
+    """Return the cells of a reference of an angle in a table of attitudes: its sd, and "-" for what it lacks."""
     sd = f"{row['angle_sd_median_deg']:.2f}"
     last = f"{row['angle_sd_last_deg']:.2f}"
     iterations = str(row["diagnostics"]["iterations"])
-    return [row["recording"], row["method"], "-", "-", "-", sd, last, "-", iterations, f"{row['seconds']:.1f}"]
+    return [row["recording"], row["method"], sd, "-", "-", "-", "-", last, iterations, f"{row['seconds']:.1f}"]
 
 
 def _roll_cells(row: dict[str, Any]) -> list[str]:

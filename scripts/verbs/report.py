@@ -2,10 +2,9 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import track
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
@@ -18,10 +17,11 @@ from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, spin_r
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.inputs import KINDS
-from stillpoint.scripts.shared.opened import open_recording
-from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.verbs.score_roll import is_roll, zero_of
 
 PAGE = ".report.html"
@@ -31,15 +31,16 @@ def report(
     paths: Inputs,
     /,
     *,
-    out: OutDir = Path(),
+    out: OutBeside = None,
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
+    jobs: Jobs = None,
 ) -> int:
     """Write one HTML page about a recording, its reference and its estimates.
 
     Finds NAME.reference.mcap and NAME.ESTIMATOR.estimate.mcap in the folder of NAME.mcap, scores the estimates against
     the reference, and both against the recording's truth where it holds one, and writes NAME.report.html: tables,
-    pictures and provenance in one file that needs no network. Further references, NAME.METHOD.reference.mcap, are
+    plots and provenance in one file that needs no network. Further references, NAME.METHOD.reference.mcap, are
     scored beside the estimates. Of a spinning body the page shows angle and rate about its axis.
 
     Parameters
@@ -47,35 +48,43 @@ def report(
     paths
         Recordings: MCAP files, folders or globs.
     out
-        Folder to write into, made when it is not there; or, for one recording, a file that ends in .html.
+        Folder to write into, made when it is not there; or, for one recording, a file that ends in .html. By default
+        beside each recording.
     align
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
     frame
-        Frame of roll, pitch and yaw: nwu (paper 002), ned (paper 003) or enu (ROS).
+        Frame of roll, pitch and yaw: nwu, ned or enu (ROS).
+    jobs
+        Processes; by default one per core, fewer for few recordings.
     """
     recordings = inputs.recordings(paths)
     targets = _targets(recordings, out)
-    failed = 0
-    pairs = list(zip(recordings, targets, strict=True))
-    for recording, target in track(
-        pairs, "report", disable=len(pairs) < 2, transient=True, console=Console(stderr=True)
-    ):
-        try:
-            write_report(target, gather(recording), align, frame)
-        except StillpointError as error:
-            if len(pairs) == 1:
-                raise
-            failed += 1
-            print(f"no report: {error}", file=sys.stderr)
-            continue
-        print(target)
-    return 2 if failed else 0
+    pages = [_Page(*pair) for pair in zip(recordings, targets, strict=True)]
+    outcomes = run_jobs(partial(_write_page, align=align, frame=frame), pages, jobs, "report")
+    if len(pages) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
+        raise StillpointError(outcomes[0].error)
+    for page, outcome in zip(pages, outcomes, strict=True):
+        if outcome.error is None:
+            print(page.target)
+        else:
+            print(f"no report: {outcome.error}", file=sys.stderr)
+    return exit_code(outcomes)
+
+
+@dataclass(frozen=True)
+class _Page:
+    source: Path
+    target: Path
+
+
+def _write_page(page: _Page, align: AlignKind, frame: EulerFrame) -> None:
+    write_report(page.target, gather(page.source), align, frame)
 
 
 def gather(path: Path) -> Material | SpinMaterial:
-    """A recording with the references and estimates beside it; raises :class:`BadParameter` when there is none.
+    """Read a recording with the references and estimates beside it; raises :class:`BadParameter` when there is none.
 
-    Attitudes, or, of a recording of a spinning body without an IMU, angles and rates about its axis.
+    They are attitudes, or angles and rates about the axis of a spinning body where the recording has no IMU.
     """
     recording = open_recording(path)
     of_spin = recording.imu is None
@@ -125,19 +134,16 @@ def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | 
     if made and (references or known is not None):
         return
     missing = "reference" if made else "reference or estimate"
-    raise BadParameter(
-        f"{path}: no {missing} of it lies beside it; make one in that folder: stillpoint reference {path} "
-        f"-o {path.parent}"
-    )
+    raise BadParameter(f"{path}: no {missing} of it lies beside it; make one: stillpoint reference {path}")
 
 
-def _targets(recordings: Sequence[Path], out: Path) -> list[Path]:
-    if out.suffix == ".html":
+def _targets(recordings: Sequence[Path], out: Path | None) -> list[Path]:
+    if out is not None and out.suffix == ".html":
         if len(recordings) > 1:
             raise BadParameter(f"-o {out}: {len(recordings)} recordings give as many pages; name a folder")
         inputs.output_dir(out.parent)
         return [out]
-    folder = inputs.output_dir(out)
-    targets = [folder / f"{recording_name(path)}{PAGE}" for path in recordings]
+    folder = None if out is None else inputs.output_dir(out)
+    targets = [inputs.folder_for(path, folder) / f"{recording_name(path)}{PAGE}" for path in recordings]
     require_distinct(targets)
     return targets

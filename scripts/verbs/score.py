@@ -6,9 +6,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import track
-
 from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
@@ -21,13 +18,13 @@ from stillpoint.scoring import score as score_against
 from stillpoint.scoring.spin import RollScore, roll_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.shared.flags import Inputs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.flags import Columns, Inputs
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.progress import track
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.score_roll import is_roll, print_roll_scores, score_roll_file
 
-COLUMNS = ("recording", "estimate", "found", "total", "heading", "incl.", "95 %", "max", "roll", "pitch", "yaw")
-WIDE = 130  # columns of a terminal that shows the angles, too
+COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -56,6 +53,7 @@ def score(
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
     over: str | None = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Score estimates against a reference or a truth.
@@ -81,6 +79,8 @@ def score(
     over
         Also compare turns over these times in seconds, with commas between: how fast an estimate drifts, whatever its
         heading was to begin with (the relative pose error of other tools).
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write all figures as JSON to this file; - is the standard output.
     """
@@ -94,7 +94,7 @@ def score(
     work = [(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
-    for file, judge in track(work, "score", disable=len(work) < 2, transient=True, console=Console(stderr=True)):
+    for file, judge in track(work, "score"):
         try:
             found = _score_file(file, judge, asked)
         except StillpointError as error:
@@ -108,7 +108,7 @@ def score(
         rows.append({**row, "file": str(file), "made_from": made_from})
     if json != STDOUT:
         attitudes = [s for s in scores if isinstance(s, Score)]
-        print_scores(attitudes)
+        print_scores(attitudes, columns)
         if asked.over_s and attitudes:
             print_turns(attitudes)
         print_roll_scores([s for s in scores if isinstance(s, RollScore)])
@@ -119,8 +119,8 @@ def score(
     return 2 if len(scores) < len(work) else 0
 
 
-def print_scores(scores: Sequence[Score]) -> None:
-    """The table of scores, a section per recording and judge, best first; then what was left out or means nothing."""
+def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
+    """Print the scores, a section per recording and judge, best first; then what was left out or means nothing."""
 
     def place(s: Score) -> tuple[str, str]:
         return s.recording, s.against
@@ -129,16 +129,17 @@ def print_scores(scores: Sequence[Score]) -> None:
     for against, same in groupby(sorted(ordered, key=lambda s: s.against), key=lambda s: s.against):
         judged = list(same)
         sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=place)]
-        shown = _columns_that_fit(whole_name=len(sections) > 1)
+        first = 0 if len(sections) > 1 or wanted is not None else 1
         whose = "" if len(sections) > 1 else f"{judged[0].recording} "
         title = f"{whose}against the {against}, aligned: {judged[0].alignment.kind}; RMSE in deg"
         print_table(
             title,
-            [COLUMNS[k] for k in shown],
-            [[[cells[k] for k in shown] for cells in rows] for rows in sections],
+            COLUMNS[first:],
+            [[cells[first:] for cells in rows] for rows in sections],
+            texts=2 - first,
+            wanted=wanted,
         )
-        if shown[-1] == len(COLUMNS) - 1:
-            print(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
+        print(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
         for note in _notes(judged):
             print(note)
 
@@ -253,13 +254,6 @@ def _beside(file: Path, thing: Estimate | Reference, kind: str | None = None) ->
     )
 
 
-def _columns_that_fit(whole_name: bool) -> list[int]:
-    """The first column only for several recordings; on a narrow terminal without the angles, which the JSON has."""
-    console = Console()
-    last = len(COLUMNS) if not console.is_terminal or console.width >= WIDE else len(COLUMNS) - 3
-    return list(range(0 if whole_name else 1, last))
-
-
 def _cells(s: Score) -> list[str]:
     found: Mapping[str, Any] = s.alignment.found()
     parts = [f"{found['heading_deg']:+.2f}°"] if s.alignment.kind != "none" else ["-"]
@@ -271,12 +265,12 @@ def _cells(s: Score) -> list[str]:
     return [
         s.recording,
         s.estimated,
-        ", ".join(parts),
         f"{mark}{s.total_rmse_deg:.2f}",
         f"{s.heading_rmse_deg:.2f}",
         f"{s.inclination_rmse_deg:.2f}",
         f"{s.total_p95_deg:.2f}",
         f"{s.total_max_deg:.2f}",
+        ", ".join(parts),
         f"{s.roll_rmse_deg:.2f} / {s.roll_maxae_deg:.1f}",
         f"{s.pitch_rmse_deg:.2f} / {s.pitch_maxae_deg:.1f}",
         f"{s.yaw_rmse_deg:.2f} / {s.yaw_maxae_deg:.1f}",

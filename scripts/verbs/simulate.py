@@ -13,7 +13,7 @@ from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import simulate as make
 from stillpoint.scripts.shared.flags import OutDir, Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 
 
 def simulate(

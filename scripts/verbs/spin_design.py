@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.design import Placement, Rig, limits_m, longest, place
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential

@@ -15,8 +15,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters.spin.noise import SpinParams
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir, recordings
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_variances
 from stillpoint.studies.rig.identify import Identified, Trial, identify

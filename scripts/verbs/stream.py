@@ -18,8 +18,8 @@ from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared.estimator_choice import Run, runs_of
 from stillpoint.scripts.shared.flags import SetFlag, Whole
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, writable, write_json
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, writable, write_json
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.lines import ATTITUDE, spin_layout
 from stillpoint.scripts.streaming.pipe import Passed, ctrl_c_quits, pipe

@@ -12,9 +12,8 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs, Whole
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.studies.leaderboard.study import Against
 from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tuning_toml
 from stillpoint.studies.tune import tune as tune_estimator

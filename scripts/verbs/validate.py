@@ -11,10 +11,10 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutDir
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document, write_json
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_json
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.scripts.verbs.validate_roll import validate_roll
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
@@ -46,11 +46,12 @@ def validate(
     /,
     *,
     align: AlignKind = "heading",
-    methods: str | None = None,
+    methods: Annotated[str | None, Parameter(name=["--method", "--methods"])] = None,
     fidelity: Annotated[bool, Parameter(negative=())] = False,
     estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
     out: OutDir = FIDELITY_OUT,
     jobs: Jobs = None,
+    columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
     """Score references against independent truth: one row per recording and method, then mean, median and worst.
@@ -79,6 +80,8 @@ def validate(
         With --fidelity: folder for results.
     jobs
         Processes; by default one per core, fewer for few recordings.
+    columns
+        Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
         Also write the rows as JSON to this file; - is the standard output.
     """
@@ -88,7 +91,7 @@ def validate(
         chosen_estimators = [] if estimators is None else [name.strip() for name in estimators.split(",")]
         return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), jobs, json)
     if estimators is not None:
-        raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --methods")
+        raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --method")
     if all(inputs.is_of_spin(source) for source in sources):
         return validate_roll(sources, named, align, jobs, json)
     chosen = default_methods() if named is None else check_methods(named)
@@ -102,7 +105,7 @@ def validate(
     if len(reasons) == 1 and None not in reasons:
         raise StillpointError(*reasons)
     if json != STDOUT:
-        _print(rows, summary(rows), align)
+        _print(rows, summary(rows), align, columns)
     if any(outcome.defect for outcome in outcomes):
         return 1
     return 0 if None in reasons else 2
@@ -156,14 +159,14 @@ def _fidelity_cells(judge: "JudgeFidelity") -> list[str]:
     ]
 
 
-def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str) -> None:
+def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, wanted: str | None) -> None:
     scored = [_figures(asdict(row)) + _found(row) for row in rows]
     named = [[row.recording, row.method, *cells] for row, cells in zip(rows, scored, strict=True)]
     below = [
         [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_figures(row), "", "", ""]
         for row in means
     ]
-    print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below])
+    print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below], wanted=wanted)
     left_out = ((row.magnetometer_left_out, row.recording) for row in rows if row.magnetometer_left_out is not None)
     print_refusals("without magnetometer", left_out)
     print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))

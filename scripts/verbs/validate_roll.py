@@ -13,8 +13,8 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.spin import RollScore, roll_score_row, score_roll, usual_zero
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
-from stillpoint.scripts.shared.opened import open_recording
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
 from stillpoint.scripts.verbs.score_roll import print_roll_scores, roll_judge_of, zero_of
 from stillpoint.smoother import reference

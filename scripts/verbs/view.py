@@ -29,7 +29,7 @@ def view(
     Parameters
     ----------
     paths
-        MCAP files, folders or globs. With a recording come the references that lie beside it.
+        MCAP files, folders or globs. With a recording come the references and estimates that lie beside it.
     save
         Write to this file, NAME.rrd, instead of opening a window.
     alone
@@ -43,7 +43,7 @@ def view(
         raise BadParameter(f"--save {save}: the folder is not there; make it or name another")
     files = mcap_files(paths)
     if not alone:
-        files = _with_references(files)
+        files = _add_companions(files)
     things = [read(file) for file in files]  # all of them before a file or a window is there
     scene = open_scene(save, things)
     for file, thing in zip(files, things, strict=True):
@@ -53,11 +53,13 @@ def view(
         print(f"{save}: {len(files)} files; open it with: rerun {save}")
 
 
-def _with_references(files: list[Path]) -> list[Path]:
-    """The files, each recording followed by the references beside it."""
+def _add_companions(files: list[Path]) -> list[Path]:
+    """Return the files, each recording followed by the references and estimates beside it."""
     found: dict[Path, None] = {}
     for file in files:
         found[file.absolute()] = None
         if kind_of(file) == "recording":
-            found |= dict.fromkeys(files_of(recording_name(file), "reference", neighbours(file)))
+            around = neighbours(file)
+            for kind in ("reference", "estimate"):
+                found |= dict.fromkeys(files_of(recording_name(file), kind, around))
     return list(found)

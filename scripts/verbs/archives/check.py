@@ -13,7 +13,7 @@ from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import Fault, verify_archive
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.flags import Jobs, Whole
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
 TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md has what was measured across kinds

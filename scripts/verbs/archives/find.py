@@ -9,7 +9,7 @@ from rich.tree import Tree
 
 from stillpoint.datasets.archive import Archive, Entry
 from stillpoint.datasets.archive.catalogue import SCORE_FIGURES, facts_in
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, entry_row, open_named, print_entries
 

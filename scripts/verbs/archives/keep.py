@@ -15,7 +15,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.remote import is_url
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Inputs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named, print_entries, read_ids
 
 Ids = Annotated[list[str], Parameter(negative=(), allow_leading_hyphen=True)]

@@ -19,7 +19,7 @@ from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.trajectory import Reference, RollReference
 from stillpoint.scripts.shared.flags import Whole
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
 from stillpoint.studies.one_file import write_one_file

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
 from stillpoint.studies.papers.auv.study import METHODS, SEAS, SeaKind, Trial, over_trials, trial

@@ -7,9 +7,8 @@ from typing import Any
 from stillpoint.datasets.nearest import require_known
 from stillpoint.scoring.score import score_row
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.phone.page import judge_rows, method_rows, phone_page
 from stillpoint.studies.papers.phone.study import CF, EXPERIMENTS, LongRun, Scenario, Trial, long_run, trial

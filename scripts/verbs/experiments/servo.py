@@ -4,9 +4,8 @@ from dataclasses import asdict, dataclass
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.servo.page import rows, servo_page
 from stillpoint.studies.papers.servo.study import Trial, trial

@@ -9,9 +9,8 @@ from cyclopts import Parameter
 from stillpoint.scoring.spin import roll_score_row
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.json_file import STDOUT, write_json
+from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.scripts.verbs.experiments.trials import Trials
 from stillpoint.studies.papers.spin.page import roll_page
 from stillpoint.studies.papers.spin.study import (

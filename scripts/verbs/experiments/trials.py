@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scripts.shared.flags import Jobs, OutDir, Whole
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.json_file import JsonFile
+from stillpoint.scripts.shared.output import JsonFile
 
 Job = TypeVar("Job")
 Trial = TypeVar("Trial")

@@ -12,7 +12,7 @@ from stillpoint.datasets.doctor.candidates import choose
 from stillpoint.datasets.doctor.lag import find_lag
 from stillpoint.datasets.doctor.witness import Witness, ask_mag
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.shared.rest_lines import rests_of
+from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.verbs.doctor import examine
 from stillpoint.smoother import find_rests
 
@@ -32,7 +32,7 @@ def test_slow_waves_do_not_fix_a_lag(mission):
 
 def test_a_cruising_vehicle_does_not_rest(mission):
     assert len(find_rests(mission.require_imu())) > 20, "to the IMU alone an even course looks like rest"
-    assert len(rests_of(mission)) == 0
+    assert len(find_rests_at_default(mission)) == 0
 
 
 def test_a_cruise_is_clean():
@@ -41,7 +41,7 @@ def test_a_cruise_is_clean():
 
 def test_without_satellites_the_imu_alone_decides(mission):
     blind = replace(mission, gps=None)
-    np.testing.assert_array_equal(rests_of(blind), find_rests(blind.require_imu()))
+    np.testing.assert_array_equal(find_rests_at_default(blind), find_rests(blind.require_imu()))
 
 
 @pytest.mark.parametrize("late_s", [-0.06, 0.0, 0.06])

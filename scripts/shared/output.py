@@ -1,4 +1,4 @@
-"""What every verb writes for machines: ``--json FILE``, ``-`` for the standard output."""
+"""Text files that verbs write, and JSON for machines: ``--json FILE``, ``-`` for the standard output."""
 
 import json
 import math
@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.scripts.shared.text_file import write_text
+from stillpoint.datasets.atomic import write_atomically
+from stillpoint.datasets.errors import BadParameter
 
 STDOUT = "-"
 
 
-def writable(_: Any, target: str | None) -> None:
+def check_writable(_: Any, target: str | None) -> None:
     """Raise ``ValueError`` before the work starts where the file could not be written after it."""
     if target in (None, STDOUT):
         return
@@ -25,11 +26,11 @@ def writable(_: Any, target: str | None) -> None:
 
 
 # A lone hyphen would be read as an option otherwise.
-JsonFile = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True, validator=writable)]
+JsonFile = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True, validator=check_writable)]
 
 
 def write_json(target: str | None, rows: Sequence[Mapping[str, Any]]) -> None:
-    """``{"rows": [...]}`` to a file or to the standard output; nothing when ``target`` is None.
+    """Write ``{"rows": [...]}`` to a file or to the standard output; nothing when ``target`` is None.
 
     A number that is not finite becomes null. Raises :class:`BadParameter` when the file cannot be written.
     """
@@ -45,6 +46,18 @@ def write_document(target: str | None, content: Mapping[str, Any]) -> None:
         print(text)
         return
     write_text(Path(target), text + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text, the whole file or none of it; raises :class:`BadParameter` when it cannot be written."""
+    try:
+        if path.exists() and not path.is_file():  # a pipe or a device
+            path.write_text(text, encoding="utf-8")
+        else:
+            with write_atomically(path) as file:
+                file.write(text.encode())
+    except OSError as error:
+        raise BadParameter(f"{path}: cannot be written ({error.strerror}); name another place") from None
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,33 @@
+"""A recording as verbs open and describe it: losses of a cut file are printed, rests are those of the reference."""
+
+import sys
+from functools import cache
+from pathlib import Path
+
+from stillpoint.datasets.doctor.whole import losses
+from stillpoint.datasets.mcap.store import read_recording
+from stillpoint.datasets.recording import Recording, Times
+
+
+def open_recording(path: Path) -> Recording:
+    """Read a recording, and print to stderr what is lost of a file that was cut short."""
+    recording = read_recording(path)
+    for loss in losses(recording):
+        _print_once(f"stillpoint: {path}: {loss}")
+    return recording
+
+
+def find_rests_at_default(recording: Recording) -> Times:
+    """Return first and last stamp of each rest (R, 2), as the reference finds them by default.
+
+    Rests while satellites see the body under way are left out: an even course looks like rest to an IMU.
+    """
+    from stillpoint.smoother import find_rests
+    from stillpoint.smoother.attitude.satellite import not_under_way
+
+    return not_under_way(find_rests(recording.require_imu()), recording.gps)
+
+
+@cache
+def _print_once(line: str) -> None:
+    print(line, file=sys.stderr)
