@@ -1,4 +1,4 @@
-"""How good an angle and a rate about a spin axis are: the four figures of paper 000, and whether the stated sd fit.
+"""Scores of an angle and a rate about a spin axis: the four figures of Asghari et al. 2018, and consistency.
 
 An estimate's angle counts from its own first sample, an encoder's from its index mark: ``zero`` says what is taken
 off. The *truth* is read at the estimate's stamps, its angle by the cubic through angles and rates, its rate along a
@@ -52,7 +52,7 @@ class RollComparison:
 
 @dataclass(frozen=True)
 class RollScore:
-    """Errors of angle and rate about the spin axis. RMSE and largest size are the four figures of paper 000."""
+    """Errors of angle and rate about the spin axis: RMSE and largest size, as in Asghari et al. 2018."""
 
     estimated: str
     against: str
@@ -86,11 +86,11 @@ def score_roll(
 ) -> RollScore:
     """Score angle and rate of an estimate or a roll reference against a truth, an encoder or a roll reference.
 
-    ``zero``: the angle counts from the first common sample ("start", as in paper 000), is free of a mean error
-    ("mean"), or is absolute, but for whole turns ("turns") or altogether ("none"); :func:`usual_zero` says which is
-    usual. ``against`` names the truth; "" takes a reference's method, else "truth". Raises :class:`BadParameter`,
-    :class:`BadRecording` for an estimate without angle and rate, and :class:`Unobservable` when no sample can be
-    scored.
+    ``zero``: the angle counts from the first common sample ("start", as in Asghari et al. 2018), is free of a
+    mean error ("mean"), or is absolute, but for whole turns ("turns") or altogether ("none"); :func:`usual_zero` says
+    which is usual. ``against`` names the truth; "" takes a reference's method, else "truth".
+    Raises :class:`BadParameter`, :class:`BadRecording` for an estimate without angle and rate, and
+    :class:`Unobservable` when no sample can be scored.
     """
     return roll_score_of(compare_roll(estimated, truth, zero, against))
 

@@ -26,7 +26,7 @@ COMPILED_PEERS = ("vqf", "offline-vqf")
 PEERS_PACKAGES = ("vqf", "ahrs", "imufusion")
 
 # The filters of the package ahrs that are of the same kind as ours: entries of the table, or classes of ahrs. Tilt and
-# Complementary work on whole columns, of Euler angles; mahony is what (11) of paper 002 is, a PI observer.
+# Complementary work on whole columns, of Euler angles; mahony is a PI observer.
 KINDS: dict[str, tuple[str, ...]] = {
     "acc": ("Tilt",),
     "acc-ma": ("Tilt",),

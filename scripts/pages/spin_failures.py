@@ -16,7 +16,7 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import score_roll
 from stillpoint.smoother import reference
-from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, settings_of
+from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, make_settings
 
 QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
 AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
@@ -75,7 +75,7 @@ def main() -> None:
         smoothed = reference(recording)
         assert isinstance(smoothed, RollReference)
         made: list[Estimate | RollReference] = [
-            *(estimate(recording, each, settings_of(CONSTANT, method, False)) for method, each in FILTERS.items()),
+            *(estimate(recording, each, make_settings(CONSTANT, method, False)) for method, each in FILTERS.items()),
             smoothed,
         ]
         print(f"| {name} | {' | '.join(_cell(recording, one) for one in made)} |")

@@ -27,7 +27,7 @@ from stillpoint.scripts.verbs.score import print_scores
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 KIND = "phone-3"
-COMPARED = "redistribution"  # the method of the literature, scored beside ours
+COMPARED = "redistribution"  # the method of the literature, scored beside the graph
 # Few enough to tell their lines apart; with the package that each needs.
 SHOWN = {"cf": None, "ekf": None, "vqf": "vqf", "offline-vqf": "vqf", "madgwick": "ahrs"}
 
@@ -40,8 +40,8 @@ def demo(
 ) -> None:
     """Simulate a phone in the hand and follow it the whole way to a report.
 
-    The third experiment of paper 002, with a truth that is known by construction: the recording, its reference, five
-    estimators, their scores, and one HTML page. Every step writes the file that its verb would write.
+    Simulates the third experiment of Elmi Aziz and Mohseni Araste 2021, so the truth is known. Makes the recording, its
+    reference, five estimates, their scores and one HTML page. Every step writes the file that its verb would write.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def demo(
     with _step("doctor"):
         rests_ns = find_rests_at_default(recording)
         diagnosis = diagnose(recording, rests_ns)
-    _say(recording, rests_ns, diagnosis)
+    _print_facts(recording, rests_ns, diagnosis)
     made_from = {path.name: sha256(path)}
     with _step(f"reference by {DEFAULT_METHOD}"):
         made = replace(attitude_reference(recording), made_from=made_from)
@@ -68,7 +68,7 @@ def demo(
     with _step(f"reference by {COMPARED}, to compare"):
         compared = replace(attitude_reference(recording, COMPARED), made_from=made_from)
         write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
-    for name in _installed():
+    for name in _list_installed():
         with _step(f"estimate by {name}"):
             found = replace(estimate(recording, name), made_from=made_from)
             write(folder / f"{recording.name}.{name}.estimate.mcap", found)
@@ -82,8 +82,8 @@ def demo(
     print(f"report: {page}")
 
 
-def _installed() -> list[str]:
-    """The estimators whose packages are there; says which are left out."""
+def _list_installed() -> list[str]:
+    """Return the estimators whose packages are installed; print which are left out."""
     lacking = [name for name, package in SHOWN.items() if package and importlib.util.find_spec(package) is None]
     if lacking:
         print(f"left out: {', '.join(lacking)}; to have them too: pip install 'stillpoint[peers]'", file=sys.stderr)
@@ -92,7 +92,7 @@ def _installed() -> list[str]:
 
 @contextmanager
 def _step(name: str) -> Iterator[None]:
-    """Say on stderr what is done, and how long it took."""
+    """Print to stderr what is done and how long it took."""
     console = Console(stderr=True, highlight=False)
     begun = perf_counter()
     with console.status(name):
@@ -100,8 +100,8 @@ def _step(name: str) -> Iterator[None]:
     console.print(f"{perf_counter() - begun:6.1f} s  {name}")
 
 
-def _say(recording: Recording, rests_ns: Times, diagnosis: Diagnosis) -> None:
-    """What a user would ask first: length, rates, rests, and whether anything is wrong."""
+def _print_facts(recording: Recording, rests_ns: Times, diagnosis: Diagnosis) -> None:
+    """Print what a user asks first: length, rates, rests, and whether anything is wrong."""
     streams = ", ".join(f"{name} {rate_hz(t_ns):.1f} Hz" for name, t_ns in recording.streams())
     rests = ", ".join(f"{rest_s:.0f}" for rest_s in np.diff(rests_ns, axis=1)[:, 0] / 1e9)
     print(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_ns)} rests of {rests} s")

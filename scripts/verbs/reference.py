@@ -97,8 +97,8 @@ def reference(
     out
         Folder to write into; made when it is not there. By default beside each recording.
     method
-        How: graph (the default), redistribution (paper 002), redistribution-earth; several with commas between. Or
-        roll-graph, for spinning bodies, the default for recordings of nothing but these.
+        How: graph (the default), redistribution (Elmi Aziz and Mohseni Araste 2021) or redistribution-earth; several
+        with commas between. For spinning bodies roll-graph, the default for recordings of nothing else.
     preset
         How the sensor is moved, for the method graph: handheld (the default), phone, vehicle or bench.
     set_

@@ -75,7 +75,7 @@ def score(
     align
         What may differ without being an error: none, heading, heading+mounting or heading+mounting+time.
     frame
-        Frame of roll, pitch and yaw: nwu (paper 002), ned (paper 003) or enu (ROS).
+        Frame of roll, pitch and yaw: nwu, ned or enu (ROS).
     over
         Also compare turns over these times in seconds, with commas between: how fast an estimate drifts, whatever its
         heading was to begin with (the relative pose error of other tools).

@@ -40,8 +40,8 @@ def simulate(
         phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the experiments of paper
         002; phone-1-slow (turned and pushed by little), phone-3-shaken (in one place), phone-3-level (shaken to the
         sides): the same moved otherwise. spin-constant, spin-variable (a motor's shaft with two
-        accelerometers), spin-flight (five on a projectile): paper 000. auv-dolphin, auv-dolphin-calm (an underwater
-        vehicle): paper 003. car (a drive through a town). servo-bench (swung by +-90 deg): paper 004.
+        accelerometers), spin-flight (five on a projectile). auv-dolphin, auv-dolphin-calm (an underwater
+        vehicle). car (a drive through a town). servo-bench (swung by +-90 deg).
     out
         Folder to write into; made when it is not there.
     seed

@@ -6,12 +6,12 @@ app = App(name="spin", help="Place accelerometers on a spinning body, and identi
 app.command(
     "stillpoint.scripts.verbs.spin_design:spin_design",
     name="design",
-    help="Accuracy over the lever arms, with the range's limit (paper 000, section 3.2).",
+    help="Accuracy over the lever arms, with the range's limit (Asghari et al. 2018, section 3.2).",
     sort_key=0,
 )
 app.command(
     "stillpoint.scripts.verbs.spin_identify:spin_identify",
     name="identify",
-    help="Noise variances from trials with an encoder (paper 000, eqs (28)-(31), figures 7 and 8).",
+    help="Noise variances from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).",
     sort_key=1,
 )

@@ -45,7 +45,7 @@ def spin_design(
     out: OutDir = Path(),
     json: JsonFile = None,
 ) -> None:
-    """Accuracy over the lever arms d1 of F4 and d2 of F5, with the range's limit (paper 000, section 3.2).
+    """Accuracy over the lever arms d1 of F4 and d2 of F5, with the range's limit (Asghari et al. 2018, section 3.2).
 
     Writes spin-design.png and spin-design.json. The first row is the most accurate placement that fits. Errors of the
     rate are in deg/s at the fastest rate: one sample, filtered, for each mg of F4's bias, for each mm of d1's error.

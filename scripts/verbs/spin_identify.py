@@ -46,7 +46,7 @@ def spin_identify(
     out: OutDir = Path(),
     json: JsonFile = None,
 ) -> None:
-    """Noise variances of F4 and F5 from trials with an encoder (paper 000, eqs (28)-(31), figures 7 and 8).
+    """Noise variances of F4 and F5 from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).
 
     Writes spin-identify.png and spin-identify.json. The maximum over the trials is taken, as in the paper. D5 by (30)
     holds the noise of the encoder's differences too; what the accelerometer and the encoder share is motion, which

@@ -1,4 +1,4 @@
-"""Where on a spinning body the accelerometers should sit (paper 000, section 3.2 and eq (27)).
+"""Where on a spinning body the accelerometers should sit (Asghari et al. 2018, section 3.2 and eq (27)).
 
 The longer the lever arms, the smaller the variances Q and R of eq (25); the range of the accelerometers and the room
 there is end them.

@@ -1,4 +1,4 @@
-"""Noise variances of the accelerometers on a shaft, from trials with an encoder (paper 000, eqs (28)-(31)).
+"""Noise variances of the accelerometers on a shaft, from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).
 
 Of an encoder that gives its angle alone, the rate is a difference of counts: at 4096 a turn and 4 ms its noise makes
 a D5 of 1000 (m/s^2)^2. Rate and angular acceleration are then taken from the angle over a window, by a parabola, just

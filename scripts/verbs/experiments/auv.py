@@ -1,4 +1,4 @@
-"""``stillpoint experiment auv-dolphin``: paper 003's mission."""
+"""``stillpoint experiment auv-dolphin``: the mission of Zia 2022."""
 
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
-from stillpoint.studies.papers.auv.study import METHODS, SEAS, SeaKind, Trial, over_trials, trial
+from stillpoint.studies.papers.auv.study import METHODS, SEAS, SeaKind, Trial, run_trial, summarise_trials
 
 Online = Annotated[bool, Parameter(negative=())]
 
@@ -52,12 +52,13 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
 
 
 def _trial(job: _Job) -> Trial:
-    return trial(job.sea, job.seed, job.online)
+    return run_trial(job.sea, job.seed, job.online)
 
 
 def _rows(trials: list[Trial]) -> list[list[str]]:
     return [
-        [trials[0].sea, method.name] + [f"{over_trials(trials, method.name, column.key):.2g}" for column in COLUMNS]
+        [trials[0].sea, method.name]
+        + [f"{summarise_trials(trials, method.name, column.key):.2g}" for column in COLUMNS]
         for method in METHODS
     ]
 

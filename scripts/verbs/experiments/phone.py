@@ -1,4 +1,5 @@
-"""``stillpoint experiment phone-1``, ``phone-2`` and ``phone-3``: the three experiments of paper 002."""
+"""``stillpoint experiment phone-1``, ``phone-2`` and ``phone-3``: the three of Elmi Aziz and
+Mohseni Araste 2021."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -10,8 +11,8 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
-from stillpoint.studies.papers.phone.page import judge_rows, method_rows, phone_page
-from stillpoint.studies.papers.phone.study import CF, EXPERIMENTS, LongRun, Scenario, Trial, long_run, trial
+from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, phone_page
+from stillpoint.studies.papers.phone.study import CF, EXPERIMENTS, LongRun, Scenario, Trial, run_trial, time_long_run
 
 COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg", "tilt", "heading")
 AGAINST_KALMAN = {CF: "cf", "Kalman, per axis": "kf-axis", "Kalman, error state": "ekf"}
@@ -25,7 +26,7 @@ class _Job:
 
 
 def sliding(*, hand: str | None = None, trials: Trials = FIVE) -> None:
-    """Experiment 1 of paper 002: a phone slid over a table, turned about the vertical only.
+    """Experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
 
     Writes phone-1.experiment.html: the paper's table 2 and figures 5 to 8 beside ours, against the paper's benchmark,
     the graph and the truth, and the error of the benchmark itself.
@@ -40,7 +41,7 @@ def sliding(*, hand: str | None = None, trials: Trials = FIVE) -> None:
 
 
 def tripod(*, trials: Trials = FIVE) -> None:
-    """Experiment 2 of paper 002: a phone on a tripod, turned slowly about all axes; and the drift of its gyro.
+    """Experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
 
     Writes phone-2.experiment.html: the paper's table 3 and figures 10 to 12 beside ours, against the paper's benchmark,
     the graph and the truth, and the error of the benchmark itself.
@@ -49,7 +50,7 @@ def tripod(*, trials: Trials = FIVE) -> None:
 
 
 def in_hand(*, hand: str | None = None, minutes: float = 10.0, trials: Trials = FIVE) -> None:
-    """Experiment 3 of paper 002: a phone in the hand, violent turns and accelerations; and CF against Kalman filters.
+    """Experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
 
     Writes phone-3.experiment.html: the paper's table 4 and figures 13 to 15 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and accuracy and time of the Kalman filters.
@@ -70,7 +71,7 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> N
     if hand is not None:
         require_known(hand, scenario.hands, "hand")
     hands = tuple(scenario.hands) if hand is None else (hand,)
-    long_runs = long_run(minutes, hands[0], AGAINST_KALMAN) if minutes else []
+    long_runs = time_long_run(minutes, hands[0], AGAINST_KALMAN) if minutes else []
     folder = output_dir(trials.out)
     made = trials.run(_trial, [_Job(scenario, hand, seed) for hand in hands for seed in seeds], "trials")
     by_hand = {hand: [one for one in made if one.hand == hand] for hand in hands}
@@ -86,14 +87,14 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> N
 
 
 def _trial(job: _Job) -> Trial:
-    return trial(job.scenario, job.hand, job.seed)
+    return run_trial(job.scenario, job.hand, job.seed)
 
 
 def _print(
     scenario: Scenario, by_hand: Mapping[str, Sequence[Trial]], long_runs: Sequence[LongRun], minutes: float
 ) -> None:
     trials = len(next(iter(by_hand.values())))
-    rows = [*method_rows(scenario, by_hand), *judge_rows(by_hand)]
+    rows = [*make_method_rows(scenario, by_hand), *make_judge_rows(by_hand)]
     sections: list[list[list[str]]] = []
     for row in rows:
         if row["first"]:

@@ -1,4 +1,4 @@
-"""``stillpoint experiment servo-bench``: paper 004's bench."""
+"""``stillpoint experiment servo-bench``: the bench of Byambajav et al."""
 
 from dataclasses import asdict, dataclass
 
@@ -8,7 +8,7 @@ from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.servo.page import rows, servo_page
-from stillpoint.studies.papers.servo.study import Trial, trial
+from stillpoint.studies.papers.servo.study import Trial, run_trial
 
 COLUMNS = ("angle", "by", "rms at rest, deg", "low rate", "high rate")
 SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
@@ -46,4 +46,4 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
 
 
 def _trial(job: _Job) -> Trial:
-    return trial(job.seed, job.minutes)
+    return run_trial(job.seed, job.minutes)

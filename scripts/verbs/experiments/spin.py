@@ -1,4 +1,4 @@
-"""``stillpoint experiment spin-constant`` and ``spin-variable``: the two scenarios of paper 000."""
+"""``stillpoint experiment spin-constant`` and ``spin-variable``: the experiments of Asghari et al. 2018."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,8 +22,8 @@ from stillpoint.studies.papers.spin.study import (
     Reading,
     Scenario,
     Trial,
-    trial,
-    worst,
+    find_worst,
+    run_trial,
 )
 
 COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
@@ -107,13 +107,13 @@ def _run(scenario: Scenario, wanted: SpinTrials) -> None:
 
 
 def _trial(job: _Job) -> Trial:
-    return trial(job.scenario, job.noise, job.seed, job.online, job.reading)
+    return run_trial(job.scenario, job.noise, job.seed, job.online, job.reading)
 
 
 def _rows(trials: Sequence[Trial]) -> list[list[str]]:
     rows = []
     for method in trials[0].scores:
-        figures = (worst(trials, method, metric) for metric in METRICS)
+        figures = (find_worst(trials, method, metric) for metric in METRICS)
         rows.append([trials[0].noise, method, *("-" if value is None else f"{value:.2f}" for value in figures)])
     return rows
 

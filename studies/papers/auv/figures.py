@@ -1,4 +1,4 @@
-"""Pictures of paper 003's mission: angles with zooms, errors of the heading, and gains over time."""
+"""Figures of the underwater mission: angles with zooms, errors of the heading, and gains over time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.complementary.gains import Gains
 from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
-from stillpoint.studies.papers.auv.study import Series, difference_deg
+from stillpoint.studies.papers.auv.study import Series, compute_difference_deg
 
 PARTS = ("roll", "pitch", "heading")
 RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains
@@ -19,7 +19,7 @@ Span = tuple[float, float]
 
 
 def draw_mission(axes: Sequence[Axes], series: Series) -> None:
-    """The way over the sea from above, then the depth over time."""
+    """Draw the path over the sea from above, then the depth over time."""
     east_m, north_m, up_m = series.place_n_m.T
     axes[0].plot(east_m, north_m, color=rcParams["text.color"], lw=1.2)
     axes[0].plot([east_m[0], east_m[-1]], [north_m[0], north_m[-1]], color=colour_of(0), marker="o", lw=0)
@@ -36,7 +36,7 @@ def draw_mission(axes: Sequence[Axes], series: Series) -> None:
 def draw_angle(
     axes: Sequence[Axes], series: Series, part: int, methods: Mapping[str, int], spans: Sequence[Span]
 ) -> None:
-    """One angle over each of the spans: measured (roll and pitch), estimates in their colours, the truth on top."""
+    """Draw one angle over each of the spans: measured (roll and pitch), estimates in colour, the truth on top."""
     for ax, span in zip(axes, spans, strict=True):
         if part < 2:
             _line(ax, series, series.measured_deg[:, part], span, color=REST_GREY, lw=0.7, label="measured")
@@ -52,24 +52,24 @@ def draw_angle(
 
 
 def draw_heading_errors(axes: Sequence[Axes], series: Series, methods: Mapping[str, int]) -> None:
-    """Estimates and GPS courses less the true heading; below without the gyro, whose error hides the others."""
+    """Draw the heading errors of estimates and GPS courses; below without the gyro, whose error hides the others."""
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     true = np.interp(series.fix_s, series.t_s, np.unwrap(series.true_deg[:, 2], period=360.0))
     for ax, shown in zip(axes, (methods, {m: k for m, k in methods.items() if m != "gyro"}), strict=True):
-        _fixes(ax, series, span, difference_deg(series.course_deg, true))
+        _fixes(ax, series, span, compute_difference_deg(series.course_deg, true))
         for method, colour in shown.items():
-            error = difference_deg(series.estimated_deg[method][:, 2], series.true_deg[:, 2])
+            error = compute_difference_deg(series.estimated_deg[method][:, 2], series.true_deg[:, 2])
             _line(ax, series, error, span, color=colour_of(colour), lw=1.0, label=method)
         _finish(ax, series, span, "error (deg)")
     axes[1].set_ylim(-6, 6)
 
 
 def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mapping[str, int], unit: str) -> None:
-    """``kp_per_s`` or ``ki_per_s2`` of roll, pitch and heading, logarithmic, one axes each."""
+    """Draw ``kp_per_s`` or ``ki_per_s2`` of roll, pitch and heading, logarithmic, one axes each."""
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for part, ax in enumerate(axes):
         for method, colour in methods.items():
-            gain = column(series.gains[method], which)[:, part]
+            gain = get_gain(series.gains[method], which)[:, part]
             _line(ax, series, np.maximum(gain, RANGE[which][0]), span, color=colour_of(colour), lw=1.0, label=method)
         _finish(ax, series, span, f"{PARTS[part]} ({unit})")
         ax.set_yscale("log")
@@ -78,8 +78,8 @@ def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mappin
         ax.minorticks_off()
 
 
-def column(gains: Gains, which: str) -> Floats:
-    """One of the two gains (N, 3)."""
+def get_gain(gains: Gains, which: str) -> Floats:
+    """Return one of the two gains (N, 3)."""
     return np.asarray(getattr(gains, which))
 
 

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of paper 003's experiment: its figures 4 to 11 redrawn, its tables beside ours."""
+"""The HTML page of the mission of Zia 2022: figures 4 to 11 from simulated missions, and its tables."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.pictures import Picture, picture
 from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.templates import load_template
-from stillpoint.studies.papers.auv.figures import column, draw_angle, draw_gains, draw_heading_errors, draw_mission
+from stillpoint.studies.papers.auv.figures import draw_angle, draw_gains, draw_heading_errors, draw_mission, get_gain
 from stillpoint.studies.papers.auv.study import (
     ADAPTIVE,
     FIXED,
@@ -22,7 +22,7 @@ from stillpoint.studies.papers.auv.study import (
     SETTLED_S,
     SeaKind,
     Trial,
-    over_trials,
+    summarise_trials,
 )
 
 COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5}  # places in COLOURS
@@ -30,7 +30,7 @@ TITLES: dict[SeaKind, str] = {"waves": "In waves", "calm": "In a calm sea"}
 
 
 class Column(NamedTuple):
-    """How a figure is called on the page."""
+    """An error of the study and what the page calls it."""
 
     key: str
     name: str
@@ -59,7 +59,9 @@ def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: s
         colours_on_dark=ON_DARK,
         online=online,
         facts=_facts(first, online),
-        kept={which: f"{_moved(kept, name):.1g}" for which, name in (("kp", "kp_per_s"), ("ki", "ki_per_s2"))},
+        kept={
+            name: f"{_find_largest_change(kept, f'{name}_per_s{power}'):.1g}" for name, power in (("kp", ""), ("ki", 2))
+        },
         trials=len(first),
         columns=COLUMNS,
         rows=_rows(trials),
@@ -89,9 +91,9 @@ def _facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
     }
 
 
-def _moved(kept: Sequence[Any], name: str) -> float:
-    """By how much a gain of eq (22) as printed ever differs from its first value."""
-    return max(float(np.abs(column(each, name) - column(each, name)[0]).max()) for each in kept)
+def _find_largest_change(kept: Sequence[Any], name: str) -> float:
+    """Return by how much a gain of eq (22) as printed ever differs from its first value."""
+    return max(float(np.abs(get_gain(each, name) - get_gain(each, name)[0]).max()) for each in kept)
 
 
 def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
@@ -102,7 +104,7 @@ def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
         rows.append({"sea": sea, "method": name, "cells": cells, "of_paper": True, "first": False, "colour": None})
     for sea_kind, some in trials.items():
         for place, method in enumerate(METHODS):
-            cells = [f"{over_trials(some, method.name, c.key):.2g}" for c in COLUMNS]
+            cells = [f"{summarise_trials(some, method.name, c.key):.2g}" for c in COLUMNS]
             rows.append(
                 {
                     "sea": sea_kind if place == 0 else "",

@@ -1,7 +1,6 @@
-"""Paper 003's mission on simulated trials: what to run, what the paper printed, and the figures to set beside it.
+"""The underwater mission of Zia 2022 on simulated trials: the methods, the printed figures, and the figures found.
 
-As :mod:`stillpoint.studies.papers.spin.study`, a study that runs filters. The paper's recordings are not public;
-trials come from :mod:`stillpoint.datasets.simulate`, in a sea with waves and in a calm one.
+The paper's recordings are not public. Trials come from :mod:`stillpoint.datasets.simulate`, with waves and without.
 """
 
 import json
@@ -49,7 +48,7 @@ METHODS = (
 
 @dataclass(frozen=True)
 class Figures:
-    """What is said of one estimate. "Off" is its difference to the measured angle, which is tables 1 and 2's error."""
+    """Errors of one estimate. "Off" is its difference to the measured angle, which tables 1 and 2 call the error."""
 
     roll_off_mean_deg: float
     roll_off_var_deg2: float
@@ -106,8 +105,8 @@ class Trial:
     series: Series
 
 
-def trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[Method] = METHODS) -> Trial:
-    """Simulate one mission and run the methods over it; online: in single precision."""
+def run_trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[Method] = METHODS) -> Trial:
+    """Simulate one mission and run the methods over it; online means in single precision."""
     recording = simulate(SIMULATION[sea], seed=seed)
     assert recording.truth is not None
     precision: Literal["single", "double"] = "single" if online else "double"
@@ -123,18 +122,18 @@ def trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[Metho
         for method in methods
         if method.name in (ADAPTIVE, PRINTED)
     }
-    series = _series(recording, estimated, adapted)
-    return Trial(sea, seed, {name: figures_of(series, name) for name in estimated}, params, series)
+    series = _make_series(recording, estimated, adapted)
+    return Trial(sea, seed, {name: compute_figures(series, name) for name in estimated}, params, series)
 
 
-def figures_of(series: Series, name: str) -> Figures:
-    """The figures of one estimate, over all but the start."""
+def compute_figures(series: Series, name: str) -> Figures:
+    """Compute the errors of one estimate over all samples but the first SETTLED_S seconds."""
     t, when, estimated = series.t_s, series.phases_s, series.estimated_deg[name]
     counts = t > SETTLED_S
     surface = counts & ((t < when["dive_s"]) | (t > when["surfaced_s"]))
     below = (t > when["cruise_s"]) & (t < when["ascent_s"])
-    off = difference_deg(estimated[:, :2], series.measured_deg)[counts]
-    error = difference_deg(estimated, series.true_deg)
+    off = compute_difference_deg(estimated[:, :2], series.measured_deg)[counts]
+    error = compute_difference_deg(estimated, series.true_deg)
     heading = np.unwrap(error[below, 2], period=360.0)
     first = float(heading[t[below] < when["cruise_s"] + LAST_S].mean())
     last = float(heading[t[below] > when["ascent_s"] - LAST_S].mean())
@@ -151,24 +150,24 @@ def figures_of(series: Series, name: str) -> Figures:
     )
 
 
-def over_trials(trials: Sequence[Trial], method: str, figure: str) -> float:
-    """Root mean square over the trials of a mean or a heading error, whose sign is chance; the mean of all others."""
+def summarise_trials(trials: Sequence[Trial], method: str, figure: str) -> float:
+    """Return the root mean square over the trials of means and heading errors, whose sign is chance; else the mean."""
     values = np.array([getattr(one.figures[method], figure) for one in trials])
     return _rms(values) if figure.endswith(("_mean_deg", "_after_deg", "_drift_deg")) else float(values.mean())
 
 
-def difference_deg(angle_deg: Floats, other_deg: Floats) -> Floats:
-    """Within +-180 deg."""
+def compute_difference_deg(angle_deg: Floats, other_deg: Floats) -> Floats:
+    """Return the difference of two angles, within +-180 deg."""
     return np.rad2deg(wrap(np.deg2rad(angle_deg - other_deg)))
 
 
-def measured_deg(recording: Recording) -> Floats:
-    """Roll and pitch (N, 2) by eqs (5), (6) from the specific force of a forward-right-down body."""
+def compute_measured_deg(recording: Recording) -> Floats:
+    """Return roll and pitch (N, 2) by eqs (5), (6) from the specific force of a forward-right-down body."""
     x, y, z = recording.require_imu().accel_b_mps2.T
     return np.rad2deg(np.column_stack([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z))]))
 
 
-def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapping[str, Gains]) -> Series:
+def _make_series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapping[str, Gains]) -> Series:
     t_ns, gps, truth = recording.require_imu().t_ns, recording.gps, recording.truth
     assert gps is not None
     assert truth is not None
@@ -179,7 +178,7 @@ def _series(recording: Recording, estimated: Mapping[str, Floats], adapted: Mapp
     return Series(
         t_s=(t_ns - start_ns) / 1e9,
         true_deg=np.rad2deg(wrap(at_imu)),
-        measured_deg=measured_deg(recording),
+        measured_deg=compute_measured_deg(recording),
         estimated_deg=estimated,
         fix_s=(gps.t_ns[gps.valid] - start_ns) / 1e9,
         course_deg=np.rad2deg(wrap(gps.course_rad[gps.valid])),

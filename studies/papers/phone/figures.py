@@ -1,4 +1,4 @@
-"""Pictures of paper 002's experiments: angles over time, and the errors of what judges them."""
+"""Figures of the phone experiments: angles over time, and the errors of the judges."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ Span = tuple[float, float]
 def draw_angles(
     axes: Sequence[Axes], series: Series, methods: Mapping[str, int], parts: Sequence[str], span: Span
 ) -> None:
-    """One angle per axes over the span: the methods in their colours, the benchmark on top."""
+    """Draw one angle per axes over the span: the methods in their colours, the benchmark on top."""
     for ax, part in zip(axes, parts, strict=True):
         k = AXES.index(part)
         for name, colour in methods.items():
@@ -38,7 +38,7 @@ def draw_angles(
 
 
 def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None:
-    """Total error of the references against the truth."""
+    """Draw the total error of the references against the truth."""
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for name, colour in references.items():
         t_s, error_deg = series.errors[name]

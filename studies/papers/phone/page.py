@@ -1,4 +1,4 @@
-"""One self-contained HTML page of one of paper 002's experiments: its tables and figures beside ours."""
+"""The HTML page of an experiment of Elmi Aziz and Mohseni Araste 2021: their tables and figures beside ours."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -24,8 +24,8 @@ from stillpoint.studies.papers.phone.study import (
     LongRun,
     Scenario,
     Trial,
-    mean_over,
-    rms_drift_deg,
+    compute_mean,
+    compute_rms_drift_deg,
 )
 
 COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4}  # places in COLOURS
@@ -79,9 +79,9 @@ def phone_page(
         colours_on_dark=ON_DARK,
         scenario=scenario,
         facts=_facts(first),
-        rows=method_rows(scenario, trials),
-        judges=judge_rows(trials),
-        drifts=[(hand, *(f"{x:.1f}" for x in rms_drift_deg(some))) for hand, some in trials.items()],
+        rows=make_method_rows(scenario, trials),
+        judges=make_judge_rows(trials),
+        drifts=[(hand, *(f"{x:.1f}" for x in compute_rms_drift_deg(some))) for hand, some in trials.items()],
         found={hand: _found(some) for hand, some in trials.items()},
         long_runs=long_runs,
         slower=[run.ns_per_sample / long_runs[0].ns_per_sample for run in long_runs],
@@ -99,26 +99,26 @@ def phone_page(
     )
 
 
-def method_rows(scenario: Scenario, trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
-    """The paper's rows, then each method against each judge: RMSE and largest error of each angle, tilt, heading."""
+def make_method_rows(scenario: Scenario, trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+    """Return the paper's rows, then each method against each judge: errors of each angle, tilt and heading."""
     rows = [
         {"hand": "the paper", "judge": "its benchmark", "method": method, "euler": printed, "beside": (None, None)}
         for method, printed in scenario.printed.items()
     ]
     for hand, some in trials.items():
         rows += [_row(some, hand, method, judge) for judge in JUDGES for method in FILTERS]
-    return [_marked(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
+    return [_mark_row(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
 
 
-def judge_rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
-    """What judges, judged: the benchmark and the graph against the truth, and against each other."""
+def make_judge_rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
+    """Return the errors of the judges: benchmark and graph against the truth, and against each other."""
     pairs = (("benchmark", "truth"), ("graph", "truth"), ("benchmark", "graph"))
     rows = []
     for hand, some in trials.items():
         for name, judge in pairs:
             tilt = float(np.mean([one.common_tilt_deg[name] for one in some])) if judge == "truth" else None
             rows.append(_row(some, hand, name, judge) | {"common_tilt_deg": tilt})
-    return [_marked(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
+    return [_mark_row(row, rows[k - 1] if k else None) for k, row in enumerate(rows)]
 
 
 def _row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[str, Any]:
@@ -126,13 +126,13 @@ def _row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[st
         "hand": hand,
         "judge": judge,
         "method": method,
-        "euler": tuple(mean_over(trials, method, judge, figure) for figure in EULER),
-        "beside": tuple(mean_over(trials, method, judge, figure) for figure in BESIDE),
+        "euler": tuple(compute_mean(trials, method, judge, figure) for figure in EULER),
+        "beside": tuple(compute_mean(trials, method, judge, figure) for figure in BESIDE),
     }
 
 
-def _marked(row: dict[str, Any], above: dict[str, Any] | None) -> dict[str, Any]:
-    """With its colour, and whether it begins a block."""
+def _mark_row(row: dict[str, Any], above: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the row with its colour, and whether it begins a block."""
     new = above is None or (row["hand"], row["judge"]) != (above["hand"], above["judge"])
     return row | {"first": new, "of_paper": row["hand"] == "the paper", "colour": COLOUR.get(row["method"])}
 
@@ -151,7 +151,7 @@ def _facts(first: Sequence[Trial]) -> dict[str, str]:
 
 
 def _found(trials: Sequence[Trial]) -> dict[str, str]:
-    """Figures that the text quotes."""
+    """Return the figures that the text of the page quotes."""
     quoted = {
         f"{name}_{part}": (method, judge, f"{part}_rmse_deg")
         for name, method, judge in (
@@ -166,7 +166,7 @@ def _found(trials: Sequence[Trial]) -> dict[str, str]:
         )
         for part in ("roll", "pitch", "yaw", "heading", "inclination")
     }
-    figures = {name: mean_over(trials, *place) for name, place in quoted.items()}
+    figures = {name: compute_mean(trials, *place) for name, place in quoted.items()}
     for method in (ACC, ACC_MA):
         folded = np.mean([one.folded_yaw[method] for one in trials], axis=0)
         figures |= zip((f"{SHORT[method]}_folded", f"{SHORT[method]}_folded_max"), folded, strict=True)

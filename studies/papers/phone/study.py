@@ -1,7 +1,7 @@
-"""Paper 002's three experiments on simulated trials: what to run, what the paper printed, and the scores beside it.
+"""The three experiments of Elmi Aziz and Mohseni Araste 2021 on simulated trials, with the figures that they print.
 
-As :mod:`stillpoint.studies.papers.spin.study`, a study that runs filters and smoother. The paper scores against its own
-benchmark, made from the same phone; a simulated trial has its truth as well, so the benchmark is scored, too.
+The paper scores filters against a benchmark made from the same phone. A simulated trial also has its truth, so the
+benchmark is scored, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ class Series:
 
 
 class Folded(NamedTuple):
-    """Errors of yaw as if taken modulo 90 deg: the largest ones that the paper prints are 44.3, 44.97 and 44.97 deg."""
+    """Errors of yaw taken modulo 90 deg, as the paper's largest ones (44.3, 44.97 and 44.97 deg) suggest."""
 
     rmse_deg: float
     maxae_deg: float
@@ -61,7 +61,7 @@ class Folded(NamedTuple):
 
 @dataclass(frozen=True)
 class Trial:
-    """One recording: every method against every judge, the references against each other and the truth."""
+    """Scores of one recording: each method against each judge, the references against each other and the truth."""
 
     hand: str
     seed: int
@@ -75,7 +75,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class LongRun:
-    """One filter over a long recording, against the truth."""
+    """Errors and time per sample of one filter over a long recording."""
 
     method: str
     estimator: str
@@ -84,8 +84,8 @@ class LongRun:
     ns_per_sample: float
 
 
-def trial(scenario: Scenario, hand: str, seed: int) -> Trial:
-    """Simulate one recording, make both references without its true base pose, and score everything."""
+def run_trial(scenario: Scenario, hand: str, seed: int) -> Trial:
+    """Simulate one recording, make both references without its true base pose, and score all methods."""
     recording = simulate(scenario.hands[hand], seed=seed)
     assert recording.truth is not None
     blind = replace(recording, base_pose=None, truth=None)
@@ -104,34 +104,34 @@ def trial(scenario: Scenario, hand: str, seed: int) -> Trial:
         hand,
         seed,
         scores,
-        {method: folded_yaw(thing, benchmark) for method, thing in made.items()},
-        {name: _tilt_at_start_deg(reference, recording.truth) for name, reference in references.items()},
-        drift_deg(made[GYRO], benchmark),
+        {method: fold_yaw(thing, benchmark) for method, thing in made.items()},
+        {name: _measure_tilt_at_start_deg(reference, recording.truth) for name, reference in references.items()},
+        measure_drift_deg(made[GYRO], benchmark),
         {name: dict(thing.params) for name, thing in things.items()},
-        _series(recording.truth, benchmark, references, made),
+        _make_series(recording.truth, benchmark, references, made),
     )
 
 
-def drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of the gyro less the benchmark's, DRIFT_S after it was set to it when the motion begins."""
+def measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
+    """Return the gyro's error in roll, pitch, yaw, DRIFT_S after it was set to the benchmark at the start of motion."""
     assert gyro.q_nb is not None
     start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
     end = int(np.searchsorted(benchmark.t_ns, benchmark.t_ns[start] + round(DRIFT_S * 1e9), side="right")) - 1
-    restarted = restart(gyro.q_nb, benchmark.q_nb, start)
+    restarted = restart_integration(gyro.q_nb, benchmark.q_nb, start)
     roll, pitch, yaw = np.rad2deg(euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
     return float(roll), float(pitch), float(yaw)
 
 
-def folded_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
-    """Over the moving samples, nothing aligned."""
+def fold_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
+    """Return the errors of yaw modulo 90 deg over the moving samples, with nothing aligned."""
     c = compare(estimated, benchmark, "none")
     yaw_deg = np.rad2deg(euler_error(c.q_est[c.moving], c.q_true[c.moving], "nwu")[:, 2])
     folded_deg = np.mod(yaw_deg + 45.0, 90.0) - 45.0
     return Folded(float(np.sqrt(np.mean(folded_deg**2))), float(np.abs(folded_deg).max()))
 
 
-def restart(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
-    """An integration (N, 4) as if it had begun at sample ``at`` with the attitude of another.
+def restart_integration(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
+    """Return an integration (N, 4) as if it had begun at sample ``at`` with the attitude of another.
 
     What was integrated until then is taken off in n, which is where an attitude that a gyro starts from comes in.
     """
@@ -139,8 +139,8 @@ def restart(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
     return quaternion(turn * rotation(q_nb))
 
 
-def long_run(minutes: float, hand: str, methods: Mapping[str, str]) -> list[LongRun]:
-    """Filters over one long recording of the third experiment, each timed as the fastest of RUNS runs."""
+def time_long_run(minutes: float, hand: str, methods: Mapping[str, str]) -> list[LongRun]:
+    """Run filters over one long recording of experiment 3; the time of each is that of the fastest of RUNS runs."""
     recording = simulate(EXPERIMENTS["phone-3"].hands[hand], seed=0, minutes=minutes)
     assert recording.truth is not None
     found = []
@@ -152,22 +152,22 @@ def long_run(minutes: float, hand: str, methods: Mapping[str, str]) -> list[Long
     return found
 
 
-def mean_over(trials: Sequence[Trial], method: str, judge: str, figure: str) -> float:
-    """Mean of one figure of the scores over the trials."""
+def compute_mean(trials: Sequence[Trial], method: str, judge: str, figure: str) -> float:
+    """Return the mean over the trials of one figure of the scores."""
     return float(np.mean([getattr(one.scores[method, judge], figure) for one in trials]))
 
 
-def rms_drift_deg(trials: Sequence[Trial]) -> Floats:
-    """Root mean square over the trials of the gyro's drift in roll, pitch, yaw (3,)."""
+def compute_rms_drift_deg(trials: Sequence[Trial]) -> Floats:
+    """Return the root mean square over the trials of the gyro's drift in roll, pitch, yaw (3,)."""
     return np.asarray(np.sqrt(np.mean(np.square([one.drift_deg for one in trials]), axis=0)), dtype=np.float64)
 
 
-def _tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
+def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
     first = attitude_error(reference.q_nb[:1], truth.q_nb[:1])
     return float(np.rad2deg(first.inclination_rad[0]))
 
 
-def _series(
+def _make_series(
     truth: Truth, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
 ) -> Series:
     start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
@@ -175,16 +175,16 @@ def _series(
     turned: dict[str, Floats] = {name: reference.q_nb for name, reference in references.items()}
     for method, thing in made.items():
         assert thing.q_nb is not None
-        turned[method] = restart(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
+        turned[method] = restart_integration(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
     return Series(
         (benchmark.t_ns - zero_ns) / 1e9,
         {name: np.rad2deg(euler(q_nb, "nwu")) for name, q_nb in turned.items()},
-        {name: _error_over_time(reference, truth, zero_ns) for name, reference in references.items()},
+        {name: _measure_error_over_time(reference, truth, zero_ns) for name, reference in references.items()},
         (benchmark.rests_ns - zero_ns) / 1e9,
     )
 
 
-def _error_over_time(reference: Reference, truth: Truth, zero_ns: int) -> tuple[Floats, Floats]:
+def _measure_error_over_time(reference: Reference, truth: Truth, zero_ns: int) -> tuple[Floats, Floats]:
     c = compare(reference, truth, "none")
     error_deg = np.asarray(np.rad2deg(attitude_error(c.q_est, c.q_true).total_rad), dtype=np.float64)
     return np.asarray((c.t_ns - zero_ns) / 1e9, dtype=np.float64), error_deg

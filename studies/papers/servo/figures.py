@@ -1,4 +1,4 @@
-"""Pictures of paper 004's bench: sensors at rest, drift of the gyro, angles by accelerometer and filter."""
+"""Figures of the servo bench: sensors at rest, drift of the gyro, angles by accelerometer and filter."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,14 +7,14 @@ from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.report.figures import colour_of
-from stillpoint.studies.papers.servo.study import GYRO, Series, from_zero
+from stillpoint.studies.papers.servo.study import GYRO, Series, restart_at
 
 AXES = "xyz"
 Span = tuple[float, float]
 
 
 def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
-    """Figure 4: rate, specific force and field on the three axes."""
+    """Draw figure 4: rate, specific force and field on the three axes."""
     shown = (
         (series.t_s, series.gyro_b_degps, "rate (deg/s)"),
         (series.t_s, series.accel_b_g, "force (g)"),
@@ -28,9 +28,9 @@ def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
 
 
 def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) -> None:
-    """Figure 5: the gyro's roll from the start of the span on, and what it is off by."""
+    """Draw figure 5: the gyro's roll from the start of the span on, and its error."""
     rows = _within(series, span)
-    roll = from_zero(series, GYRO, span[0])
+    roll = restart_at(series, GYRO, span[0])
     _line(axes[0], series, roll, rows, colour_of(colour), GYRO)
     _truth(axes[0], series, rows)
     _line(axes[1], series, roll - series.true_roll_deg, rows, colour_of(colour), GYRO)
@@ -39,11 +39,11 @@ def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) ->
 
 
 def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int], spans: Sequence[Span]) -> None:
-    """Figures 6 and 7: roll by each method over each of the spans, the truth on top."""
+    """Draw figures 6 and 7: roll by each method over each of the spans, the truth on top."""
     for ax, span in zip(axes, spans, strict=True):
         rows = _within(series, span)
         for method, colour in methods.items():
-            roll = from_zero(series, method, span[0]) if method == GYRO else series.roll_deg[method]
+            roll = restart_at(series, method, span[0]) if method == GYRO else series.roll_deg[method]
             _line(ax, series, roll, rows, colour_of(colour), method)
         _truth(ax, series, rows)
         ax.set_ylabel("roll (deg)")

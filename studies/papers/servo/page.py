@@ -1,4 +1,4 @@
-"""One self-contained HTML page of paper 004's experiment: its figures 4 to 7 redrawn."""
+"""The HTML page of the servo bench (Byambajav et al.): figures 4 to 7 of the paper, drawn from simulated benches."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from stillpoint.scoring.report.pictures import Picture, picture
 from stillpoint.scoring.report.provenance import list_versions
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.servo.figures import draw_drift, draw_rolls, draw_sensors
-from stillpoint.studies.papers.servo.study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, first_swing_s
+from stillpoint.studies.papers.servo.study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, find_first_swing_s
 
 COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
 SHOWN_S = 20.0
@@ -24,8 +24,8 @@ ROWS = (
 STRETCHES = ("rest", "low", "high")
 
 
-def over_trials(trials: Sequence[Trial], key: str) -> float:
-    """The median of the size of a figure."""
+def median_over(trials: Sequence[Trial], key: str) -> float:
+    """Return the median over the trials of the absolute value of a figure."""
     return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
 
 
@@ -38,9 +38,9 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
         seeds=f"{trials[0].seed} to {trials[-1].seed}",
         minutes=f"{trials[0].series.t_s[-1] / 60:.0f}",
         printed_drift=f"{PRINTED_DRIFT_DEG:g}",
-        drift=f"{over_trials(trials, 'drift_deg'):.0f}",
+        drift=f"{median_over(trials, 'drift_deg'):.0f}",
         drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in trials),
-        rows=rows(trials),
+        rows=make_rows(trials),
         pictures=_pictures(trials[0]),
         first_seed=trials[0].seed,
         command=command,
@@ -48,14 +48,14 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
     )
 
 
-def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
-    """Rms error of an angle by method: at rest, at the low rate, at the high one (median over the trials, deg)."""
+def make_rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """Return the rms error (deg) of each angle and method at rest, at the low rate and at the high rate, as medians."""
     return [
         {
             "angle": angle,
             "method": method,
             "colour": COLOUR[method],
-            "cells": [f"{over_trials(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
+            "cells": [f"{median_over(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
         }
         for angle, method, short in ROWS
     ]
@@ -63,7 +63,7 @@ def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
 
 def _pictures(one: Trial) -> list[Picture]:
     series = one.series
-    low, high = first_swing_s(series, BENCH.low_hz), first_swing_s(series, BENCH.high_hz)
+    low, high = find_first_swing_s(series, BENCH.low_hz), find_first_swing_s(series, BENCH.high_hz)
     middles = [(sum(span) / 2 - SHOWN_S / 2, sum(span) / 2 + SHOWN_S / 2) for span in (low, high)]
     return [
         picture(

@@ -1,4 +1,4 @@
-"""Paper 004's bench, one trial: roll and heading by single sensors and by ``kf-axis`` beside the true ones."""
+"""The servo bench of Byambajav et al., simulated: roll and heading by single sensors and by ``kf-axis``."""
 
 import json
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
 from stillpoint.filters import estimate
-from stillpoint.studies.papers.auv.study import difference_deg
+from stillpoint.studies.papers.auv.study import compute_difference_deg
 
 GYRO, ACC, KALMAN = "gyro", "accelerometer", "kf-axis"
 PRINTED_DRIFT_DEG = -50.0  # the paper's text to fig 5, after a minute
@@ -22,7 +22,7 @@ MINUTE_S = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One bench over time."""
+    """Sensors and angles of one bench over time."""
 
     t_s: Floats  # (N,) from the start of the motion
     gyro_b_degps: Floats  # (N, 3)
@@ -38,7 +38,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Figures:
-    """What the paper says of its figures in words, as numbers of one trial."""
+    """Errors of one trial; the paper describes them in words."""
 
     drift_deg: float  # of the gyro's roll over the first minute of swings
     worst_drift_deg: float  # of any body axis in a minute, by the biases of this unit
@@ -65,16 +65,16 @@ class Trial:
     figures: Figures
 
 
-def trial(seed: int, minutes: float) -> Trial:
-    """Simulate one bench and follow it. Raises :class:`BadParameter` when ``minutes`` leave no room for both rates."""
+def run_trial(seed: int, minutes: float) -> Trial:
+    """Simulate one bench and run the methods; raises :class:`BadParameter` when ``minutes`` are too few."""
     recording = simulate("servo-bench", seed=seed, minutes=minutes)
-    series = _series(recording)
+    series = _make_series(recording)
     bias_b = json.loads(recording.info.extra["sensor_drawn"])["gyro"]["bias"]
-    return Trial(seed, series, _figures(series, float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S))
+    return Trial(seed, series, _compute_figures(series, float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S))
 
 
-def during(series: Series, rate_hz: float | None) -> NDArray[np.bool_]:
-    """The samples within the swings at this rate; None: those at rest, without the first seconds."""
+def select_swings(series: Series, rate_hz: float | None) -> NDArray[np.bool_]:
+    """Return which samples (N,) lie in the swings at this rate; for None those at rest, without the first seconds."""
     inside = np.zeros(len(series.t_s), dtype=np.bool_)
     if rate_hz is None:
         for start, end in series.rests_s:
@@ -85,27 +85,27 @@ def during(series: Series, rate_hz: float | None) -> NDArray[np.bool_]:
     return inside
 
 
-def first_swing_s(series: Series, rate_hz: float) -> tuple[float, float]:
-    """Begin and end of the first swing at this rate."""
+def find_first_swing_s(series: Series, rate_hz: float) -> tuple[float, float]:
+    """Return begin and end of the first swing at this rate."""
     k = int(np.flatnonzero(series.swings_hz == rate_hz)[0])
     return float(series.rests_s[k, 1]), float(series.rests_s[k + 1, 0])
 
 
-def from_zero(series: Series, method: str, start_s: float) -> Floats:
-    """A method's roll that agrees with the true one at a time, as an integral that begins there would."""
-    off = difference_deg(series.roll_deg[method], series.true_roll_deg)
+def restart_at(series: Series, method: str, start_s: float) -> Floats:
+    """Return a method's roll, shifted so that it agrees with the true roll at a time, like an integral from there."""
+    off = compute_difference_deg(series.roll_deg[method], series.true_roll_deg)
     start = int(np.searchsorted(series.t_s, start_s))
     return np.asarray(series.true_roll_deg + np.unwrap(off, period=360.0) - off[start])
 
 
-def _series(recording: Recording) -> Series:
+def _make_series(recording: Recording) -> Series:
     imu, truth, mag = recording.require_imu(), recording.truth, recording.mag
     assert truth is not None
     assert mag is not None
     t_s, (true_roll_deg, _, true_yaw_deg) = (truth.t_ns - ULAANBAATAR.start_ns) / 1e9, _euler_deg(truth.q_nb)
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
     angles = {name: _euler_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
-    # The rate of the one axis by (13), as the paper has it: a bias about another axis has no part in it.
+    # The paper integrates the rate about one axis by (13), so a bias about another axis has no effect.
     turned_rad = cumulative_trapezoid(imu.gyro_b_radps[:, 0], t_s, initial=0)
     rolls = {name: roll_deg for name, (roll_deg, _, _) in angles.items()}
     return Series(
@@ -116,27 +116,29 @@ def _series(recording: Recording) -> Series:
         mag_b_ut=mag.mag_b_ut,
         true_roll_deg=true_roll_deg,
         roll_deg={**rolls, GYRO: true_roll_deg[0] + np.rad2deg(turned_rad)},
-        heading_off_deg={name: difference_deg(yaw_deg, true_yaw_deg) for name, (_, _, yaw_deg) in angles.items()},
+        heading_off_deg={
+            name: compute_difference_deg(yaw_deg, true_yaw_deg) for name, (_, _, yaw_deg) in angles.items()
+        },
         rests_s=np.array(json.loads(recording.info.extra["rests_s"])),
         swings_hz=np.array(json.loads(recording.info.extra["swings_hz"])),
     )
 
 
 def _euler_deg(q_nb: Floats) -> Floats:
-    """Roll, pitch, yaw as rows (3, N)."""
+    """Return roll, pitch and yaw as rows (3, N)."""
     return np.asarray(np.rad2deg(euler(q_nb, "enu")).T)
 
 
-def _figures(series: Series, worst_drift_deg: float) -> Figures:
-    start, _ = first_swing_s(series, BENCH.low_hz)
-    minute = from_zero(series, GYRO, start) - series.true_roll_deg
+def _compute_figures(series: Series, worst_drift_deg: float) -> Figures:
+    start, _ = find_first_swing_s(series, BENCH.low_hz)
+    minute = restart_at(series, GYRO, start) - series.true_roll_deg
     drift = float(minute[np.searchsorted(series.t_s, start + MINUTE_S) - 1])
     stretches = {"rest": None, "low": BENCH.low_hz, "high": BENCH.high_hz}
     rms = {}
     for method, short in ((ACC, "acc"), (KALMAN, "kf")):
-        roll_off_deg = difference_deg(series.roll_deg[method], series.true_roll_deg)
+        roll_off_deg = compute_difference_deg(series.roll_deg[method], series.true_roll_deg)
         for name, rate_hz in stretches.items():
-            inside = during(series, rate_hz)
+            inside = select_swings(series, rate_hz)
             rms[f"{short}_{name}_deg"] = _rms(roll_off_deg[inside])
             rms[f"{short}_heading_{name}_deg"] = _rms(series.heading_off_deg[method][inside])
     return Figures(drift, worst_drift_deg, **rms)

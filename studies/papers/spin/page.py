@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a roll experiment: its figures beside the paper's, per trial, and what they mean."""
+"""The HTML page of an experiment of Asghari et al. 2018: figures per trial beside those that the paper prints."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -17,9 +17,9 @@ from stillpoint.studies.papers.spin.study import (
     NoiseKind,
     Scenario,
     Trial,
-    in_order,
-    wins,
-    worst,
+    count_in_order,
+    count_wins,
+    find_worst,
 )
 
 METHODS = (*FILTERS, SMOOTHER)
@@ -27,7 +27,7 @@ COLOUR = {"observation": 4, "EKF": 0, "AEKF": 1, "guarded": 2, "smoother": 3}  #
 
 
 class Metric(NamedTuple):
-    """How a figure is called on the page."""
+    """An error of the scores and what the page calls it."""
 
     key: str
     name: str
@@ -89,21 +89,21 @@ def _facts(
 
 
 def _counted(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool) -> dict[str, str]:
-    """In how many trials the paper's order of the rates comes out, by noise, and in how many the paper's AEKF won."""
-    counts = {
-        f"{noise}": f"{in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}" for noise, some in trials.items()
-    }
+    """Return by noise in how many trials the methods rank as in the paper, and in how many the AEKF won there."""
+    counts: dict[str, str] = {}
+    for noise, some in trials.items():
+        counts[noise] = f"{count_in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}"
     printed = scenario.printed[online].wins["rate_rmse_degps"].get("AEKF", 0)
     return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
 
 
 def _shaken(trials: Sequence[Trial]) -> str:
-    """Who of the paper's three has the least errors of the rate where D5 is the vibration of the motor, as counted."""
+    """Return a sentence: which of the paper's methods has the least errors of the rate under vibration of the motor."""
     if not trials:
         return ""
     least = []
     for metric, name in (("rate_rmse_degps", "RMSE"), ("rate_max_degps", "largest error")):
-        counts = ", ".join(f"{method} in {n}" for method, n in wins(trials, metric, OF_PAPER).items() if n)
+        counts = ", ".join(f"{method} in {n}" for method, n in count_wins(trials, metric, OF_PAPER).items() if n)
         least.append(f"the least {name} of the rate has {counts}")
     return f"Where D5 is the vibration of the motor, of {len(trials)} trials {'; '.join(least)}."
 
@@ -128,7 +128,7 @@ def _worst_rows(
             {
                 "noise": noise if method == methods[0] else "",
                 "method": method,
-                "figures": [worst(some, method, metric) for metric in METRICS],
+                "figures": [find_worst(some, method, metric) for metric in METRICS],
                 "of_paper": False,
                 "first": method == methods[0],
                 "colour": COLOUR[method],
@@ -152,7 +152,7 @@ def _win_rows(
     for noise, some in trials.items():
         cells = []
         for metric in METRICS:
-            three, all_of_them = wins(some, metric, OF_PAPER), wins(some, metric, methods)
+            three, all_of_them = count_wins(some, metric, OF_PAPER), count_wins(some, metric, methods)
             others = sum(count for method, count in all_of_them.items() if method not in OF_PAPER)
             cells.append(f"{' / '.join(str(three[method]) for method in OF_PAPER)} ({others})")
         rows.append({"noise": noise, "of_paper": False, "cells": cells})
@@ -205,7 +205,7 @@ def _rates(noise: NoiseKind, one: Trial, scenario: Scenario, methods: Sequence[s
 
 
 def _parameters(trials: Mapping[NoiseKind, Sequence[Trial]]) -> dict[str, str]:
-    """Per noise and method, flat; one entry where all noises share it."""
+    """Return the parameters of each method as text, by noise where they differ."""
     found: dict[str, dict[str, str]] = {}
     for noise, some in trials.items():
         for method, params in some[0].params.items():

@@ -1,4 +1,4 @@
-"""Paper 000's two experiments on simulated trials: what to run, what the paper printed, who wins how often.
+"""The two experiments of Asghari et al. 2018 on simulated trials: methods, printed figures, and who wins how often.
 
 As :mod:`stillpoint.studies.validation`, a study that runs filters and smoother. The paper's recordings are not public;
 trials come from :mod:`stillpoint.datasets.simulate`, under four hypotheses of what the sensors' noise was made of.
@@ -33,7 +33,7 @@ FILTERS = {"observation": "roll-obs", "EKF": "roll-ekf", "AEKF": "roll-aekf", "g
 
 @dataclass(frozen=True)
 class Printed:
-    """What the paper prints of a scenario: the worst of the trials, and in how many a method is the best of three."""
+    """Figures that the paper prints of a scenario: the worst trial, and how many trials each method wins."""
 
     worst: Mapping[tuple[str, str], float]  # (method, metric)
     wins: Mapping[str, Mapping[str, int]]  # metric -> method -> trials
@@ -64,10 +64,10 @@ class Trial:
     series: RateSeries | None = None
 
 
-def trial(
+def run_trial(
     scenario: Scenario, noise: NoiseKind, seed: int, online: bool = False, reading: Reading | None = None
 ) -> Trial:
-    """Simulate and score one trial; online: in single precision and without the smoother, which sees the future.
+    """Simulate and score one trial; online means single precision and no smoother, because that sees the future.
 
     ``reading`` of the paper's equations: None takes them as printed for the noise "replica" and ours elsewhere.
     """
@@ -77,7 +77,7 @@ def trial(
     refused: dict[str, str] = {}
     for method in (*FILTERS, *(() if online else (SMOOTHER,))):
         try:
-            made[method] = _made(recording, method, scenario, printed, online)
+            made[method] = _run_method(recording, method, scenario, printed, online)
         except StillpointError as error:
             refused[method] = str(error)
     assert recording.roll_truth is not None
@@ -88,12 +88,12 @@ def trial(
         {method: roll_score_of(c) for method, c in compared.items()},
         refused,
         {method: dict(thing.params) for method, thing in made.items()},
-        _series(recording, made),
+        _make_series(recording, made),
     )
 
 
-def settings_of(scenario: Scenario, method: str, printed: bool) -> dict[str, Any]:
-    """The parameters of one filter, in its own reading or as the paper prints its equations.
+def make_settings(scenario: Scenario, method: str, printed: bool) -> dict[str, Any]:
+    """Return the parameters of one filter, in our reading or as the paper prints its equations.
 
     All but lambda: in (19) and again in (20), as printed, it makes the variance negative, and there would be no score.
     """
@@ -107,14 +107,14 @@ def settings_of(scenario: Scenario, method: str, printed: bool) -> dict[str, Any
     return settings
 
 
-def worst(trials: Sequence[Trial], method: str, metric: str) -> float | None:
-    """The largest figure of a method over its trials; None where it has none."""
+def find_worst(trials: Sequence[Trial], method: str, metric: str) -> float | None:
+    """Return the largest figure of a method over its trials; None where it has none."""
     found = [getattr(one.scores[method], metric) for one in trials if method in one.scores]
     return max(found) if found else None
 
 
-def wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> dict[str, int]:
-    """In how many trials each of the methods has the smallest figure of them."""
+def count_wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> dict[str, int]:
+    """Count in how many trials each of the methods has the smallest figure."""
     counted = dict.fromkeys(methods, 0)
     for one in trials:
         ranked = {method: getattr(one.scores[method], metric) for method in methods if method in one.scores}
@@ -123,24 +123,24 @@ def wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> dict[s
     return counted
 
 
-def in_order(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> int:
-    """In how many trials the figure falls from each of the methods to the next."""
+def count_in_order(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> int:
+    """Count in how many trials the figure falls from each of the methods to the next."""
     figures = [[getattr(one.scores[m], metric) for m in methods] for one in trials if set(methods) <= set(one.scores)]
     return sum(all(a > b for a, b in pairwise(row)) for row in figures)
 
 
-def _made(
+def _run_method(
     recording: Recording, method: str, scenario: Scenario, printed: bool, online: bool
 ) -> Estimate | RollReference:
     if method == SMOOTHER:
         found = reference(recording, params=CALIBRATED)
         assert isinstance(found, RollReference)
         return found
-    settings = settings_of(scenario, method, printed)
+    settings = make_settings(scenario, method, printed)
     return estimate(recording, FILTERS[method], settings, "single" if online else "double")
 
 
-def _series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> RateSeries:
+def _make_series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> RateSeries:
     assert recording.spin is not None
     assert recording.roll_truth is not None
     t_ns, truth = recording.spin.t_ns, recording.roll_truth

@@ -211,7 +211,7 @@ def test_lines_break_at_gaps_and_wraps_and_stay_broken_when_thinned():
 
 
 def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
-    """The truth's line is on top and shows paper 002's yaw: minus the ENU one plus 90 deg."""
+    """The truth's line is on top and shows the NWU yaw, which is 90 deg minus the ENU one."""
     verdict = judge(material)[1]
     drawn = {}
     for frame in ("nwu", "enu"):

@@ -1,4 +1,4 @@
-"""``stillpoint experiment``: the table, and paper 000's experiments with few trials."""
+"""``stillpoint experiment``: the table, and the experiments of Asghari et al. 2018 with few trials."""
 
 import json
 import re
@@ -14,10 +14,10 @@ from stillpoint.studies.papers.spin.study import (
     OF_PAPER,
     VARIABLE,
     Trial,
-    in_order,
-    trial,
-    wins,
-    worst,
+    count_in_order,
+    count_wins,
+    find_worst,
+    run_trial,
 )
 
 
@@ -65,7 +65,7 @@ def test_a_wrong_number_is_one_line(call, capsys):
 
 def test_online_is_single_precision_and_nearly_the_same():
     """The paper's microcontroller computes in float32, which is 0.01 deg of 2 after 30 s."""
-    offline, online = (trial(CONSTANT, "glitch", 3, online) for online in (False, True))
+    offline, online = (run_trial(CONSTANT, "glitch", 3, online) for online in (False, True))
     assert "smoother" in offline.scores
     assert "smoother" not in online.scores
     for method in online.scores:
@@ -76,25 +76,25 @@ def test_online_is_single_precision_and_nearly_the_same():
 
 
 def test_the_order_and_the_wins_are_counted():
-    trials = [trial(CONSTANT, "glitch", seed, online=True) for seed in (0, 1)]
-    assert in_order(trials, "rate_rmse_degps", OF_PAPER) == 2
-    assert in_order(trials, "rate_rmse_degps", tuple(reversed(OF_PAPER))) == 0
-    assert wins(trials, "rate_max_degps", OF_PAPER) == {"observation": 0, "EKF": 0, "AEKF": 2}
-    assert worst(trials, "EKF", "rate_max_degps") == max(one.scores["EKF"].rate_max_degps for one in trials)
-    assert worst([Trial("glitch", 0, {}, {"smoother": "needs gtsam"})], "smoother", "angle_max_deg") is None
+    trials = [run_trial(CONSTANT, "glitch", seed, online=True) for seed in (0, 1)]
+    assert count_in_order(trials, "rate_rmse_degps", OF_PAPER) == 2
+    assert count_in_order(trials, "rate_rmse_degps", tuple(reversed(OF_PAPER))) == 0
+    assert count_wins(trials, "rate_max_degps", OF_PAPER) == {"observation": 0, "EKF": 0, "AEKF": 2}
+    assert find_worst(trials, "EKF", "rate_max_degps") == max(one.scores["EKF"].rate_max_degps for one in trials)
+    assert find_worst([Trial("glitch", 0, {}, {"smoother": "needs gtsam"})], "smoother", "angle_max_deg") is None
 
 
 def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
     """K H = 0.999: one reading of Q does not fit both scenarios."""
-    made = trial(VARIABLE, "white", 0, online=True, reading="printed").scores
+    made = run_trial(VARIABLE, "white", 0, online=True, reading="printed").scores
     assert made["EKF"].rate_rmse_degps == pytest.approx(made["observation"].rate_rmse_degps, rel=0.005)
-    ours = trial(VARIABLE, "white", 0, online=True).scores
+    ours = run_trial(VARIABLE, "white", 0, online=True).scores
     assert ours["EKF"].rate_rmse_degps < 0.5 * ours["observation"].rate_rmse_degps
 
 
 def test_the_page_says_of_the_vibration_what_its_table_counts():
-    trials = [trial(CONSTANT, "vibration", seed, online=True) for seed in (0, 1)]
+    trials = [run_trial(CONSTANT, "vibration", seed, online=True) for seed in (0, 1)]
     page = roll_page(CONSTANT, {"vibration": trials}, True, "command")
     for metric, name in (("rate_rmse_degps", "RMSE"), ("rate_max_degps", "largest error")):
-        counts = ", ".join(f"{method} in {n}" for method, n in wins(trials, metric, OF_PAPER).items() if n)
+        counts = ", ".join(f"{method} in {n}" for method, n in count_wins(trials, metric, OF_PAPER).items() if n)
         assert f"the least {name} of the rate has {counts}" in page

@@ -13,10 +13,10 @@ from stillpoint.studies.papers.auv.study import (
     METHODS,
     RAW,
     Series,
-    figures_of,
-    measured_deg,
-    over_trials,
-    trial,
+    compute_figures,
+    compute_measured_deg,
+    run_trial,
+    summarise_trials,
 )
 
 PHASES = {"dive_s": 100.0, "cruise_s": 140.0, "ascent_s": 740.0, "surfaced_s": 780.0, "end_s": 880.0}
@@ -25,7 +25,7 @@ PHASES = {"dive_s": 100.0, "cruise_s": 140.0, "ascent_s": 740.0, "surfaced_s": 7
 @pytest.fixture(scope="module")
 def calm():
     """One mission in a calm sea."""
-    return trial("calm", 0)
+    return run_trial("calm", 0)
 
 
 def series(estimated, true=None, measured=None):
@@ -42,7 +42,7 @@ def test_errors_of_an_angle_are_taken_where_they_count():
         roll = np.where(surface, 3.0, -0.5) * (t_s > 20)  # the start is right, and does not count
         return np.column_stack([roll, np.full(len(t_s), 2.0), np.zeros(len(t_s))])
 
-    found = figures_of(series(estimated), "x")
+    found = compute_figures(series(estimated), "x")
     assert found.surface_roll_rmse_deg == pytest.approx(3.0)
     assert found.below_roll_rmse_deg == pytest.approx(0.5)
     assert found.pitch_rmse_deg == pytest.approx(2.0)
@@ -54,7 +54,7 @@ def test_off_is_less_the_measured_angle_and_error_less_the_true_one():
     t_s = np.arange(0, 880, 0.1)
     wave = np.sin(t_s)
     measured = np.column_stack([wave, wave])
-    follows = figures_of(series(lambda _: np.column_stack([wave, wave, 0 * wave]), measured=measured), "x")
+    follows = compute_figures(series(lambda _: np.column_stack([wave, wave, 0 * wave]), measured=measured), "x")
     assert follows.roll_off_var_deg2 == pytest.approx(0.0)
     assert follows.surface_roll_rmse_deg == pytest.approx(np.sqrt(0.5), abs=0.01)
 
@@ -65,21 +65,21 @@ def test_a_heading_that_drifts_through_north_is_not_wrapped():
         return np.column_stack([0 * t_s, 0 * t_s, drifting])
 
     true = np.column_stack([np.zeros((8800, 2)), np.full(8800, 170.0)])
-    found = figures_of(series(estimated, true), "x")
+    found = compute_figures(series(estimated, true), "x")
     assert found.heading_drift_deg == pytest.approx(12.0 * 590 / 600, abs=0.01)
     assert found.heading_after_deg == pytest.approx(5 + 0.02 * 735, abs=0.01)
 
 
 def test_measured_angles_are_the_true_ones_of_a_level_unaccelerated_body():
     recording = simulate("auv-dolphin-calm", seed=0, minutes=6.0, sensor="perfect")
-    off = measured_deg(recording) - np.rad2deg(euler(recording.truth.q_nb, "ned"))[:, :2]
+    off = compute_measured_deg(recording) - np.rad2deg(euler(recording.truth.q_nb, "ned"))[:, :2]
     assert np.sqrt((off**2).mean(axis=0)).max() < 0.2  # turning at 1.5-2.5 m/s accelerates a little
 
 
 def test_signs_do_not_cancel_over_trials(calm):
     one = calm.figures[RAW].heading_after_deg
-    assert over_trials([calm, calm], RAW, "heading_after_deg") == pytest.approx(abs(one))
-    assert over_trials([calm], RAW, "roll_off_var_deg2") == calm.figures[RAW].roll_off_var_deg2
+    assert summarise_trials([calm, calm], RAW, "heading_after_deg") == pytest.approx(abs(one))
+    assert summarise_trials([calm], RAW, "roll_off_var_deg2") == calm.figures[RAW].roll_off_var_deg2
 
 
 def test_the_papers_numbers_come_out_in_a_calm_sea(calm):
@@ -93,7 +93,7 @@ def test_the_papers_numbers_come_out_in_a_calm_sea(calm):
 
 
 def test_online_differs_by_single_precision_only(calm):
-    single = trial("calm", 0, online=True, methods=METHODS[:1])
+    single = run_trial("calm", 0, online=True, methods=METHODS[:1])
     assert METHODS[0].name == ADAPTIVE
     for figure in ("roll_off_var_deg2", "below_roll_rmse_deg", "pitch_rmse_deg"):
         one, other = getattr(single.figures[ADAPTIVE], figure), getattr(calm.figures[ADAPTIVE], figure)

@@ -11,7 +11,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring.score import score
-from stillpoint.studies.papers.phone.page import judge_rows, method_rows
+from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows
 from stillpoint.studies.papers.phone.study import (
     ACC,
     ACC_MA,
@@ -21,18 +21,18 @@ from stillpoint.studies.papers.phone.study import (
     JUDGES,
     KALMAN,
     REFERENCES,
-    long_run,
-    mean_over,
-    restart,
-    rms_drift_deg,
-    trial,
+    compute_mean,
+    compute_rms_drift_deg,
+    restart_integration,
+    run_trial,
+    time_long_run,
 )
 
 
 @pytest.fixture(scope="module")
 def tripod():
     """One trial of the second experiment."""
-    return trial(EXPERIMENTS["phone-2"], "tripod", 0)
+    return run_trial(EXPERIMENTS["phone-2"], "tripod", 0)
 
 
 def test_every_method_meets_every_judge_and_the_references_each_other(tripod):
@@ -70,7 +70,7 @@ def test_a_gyro_that_is_restarted_is_right_there_and_drifts_on_as_before():
             turned.append(turned[-1] * step)
         return quaternion(Rotation.concatenate(turned))
 
-    late = restart(integrated(first, 0), np.tile(quaternion(other), (51, 1)), 20)
+    late = restart_integration(integrated(first, 0), np.tile(quaternion(other), (51, 1)), 20)
     expected = integrated(other, 20)
     assert (rotation(late[20:]).inv() * rotation(expected)).magnitude().max() < 1e-12
 
@@ -110,24 +110,24 @@ def test_errors_of_yaw_fold_at_45_deg(tripod):
 
 def test_rows_are_means_and_carry_what_the_paper_prints(tripod):
     scenario, trials = EXPERIMENTS["phone-2"], {"tripod": [tripod, tripod]}
-    rows = method_rows(scenario, trials)
+    rows = make_method_rows(scenario, trials)
     assert [row["method"] for row in rows] == [*scenario.printed, *(list(FILTERS) * len(JUDGES))]
     assert rows[0]["euler"] == scenario.printed[CF]
     score = tripod.scores[CF, "benchmark"]
     (ours,) = (row for row in rows if row["method"] == CF and row["judge"] == "benchmark")
     assert ours["euler"][:2] == pytest.approx((score.roll_rmse_deg, score.roll_maxae_deg))
-    assert mean_over([tripod], CF, "benchmark", "yaw_rmse_deg") == score.yaw_rmse_deg
-    assert [(row["method"], row["judge"]) for row in judge_rows(trials)] == [
+    assert compute_mean([tripod], CF, "benchmark", "yaw_rmse_deg") == score.yaw_rmse_deg
+    assert [(row["method"], row["judge"]) for row in make_judge_rows(trials)] == [
         ("benchmark", "truth"),
         ("graph", "truth"),
         ("benchmark", "graph"),
     ]
-    np.testing.assert_allclose(rms_drift_deg([tripod, tripod]), np.abs(tripod.drift_deg))
+    np.testing.assert_allclose(compute_rms_drift_deg([tripod, tripod]), np.abs(tripod.drift_deg))
 
 
 def test_a_kalman_filter_beats_the_complementary_one_in_the_hand():
     """As the paper says of two hours; by more, as ours leaves a jolt's samples out of its tilt."""
-    cf, kalman = long_run(1.6, "carried", {CF: "cf", KALMAN: "ekf"})
+    cf, kalman = time_long_run(1.6, "carried", {CF: "cf", KALMAN: "ekf"})
     assert kalman.tilt_rmse_deg < cf.tilt_rmse_deg - 0.2
     assert kalman.heading_rmse_deg < cf.heading_rmse_deg - 0.5
 

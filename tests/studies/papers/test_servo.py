@@ -1,4 +1,4 @@
-"""``stillpoint experiment servo-bench``: paper 004's figures from the simulator."""
+"""``stillpoint experiment servo-bench``: the figures of Byambajav et al. from the simulator."""
 
 import json
 from collections.abc import Callable
@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillpoint.studies.papers.servo.study import GYRO, Trial, during, first_swing_s, from_zero, trial
+from stillpoint.studies.papers.servo.study import GYRO, Trial, find_first_swing_s, restart_at, run_trial, select_swings
 
 
 @pytest.fixture(scope="module")
 def one() -> Trial:
-    return trial(seed=3, minutes=4.0)
+    return run_trial(seed=3, minutes=4.0)
 
 
 def test_the_drift_is_the_bias_of_the_axis_times_a_minute(one: Trial) -> None:
-    rest = one.series.gyro_b_degps[during(one.series, None), 0]
+    rest = one.series.gyro_b_degps[select_swings(one.series, None), 0]
     # Rests lie before and after the swings, and the bias changes by less than 0.1 deg/s while the device warms up.
     assert one.figures.drift_deg == pytest.approx(60 * rest.mean(), abs=6)
     assert abs(one.figures.drift_deg) <= one.figures.worst_drift_deg + 6
@@ -35,8 +35,8 @@ def test_a_fast_swing_spoils_the_heading_that_the_accelerometer_levels(one: Tria
 
 
 def test_an_integral_that_begins_at_a_time_has_the_true_angle_there(one: Trial) -> None:
-    start, _ = first_swing_s(one.series, 0.4)
-    roll = from_zero(one.series, GYRO, start)
+    start, _ = find_first_swing_s(one.series, 0.4)
+    roll = restart_at(one.series, GYRO, start)
     k = np.searchsorted(one.series.t_s, start)
     assert roll[k] == pytest.approx(one.series.true_roll_deg[k], abs=1e-9)
     steps = np.diff(roll) - np.diff(one.series.roll_deg[GYRO])
