@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,11 @@ from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.conversions import ABSURD_DEG, find_conversion
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
+from stillpoint.scoring.score_table import score_frame, score_html, score_text
 from stillpoint.scoring.turns import TurnError, turn_errors
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
 
@@ -110,6 +114,16 @@ class Score:
             raise AttributeError(f"Score has no figure {name!r}")
         part, figure = FLAT[name]
         return float(getattr(getattr(self, part), figure))
+
+    def __str__(self) -> str:
+        return score_text(self)
+
+    def _repr_html_(self) -> str:
+        return score_html(self)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return the statistics as a pandas frame; raises :class:`BadParameter` when pandas is not installed."""
+        return score_frame(self)
 
 
 def score(

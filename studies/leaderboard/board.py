@@ -6,7 +6,10 @@ All errors are in degrees, over the moving samples, after the alignment of the l
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RANKED_BY = ("total", "heading", "inclination")
 RankedBy = Literal["total", "heading", "inclination"]
@@ -137,6 +140,25 @@ class Leaderboard:
     def failures(self) -> tuple[Run, ...]:
         """The runs that have no figures."""
         return tuple(run for run in self.runs if run.error is not None)
+
+    def __str__(self) -> str:
+        from stillpoint.studies.publish.tables import text_table
+
+        return text_table(self)
+
+    def _repr_html_(self) -> str:
+        from stillpoint.studies.publish.tables import html_table
+
+        return html_table(self)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return every row with all its figures as a pandas frame.
+
+        Raises :class:`BadParameter` when pandas is not installed.
+        """
+        from stillpoint.studies.publish.tables import ranking_frame
+
+        return ranking_frame(self)
 
     def to_json(self) -> dict[str, Any]:
         """The layout of ``leaderboard.json``; numbers that are not finite become null."""

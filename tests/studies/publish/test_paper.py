@@ -87,3 +87,15 @@ def test_the_same_board_gives_the_same_figures(board, tmp_path) -> None:
         write_paper(tmp_path / name, board)
     for file in (tmp_path / "a").iterdir():
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
+
+
+def test_a_leaderboard_prints_and_shows_itself(board) -> None:
+    assert str(board) == text_table(board)
+    assert board._repr_html_() == html_table(board)
+
+
+def test_a_frame_has_every_row(board) -> None:
+    pytest.importorskip("pandas")
+    frame = board.to_frame()
+    assert list(frame["label"]) == [row.label for row in board.tables[0].rows]
+    assert frame["total_rmse_typical_deg"][0] == board.tables[0].rows[0].total_rmse_deg.typical
