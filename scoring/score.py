@@ -16,7 +16,7 @@ from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.conversions import ABSURD_DEG, find_conversion
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
-from stillpoint.scoring.score_table import score_frame, score_html, score_text
+from stillpoint.scoring.score_table import format_score, format_score_html, make_score_frame
 from stillpoint.scoring.turns import TurnError, turn_errors
 
 if TYPE_CHECKING:
@@ -116,14 +116,14 @@ class Score:
         return float(getattr(getattr(self, part), figure))
 
     def __str__(self) -> str:
-        return score_text(self)
+        return format_score(self)
 
     def _repr_html_(self) -> str:
-        return score_html(self)
+        return format_score_html(self)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the statistics as a pandas frame; raises :class:`BadParameter` when pandas is not installed."""
-        return score_frame(self)
+        return make_score_frame(self)
 
 
 def score(

@@ -14,27 +14,28 @@ PARTS = ("total", "heading", "inclination", "roll", "pitch", "yaw")
 FIGURES = {"rmse": "rmse_deg", "mean": "mean_deg", "50 %": "p50_deg", "95 %": "p95_deg", "max": "max_deg"}
 
 
-def score_text(score: "Score") -> str:
-    """The table of a score, in deg, with a line above it that says of what and a line below it that says how."""
+def format_score(score: "Score") -> str:
+    """Return the table of a score in deg, with a title and a line about samples and alignment."""
     lines = [f"{'':12}{''.join(f'{title:>9}' for title in FIGURES)}"]
-    lines += [f"{part:12}{''.join(f'{value:9.3f}' for value in _row(score, part))}" for part in PARTS]
-    return "\n".join([_title(score), *lines, _footer(score)])
+    lines += [f"{part:12}{''.join(f'{value:9.3f}' for value in _list_figures(score, part))}" for part in PARTS]
+    return "\n".join([_make_title(score), *lines, _make_footer(score)])
 
 
-def score_html(score: "Score") -> str:
-    """The table of a score as HTML."""
+def format_score_html(score: "Score") -> str:
+    """Return the table of a score as HTML."""
     head = "".join(f"<th>{title}</th>" for title in FIGURES)
     rows = "".join(
-        f"<tr><th>{part}</th>{''.join(f'<td>{value:.3f}</td>' for value in _row(score, part))}</tr>" for part in PARTS
+        f"<tr><th>{part}</th>{''.join(f'<td>{value:.3f}</td>' for value in _list_figures(score, part))}</tr>"
+        for part in PARTS
     )
     return (
-        f"<table><caption>{escape(_title(score))}</caption><thead><tr><th></th>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table><p>{escape(_footer(score))}</p>"
+        f"<table><caption>{escape(_make_title(score))}</caption><thead><tr><th></th>{head}</tr></thead>"
+        f"<tbody>{rows}</tbody></table><p>{escape(_make_footer(score))}</p>"
     )
 
 
-def score_frame(score: "Score") -> "pd.DataFrame":
-    """The table of a score: a row per part, a column per figure in deg; needs pandas.
+def make_score_frame(score: "Score") -> "pd.DataFrame":
+    """Return the table of a score as a pandas frame: a row per part, a column per figure in deg.
 
     Raises :class:`BadParameter` when pandas is not installed.
     """
@@ -42,19 +43,19 @@ def score_frame(score: "Score") -> "pd.DataFrame":
         import pandas as pd
     except ImportError:
         raise BadParameter("to_frame: pandas is not installed; install it: pip install pandas") from None
-    rows = [_row(score, part) for part in PARTS]
+    rows = [_list_figures(score, part) for part in PARTS]
     return pd.DataFrame(rows, index=pd.Index(PARTS, name="part"), columns=list(FIGURES.values()))
 
 
-def _row(score: "Score", part: str) -> list[float]:
+def _list_figures(score: "Score", part: str) -> list[float]:
     return [getattr(getattr(score, part), figure) for figure in FIGURES.values()]
 
 
-def _title(score: "Score") -> str:
+def _make_title(score: "Score") -> str:
     return f"{score.estimated} on {score.recording or 'a recording'} against the {score.against}: error in deg"
 
 
-def _footer(score: "Score") -> str:
+def _make_footer(score: "Score") -> str:
     parts = [f"{score.samples} samples, aligned by {score.alignment.kind}", f"Euler angles {score.frame.upper()}"]
     if score.reference_sd_deg is not None:
         parts.append(f"the reference's own sd is {score.reference_sd_deg:.2f} deg")

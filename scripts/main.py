@@ -48,7 +48,7 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full o
 
 
 def app() -> "App":
-    """The command line, with verbs that are imported when called."""
+    """Return the command line, whose verbs are imported when called."""
     from importlib import metadata
 
     from cyclopts import App

@@ -54,7 +54,7 @@ def reduce_series(t_ns: Times, value: Floats, zero_ns: int, columns: int, middle
     step_s = span_s / columns
     centre_s = t_s[0] + (np.arange(columns) + 0.5) * step_s
     empty = np.setdiff1d(np.arange(columns), filled)
-    between = empty[~_in_gap(t_ns, t_s, centre_s[empty])]
+    between = empty[~_find_times_in_gaps(t_ns, t_s, centre_s[empty])]
     for kept in (least, greatest, central):
         kept[between] = np.interp(centre_s[between], t_s, value)
     return Curve(float(t_s[0]), step_s, least, greatest, central)
@@ -90,7 +90,7 @@ def coarsen_curve(curve: Curve, columns: int, middle: Middle = "mean") -> Curve:
 
 
 def encode_curve(curve: Curve, scale: Literal["log", "linear"] = "linear") -> dict[str, Any]:
-    """The curve for the script of a page: 16-bit integers in base64, 0 for no value.
+    """Return the curve for the script of a page: 16-bit integers in base64, 0 for no value.
 
     With the scale "log" a value is kept to 0.02 %, with "linear" to 1/65534 of the curve's range.
     """
@@ -111,7 +111,7 @@ def encode_curve(curve: Curve, scale: Literal["log", "linear"] = "linear") -> di
     }
 
 
-def _in_gap(t_ns: Times, t_s: Floats, at_s: Floats) -> np.ndarray:
-    """Which of the times lie between two samples that are further apart than a gap."""
+def _find_times_in_gaps(t_ns: Times, t_s: Floats, at_s: Floats) -> np.ndarray:
+    """Return which of the times lie between two samples with a gap between them."""
     after = np.clip(np.searchsorted(t_s, at_s), 1, max(len(t_s) - 1, 1))
     return np.asarray((t_s[after % len(t_s)] - t_s[after - 1]) * 1e9 > longest_step_ns(t_ns))

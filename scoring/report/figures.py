@@ -1,4 +1,4 @@
-"""Pictures of comparisons: ``(axes, view) -> None``, nothing computed that a score does not say.
+"""Still figures of comparisons: functions ``(axes, view) -> None`` that draw and compute nothing new.
 
 Colours are Okabe and Ito's, which colour-blind readers can tell apart; the truth is drawn in the colour of the text.
 """
@@ -30,7 +30,7 @@ REST_GREY = "0.5"
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Estimates on one truth, and the stretch of time to show."""
+    """Estimates compared with one truth, and the stretch of time to show."""
 
     comparisons: tuple[Comparison, ...]
     truth: Reference | Truth
@@ -40,15 +40,15 @@ class View:
     span_ns: tuple[int, int]
 
     def seconds(self, t_ns: Times) -> Floats:
-        """Times on the picture's axis."""
+        """Return times on the axis of the figure, in s."""
         return (t_ns - self.zero_ns) / 1e9
 
-    def within(self, t_ns: Times) -> slice:
-        """The samples inside the span."""
+    def select(self, t_ns: Times) -> slice:
+        """Return the samples inside the span."""
         return slice(*np.searchsorted(t_ns, [self.span_ns[0], self.span_ns[1] + 1]))
 
-    def busiest(self, seconds: float) -> "View":
-        """The same view of the stretch of this length in which the truth turns most."""
+    def find_busiest(self, seconds: float) -> "View":
+        """Return the view of the stretch of this length in which the truth turns most."""
         t, rot = self.truth.t_ns, rotation(self.truth.q_nb)
         turned = np.append(0.0, np.cumsum((rot[:-1].inv() * rot[1:]).magnitude()))
         end = np.searchsorted(t, t + round(seconds * 1e9), side="right") - 1
@@ -56,52 +56,58 @@ class View:
         return replace(self, span_ns=(int(t[start]), int(t[end[start]])))
 
 
-def view_of(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int) -> View:
-    """The whole run. A truth's rests are the stretches that it does not count as moving."""
+def make_view(comparisons: Sequence[Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int) -> View:
+    """Return a view of the whole run. A truth rests where it does not count as moving."""
     rests_ns = find_rest_spans(truth)
     first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
     return View(tuple(comparisons), truth, rests_ns, frame, zero_ns, (first, last))
 
 
 def draw_angles(axes: Sequence[Axes], view: View) -> None:
-    """Roll, pitch and yaw over time, one of the three axes each: the truth on top of the estimates."""
+    """Draw roll, pitch and yaw over time, one of the three axes each, with the truth on top of the estimates."""
     for k, c in enumerate(view.comparisons):
         error_rad = float(attitude_error(c.q_est, c.q_true).total_rad.mean())
         on_top_of_worse = 3 - error_rad / np.pi
-        _angles(axes, view, c.t_ns, c.q_est, label=c.estimated, color=colour_of(k), lw=1.0, zorder=on_top_of_worse)
+        _draw_angle_lines(
+            axes, view, c.t_ns, c.q_est, label=c.estimated, color=get_colour(k), lw=1.0, zorder=on_top_of_worse
+        )
     truth = view.truth
-    _angles(axes, view, truth.t_ns, truth.q_nb, label=name_of(truth), color=rcParams["text.color"], lw=1.4, zorder=4.0)
+    _draw_angle_lines(
+        axes, view, truth.t_ns, truth.q_nb, label=name_of(truth), color=rcParams["text.color"], lw=1.4, zorder=4.0
+    )
     for ax, name in zip(axes, ("roll", "pitch", "yaw"), strict=True):
         ax.set_ylabel(f"{name} (deg)")
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
-        _time_axis(ax, view)
+        _format_time_axis(ax, view)
 
 
 def draw_errors(axes: Sequence[Axes], view: View) -> None:
-    """Total error over time, one axes per estimate; the grey floor is the reference's own standard deviation."""
+    """Draw the total error over time, one axes per estimate; the grey floor is the reference's standard deviation."""
     worst = max(float(attitude_error(c.q_est, c.q_true).total_rad.max()) for c in view.comparisons)
     for k, (ax, comparison) in enumerate(zip(axes, view.comparisons, strict=True)):
-        shown = view.within(comparison.t_ns)
+        shown = view.select(comparison.t_ns)
         t_ns = comparison.t_ns[shown]
         total = attitude_error(comparison.q_est[shown], comparison.q_true[shown]).total_rad
-        _line(ax, view, t_ns, np.maximum(np.rad2deg(total), SMALLEST_ERROR_DEG), np.inf, color=colour_of(k), lw=1.0)
+        _draw_series(
+            ax, view, t_ns, np.maximum(np.rad2deg(total), SMALLEST_ERROR_DEG), np.inf, color=get_colour(k), lw=1.0
+        )
         ax.set_yscale("log")
         ax.set_ylim(SMALLEST_ERROR_DEG, max(2 * np.rad2deg(worst), 10.0))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.minorticks_off()
         ax.set_ylabel("deg")
-        ax.set_title(comparison.estimated, loc="left", color=colour_of(k), fontweight="bold")
+        ax.set_title(comparison.estimated, loc="left", color=get_colour(k), fontweight="bold")
         if comparison.true_cov_b_rad2 is not None:
             sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
-            t, floor = envelope(view.seconds(t_ns), sd, columns_of(ax))
+            t, floor = thin_line(view.seconds(t_ns), sd, count_columns(ax))
             ax.fill_between(t, SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
-        _time_axis(ax, view)
+        _format_time_axis(ax, view)
 
 
 def draw_band(axes: Sequence[Axes], view: View) -> None:
-    """Error of the first comparison about east, north and up, with the 3-sigma band of its own covariance."""
+    """Draw the error of the first comparison about east, north and up, with the 3-sigma band of its covariance."""
     comparison = view.comparisons[0]
-    shown = view.within(comparison.t_ns)
+    shown = view.select(comparison.t_ns)
     t_ns, q_est = comparison.t_ns[shown], comparison.q_est[shown]
     error_deg = np.rad2deg(rotation_error_n(q_est, comparison.q_true[shown]))
     turn = rotation(q_est).as_matrix()
@@ -109,15 +115,15 @@ def draw_band(axes: Sequence[Axes], view: View) -> None:
         if comparison.cov_b_rad2 is not None:
             row = turn[:, k]
             sd = np.rad2deg(np.sqrt(np.einsum("ni,nij,nj->n", row, comparison.cov_b_rad2[shown], row)))
-            t, band = envelope(view.seconds(t_ns), 3 * sd, columns_of(ax))
-            ax.fill_between(t, -band, band, color=colour_of(5), alpha=0.35, lw=0, label="3 standard deviations")
-        _line(ax, view, t_ns, error_deg[:, k], WRAP_DEG, color=colour_of(0), lw=1.0, label="error")
+            t, band = thin_line(view.seconds(t_ns), 3 * sd, count_columns(ax))
+            ax.fill_between(t, -band, band, color=get_colour(5), alpha=0.35, lw=0, label="3 standard deviations")
+        _draw_series(ax, view, t_ns, error_deg[:, k], WRAP_DEG, color=get_colour(0), lw=1.0, label="error")
         ax.set_ylabel(f"about {name} (deg)")
-        _time_axis(ax, view)
+        _format_time_axis(ax, view)
 
 
 def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
-    """RMSE of each estimate, best on top: total, heading and inclination on one logarithmic axis."""
+    """Draw the RMSE of each estimate, best on top: total, heading and inclination on one logarithmic axis."""
     ordered = sorted(scores, key=lambda s: -s.total_rmse_deg)
     marks = {"total": ("o", 70), "heading": ("^", 45), "inclination": ("s", 38)}
     rows = np.arange(len(ordered))
@@ -125,10 +131,10 @@ def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
     for k, (name, (marker, size)) in enumerate(marks.items()):
         values = np.maximum([getattr(s, f"{name}_rmse_deg") for s in ordered], floor_deg)
         if name == "total":
-            ax.hlines(rows, floor_deg / 2, values, color=colour_of(k), lw=2, alpha=0.5, zorder=1)
+            ax.hlines(rows, floor_deg / 2, values, color=get_colour(k), lw=2, alpha=0.5, zorder=1)
             for row, value in zip(rows, values, strict=True):
                 ax.annotate(f"{value:.2f}°", (value, row), (9, 0), textcoords="offset points", va="center")
-        ax.scatter(values, rows, marker=marker, s=size, color=colour_of(k), label=name, zorder=3)
+        ax.scatter(values, rows, marker=marker, s=size, color=get_colour(k), label=name, zorder=3)
     ax.set_xscale("log")
     least = min(min(s.heading_rmse_deg, s.inclination_rmse_deg, s.total_rmse_deg) for s in ordered)
     most = max(s.total_rmse_deg for s in ordered)
@@ -143,25 +149,25 @@ def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
     ax.grid(axis="y", visible=False)
 
 
-def colour_of(k: int) -> str:
-    """The colour of the k-th estimate, the same in every picture of a report."""
+def get_colour(k: int) -> str:
+    """Return the colour of the k-th estimate, the same in every figure of a page."""
     return COLOURS[k % len(COLOURS)]
 
 
-def columns_of(ax: Axes) -> int:
-    """Stretches of time that the axes can tell apart: one per 2/72 inch."""
+def count_columns(ax: Axes) -> int:
+    """Return how many stretches of time the axes can tell apart: one per 2/72 inch."""
     return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
 
 
 def draw_line(
     ax: Axes, t_s: Floats, value: Floats, longest_step_s: float = np.inf, largest_jump: float = np.inf, **style: Any
 ) -> None:
-    """One series (N,), broken at gaps and at wrapped angles, with as many points as the axes can show."""
-    ax.plot(*envelope(*break_line(t_s, value, longest_step_s, largest_jump), columns_of(ax)), **style)
+    """Draw a series (N,), broken at gaps and at wrapped angles, with as many points as the axes can show."""
+    ax.plot(*thin_line(*break_line(t_s, value, longest_step_s, largest_jump), count_columns(ax)), **style)
 
 
-def envelope(t: Floats, value: Floats, columns: int) -> tuple[Floats, Floats]:
-    """First, least, greatest and last sample of each of ``columns`` equal stretches of time, in the order of time.
+def thin_line(t: Floats, value: Floats, columns: int) -> tuple[Floats, Floats]:
+    """Keep the first, least, greatest and last sample of each of ``columns`` equal stretches of time.
 
     ``t`` (N,) rising, ``value`` (N,), may hold NaN where a line breaks; returns the kept (t, value). A line through
     them covers the same pixels as one through all samples (Jugel et al., "M4", VLDB 2014).
@@ -180,25 +186,25 @@ def envelope(t: Floats, value: Floats, columns: int) -> tuple[Floats, Floats]:
 
 
 def break_line(t: Floats, value: Floats, longest_step: float, largest_jump: float) -> tuple[Floats, Floats]:
-    """The series with a NaN wherever two neighbours are too far apart in time (a gap) or in value (a wrapped angle)."""
+    """Return the series with a NaN where two neighbours are too far apart in time (a gap) or in value (a wrap)."""
     at = np.flatnonzero((np.diff(t) > longest_step) | (np.abs(np.diff(value)) > largest_jump)) + 1
     return np.insert(t, at, (t[at - 1] + t[at]) / 2), np.insert(value, at, np.nan)
 
 
-def _angles(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:
-    shown = view.within(t_ns)
+def _draw_angle_lines(axes: Sequence[Axes], view: View, t_ns: Times, q_nb: Floats, **style: Any) -> None:
+    shown = view.select(t_ns)
     for ax, column_rad in zip(axes, euler(q_nb[shown], view.frame).T, strict=True):
-        _line(ax, view, t_ns[shown], np.rad2deg(column_rad), WRAP_DEG, **style)
+        _draw_series(ax, view, t_ns[shown], np.rad2deg(column_rad), WRAP_DEG, **style)
 
 
-def _line(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
+def _draw_series(ax: Axes, view: View, t_ns: Times, value: Floats, jump: float, **style: Any) -> None:
     draw_line(ax, view.seconds(t_ns), value, longest_step_ns(t_ns) / 1e9, jump, **style)
 
 
-def _time_axis(ax: Axes, view: View) -> None:
+def _format_time_axis(ax: Axes, view: View) -> None:
     start_s, end_s = view.seconds(np.array(view.span_ns))
     for first_s, last_s in view.seconds(view.rests_ns):
         if last_s > start_s and first_s < end_s:
             ax.axvspan(max(first_s, start_s), min(last_s, end_s), color=REST_GREY, alpha=0.16, lw=0, zorder=0)
     ax.set_xlim(start_s, end_s)
-    ax.xaxis.set_major_locator(MaxNLocator(max(columns_of(ax) // 30, 4)))
+    ax.xaxis.set_major_locator(MaxNLocator(max(count_columns(ax) // 30, 4)))

@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a recording: scores, pictures, what was aligned, where everything comes from."""
+"""The report of a recording: one HTML page with scores, plots, alignment and provenance, which needs no network."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,17 +10,17 @@ from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.compare import Comparison, compare, name_of
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK, draw_scores
-from stillpoint.scoring.report.pictures import picture
-from stillpoint.scoring.report.plot_data import BIAS_PANELS, FIELD_PANELS, Panel, plots_payload, run_plots
+from stillpoint.scoring.report.pictures import make_picture
+from stillpoint.scoring.report.plot_data import BIAS_PANELS, FIELD_PANELS, Panel, make_page_data, make_run_plots
 from stillpoint.scoring.report.provenance import describe_recording, flatten_params, list_versions
-from stillpoint.scoring.report.reference_section import reference_section
-from stillpoint.scoring.report.templates import bokeh_scripts, embed_json, load_template, page_script
+from stillpoint.scoring.report.reference_section import describe_reference
+from stillpoint.scoring.report.templates import embed_json, load_bokeh_scripts, load_page_script, load_template
 from stillpoint.scoring.score import Score, score_of
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What there is about one recording. The first of ``references`` and ``recording.truth`` judge the rest."""
+    """A recording with what was made of it. The first of ``references`` and ``recording.truth`` judge the rest."""
 
     name: str
     recording: Recording | None = None
@@ -31,7 +31,7 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Everything that can be scored against one reference or truth."""
+    """The scores of everything that one reference or truth judges."""
 
     truth: Reference | Truth
     comparisons: tuple[Comparison, ...]
@@ -39,7 +39,7 @@ class Verdict:
 
 
 def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = "nwu") -> tuple[Verdict, ...]:
-    """Score everything else against the first reference, and everything against the truth, where these are there."""
+    """Score against the first reference and against the truth, where there are such; no reference judges itself."""
     judges: list[tuple[Reference | Truth, tuple[Reference | Estimate, ...]]] = [
         (first, (*material.references[1:], *material.estimates)) for first in material.references[:1]
     ]
@@ -53,9 +53,9 @@ def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = 
     return tuple(verdicts)
 
 
-def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
-    """The page as text. The same material gives the same bytes."""
-    panels, entries = _plots(material, verdicts)
+def make_report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
+    """Return the page as text. The same material gives the same bytes."""
+    panels, entries = _make_plots(material, verdicts)
     series = list(dict.fromkeys(c.estimated for verdict in verdicts for c in verdict.comparisons))
     keys = {panel.key for panel in panels}
     return load_template("stillpoint.scoring.report", "page.html.j2").render(
@@ -63,26 +63,26 @@ def report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         colours_on_dark=ON_DARK,
         name=material.name,
         facts=describe_recording(material.recording) if material.recording is not None else {},
-        references=[reference_section(reference) for reference in material.references],
-        sections=[_section(verdict) for verdict in verdicts],
+        references=[describe_reference(reference) for reference in material.references],
+        sections=[_make_section(verdict) for verdict in verdicts],
         shared_gyro=any(isinstance(verdict.truth, Reference) for verdict in verdicts),
         judges=list(entries),
         frame=verdicts[0].scores[0].frame,
         has_bias=any(panel.key in keys for panel in BIAS_PANELS),
         has_field=any(panel.key in keys for panel in FIELD_PANELS),
         series=series,
-        provenance=_provenance(material),
+        provenance=_list_provenance(material),
         versions=list_versions(),
-        data=embed_json(plots_payload(panels, series, entries)),
-        bokeh=bokeh_scripts(),
-        script=page_script(),
+        data=embed_json(make_page_data(panels, series, entries)),
+        bokeh=load_bokeh_scripts(),
+        script=load_page_script(),
     )
 
 
-def _section(verdict: Verdict) -> dict[str, Any]:
-    """Table and dots of one verdict, best first."""
+def _make_section(verdict: Verdict) -> dict[str, Any]:
+    """Return the table and the figure of one verdict, best first."""
     ordered = sorted(verdict.scores, key=lambda s: s.total_rmse_deg)
-    shown = picture(
+    shown = make_picture(
         f"Scores against the {name_of(verdict.truth)}",
         "RMSE on a logarithmic axis."
         + (" Grey: below the reference's own standard deviation." if isinstance(verdict.truth, Reference) else ""),
@@ -94,14 +94,14 @@ def _section(verdict: Verdict) -> dict[str, Any]:
     return {"against": name_of(verdict.truth), "scores": ordered, "picture": shown}
 
 
-def _plots(material: Material, verdicts: tuple[Verdict, ...]) -> tuple[list[Panel], dict[str, Any]]:
-    """The panels that any verdict has curves for, and an entry of curves per judge."""
+def _make_plots(material: Material, verdicts: tuple[Verdict, ...]) -> tuple[list[Panel], dict[str, Any]]:
+    """Return the panels that any verdict has curves for, and an entry of curves per judge."""
     panels: dict[Panel, None] = {}
     entries = {}
     first = material.references[0] if material.references else None
     for verdict in verdicts:
         comparisons = {c.estimated: c for c in verdict.comparisons}
-        shown, entry = run_plots(
+        shown, entry = make_run_plots(
             comparisons, verdict.truth, verdict.scores[0].frame, material.recording, material.estimates, first
         )
         panels |= dict.fromkeys(shown)
@@ -109,8 +109,8 @@ def _plots(material: Material, verdicts: tuple[Verdict, ...]) -> tuple[list[Pane
     return list(panels), entries
 
 
-def _provenance(material: Material) -> dict[str, Any]:
-    """Files with their hashes, and parameters of everything that was computed."""
+def _list_provenance(material: Material) -> dict[str, Any]:
+    """Return files with their hashes, and the parameters of everything that was computed."""
     made: list[Reference | Estimate] = [*material.references, *material.estimates]
     return {
         "files": dict(material.sha256),

@@ -1,4 +1,4 @@
-"""Figures as SVG text for a page: in the page's own font and ink, once for a desktop and once for a phone."""
+"""Still figures as SVG text in the font and ink of a page, once for a desktop and once for a phone."""
 
 import html
 import io
@@ -50,7 +50,7 @@ class Picture:
     narrow: str
 
 
-def picture(
+def make_picture(
     title: str, note: str, rows: int, row_px: int, draw: Callable[[Sequence[Axes]], None], time_axis: bool = True
 ) -> Picture:
     """Draw the same axes, ``rows`` under each other, in both widths. ``draw`` gets the axes from top to bottom."""
@@ -69,12 +69,12 @@ def picture(
                 legend = figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.3)
                 for line in legend.get_lines():
                     line.set_linewidth(3)
-            drawn[name] = _svg(figure, title, name)
+            drawn[name] = _render_svg(figure, title, name)
     return Picture(title, note, **drawn)
 
 
-def _svg(figure: Figure, title: str, name: str) -> str:
-    """The figure without what a page does not need, its paths to 1/10 px, its colours the page's."""
+def _render_svg(figure: Figure, title: str, name: str) -> str:
+    """Return a figure as SVG without metadata, with paths to 1/10 px and the colours of the page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()

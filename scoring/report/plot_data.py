@@ -1,4 +1,4 @@
-"""What the plots of a page show of one recording: which panels there are, and their curves by panel and estimator."""
+"""The data of interactive plots of one recording: the panels, and curves by panel and estimator."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -50,20 +50,20 @@ FIELD_PANELS = (
 
 
 def reduce_errors(comparison: Comparison, zero_ns: int, columns: int) -> dict[str, Curve]:
-    """Curves of the total, heading and inclination error, and ``total:sd`` …, the judge's band if it states one."""
+    """Return curves of the total, heading and inclination error; ``total:sd`` and so on are the judge's band."""
     error = attitude_error(comparison.q_est, comparison.q_true)
     curves = {}
     for panel in ERROR_PANELS:
         size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
         curves[panel.key] = reduce_series(comparison.t_ns, size_deg, zero_ns, columns, "rms")
         if comparison.true_cov_b_rad2 is not None:
-            band_deg = BAND_SDS * np.rad2deg(_judge_sd_rad(comparison, panel.key))
+            band_deg = BAND_SDS * np.rad2deg(_compute_judge_sd_rad(comparison, panel.key))
             curves[f"{panel.key}:sd"] = reduce_series(comparison.t_ns, band_deg, zero_ns, columns, "rms")
     return curves
 
 
 def encode_errors(reduced: Mapping[str, Mapping[str, Curve]]) -> Curves:
-    """The curves of :func:`reduce_errors` by label, for a page. The judge's band is the same for all: one is kept."""
+    """Encode the curves of :func:`reduce_errors` by label. The judge's band is the same for all, so one is kept."""
     curves: Curves = {}
     for label, of_label in reduced.items():
         for key, curve in of_label.items():
@@ -74,24 +74,24 @@ def encode_errors(reduced: Mapping[str, Mapping[str, Curve]]) -> Curves:
     return curves
 
 
-def recording_entry(span_s: tuple[float, float], rests_s: Floats, curves: Curves) -> dict[str, Any]:
-    """The entry of one recording in a page's data: its span, its rests (R, 2), and its curves."""
+def make_recording_entry(span_s: tuple[float, float], rests_s: Floats, curves: Curves) -> dict[str, Any]:
+    """Return the entry of one recording in a page's data: its span, its rests (R, 2), and its curves."""
     return {"span": list(span_s), "rests": np.round(rests_s, 3).tolist(), "curves": curves, "page": None}
 
 
 def find_rest_spans(truth: Reference | Truth) -> Times:
-    """First and last stamp (R, 2) of each rest. A truth rests where it does not count as moving."""
+    """Return first and last stamp (R, 2) of each rest. A truth rests where it does not count as moving."""
     return truth.rests_ns if isinstance(truth, Reference) else find_spans(~moving_samples(truth), truth.t_ns)
 
 
 def find_spans(chosen: Mask, t_ns: Times) -> Times:
-    """First and last stamp (R, 2) of each unbroken run of chosen samples (N,)."""
+    """Return first and last stamp (R, 2) of each unbroken run of chosen samples (N,)."""
     edges = np.diff(chosen.astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return np.stack([t_ns[first], t_ns[last]], axis=1)
 
 
-def run_plots(
+def make_run_plots(
     comparisons: Mapping[str, Comparison],
     truth: Reference | Truth,
     frame: EulerFrame,
@@ -99,34 +99,34 @@ def run_plots(
     estimates: Sequence[Estimate] = (),
     reference: Reference | None = None,
 ) -> tuple[tuple[Panel, ...], dict[str, Any]]:
-    """All panels that the material has curves for, and the recording's entry in the page's data."""
+    """Return the panels that the material has curves for, and the recording's entry in the page's data."""
     zero_ns = int(truth.t_ns[0])
     panels = (*ERROR_PANELS, *ANGLE_PANELS, *AXIS_PANELS)
-    columns = _columns(len(panels) * (len(comparisons) + 1))
+    columns = _choose_columns(len(panels) * (len(comparisons) + 1))
     curves = encode_errors({name: reduce_errors(c, zero_ns, columns) for name, c in comparisons.items()})
-    curves |= _angle_curves(comparisons, truth, frame, zero_ns, columns)
-    curves |= _axis_curves(comparisons, zero_ns, columns)
+    curves |= _make_angle_curves(comparisons, truth, frame, zero_ns, columns)
+    curves |= _make_axis_curves(comparisons, zero_ns, columns)
     biases = {JUDGE: reference, **{each.name: each for each in estimates}}
-    curves |= _bias_curves({name: made for name, made in biases.items() if made is not None}, zero_ns, columns)
+    curves |= _make_bias_curves({name: made for name, made in biases.items() if made is not None}, zero_ns, columns)
     if recording is not None and recording.mag is not None and reference is not None:
-        curves |= _field_curves(recording, reference, zero_ns, columns)
+        curves |= _make_field_curves(recording, reference, zero_ns, columns)
     shown = tuple(panel for panel in (*panels, *BIAS_PANELS, *FIELD_PANELS) if curves.get(panel.key))
     rests_s = (find_rest_spans(truth) - zero_ns) / 1e9
-    return shown, recording_entry((0.0, float(truth.t_ns[-1] - zero_ns) / 1e9), rests_s, curves)
+    return shown, make_recording_entry((0.0, float(truth.t_ns[-1] - zero_ns) / 1e9), rests_s, curves)
 
 
-def plots_payload(
+def make_page_data(
     panels: Sequence[Panel], series: Sequence[str], recordings: Mapping[str, Any], **more: Any
 ) -> dict[str, Any]:
-    """The data of a page as ``page.js`` reads it."""
+    """Return the data of a page as ``page.js`` reads it."""
     return {"panels": [asdict(panel) for panel in panels], "series": list(series), "recordings": recordings, **more}
 
 
-def _columns(series: int) -> int:
+def _choose_columns(series: int) -> int:
     return int(np.clip(CURVE_BYTES // (BYTES_PER_COLUMN * max(series, 1)), FEWEST_COLUMNS, MOST_COLUMNS))
 
 
-def _judge_sd_rad(comparison: Comparison, what: str) -> Floats:
+def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
     cov_b = comparison.true_cov_b_rad2
     assert cov_b is not None
     if what == "total":
@@ -136,7 +136,7 @@ def _judge_sd_rad(comparison: Comparison, what: str) -> Floats:
     return np.sqrt(variance_n[:, 2] if what == "heading" else variance_n[:, 0] + variance_n[:, 1])
 
 
-def _angle_curves(
+def _make_angle_curves(
     comparisons: Mapping[str, Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int, columns: int
 ) -> Curves:
     curves: Curves = {panel.key: {} for panel in ANGLE_PANELS}
@@ -147,8 +147,8 @@ def _angle_curves(
     return curves
 
 
-def _axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, columns: int) -> Curves:
-    """Signed errors about east, north and up, and three standard deviations where an estimate states them."""
+def _make_axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, columns: int) -> Curves:
+    """Return signed errors about east, north and up, and three standard deviations where an estimate states them."""
     curves: Curves = {panel.key: {} for panel in AXIS_PANELS}
     curves |= {f"{panel.key}:sd": {} for panel in AXIS_PANELS}
     for name, comparison in comparisons.items():
@@ -165,7 +165,7 @@ def _axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, columns: i
     return curves
 
 
-def _bias_curves(made: Mapping[str, Estimate | Reference], zero_ns: int, columns: int) -> Curves:
+def _make_bias_curves(made: Mapping[str, Estimate | Reference], zero_ns: int, columns: int) -> Curves:
     curves: Curves = {panel.key: {} for panel in BIAS_PANELS}
     for name, thing in made.items():
         if thing.gyro_bias_b_radps is None:
@@ -175,8 +175,8 @@ def _bias_curves(made: Mapping[str, Estimate | Reference], zero_ns: int, columns
     return curves
 
 
-def _field_curves(recording: Recording, reference: Reference, zero_ns: int, columns: int) -> Curves:
-    """Strength and dip of the magnetic field, corrected by what the reference found and turned by its attitude."""
+def _make_field_curves(recording: Recording, reference: Reference, zero_ns: int, columns: int) -> Curves:
+    """Return strength and dip of the magnetic field by the reference's calibration and attitude."""
     mag = recording.mag
     if mag is None:
         return {}

@@ -1,4 +1,4 @@
-"""What a page says about a reference: how it came about, what it found about the sensor, which returns it used."""
+"""The section of a page about a reference: facts, what it found about the sensor, and its returns to the base pose."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,17 +10,17 @@ from stillpoint.datasets.trajectory import Calibration, Reference, total_sd_rad
 from stillpoint.scoring.compare import name_of
 
 
-def reference_section(reference: Reference) -> dict[str, Any]:
-    """Name, facts in words, rows of the calibration, and one entry per rest that was compared with the base pose."""
+def describe_reference(reference: Reference) -> dict[str, Any]:
+    """Return name, facts, rows of the calibration, and one entry per rest that was compared with the base pose."""
     return {
         "name": name_of(reference),
-        "facts": _facts(reference),
-        "calibration": dict(_calibration_rows(reference.calibration)),
-        "returns": _returns(reference),
+        "facts": _list_facts(reference),
+        "calibration": dict(_list_calibration(reference.calibration)),
+        "returns": _list_returns(reference),
     }
 
 
-def _facts(reference: Reference) -> dict[str, str]:
+def _list_facts(reference: Reference) -> dict[str, str]:
     said = reference.diagnostics
     sd_deg = np.rad2deg(total_sd_rad(reference.cov_b_rad2))
     rested_s = float(np.diff(reference.rests_ns, axis=1).sum()) / 1e9
@@ -31,9 +31,9 @@ def _facts(reference: Reference) -> dict[str, str]:
         "sd of the attitude": f"{np.median(sd_deg):.2f} deg (median), {sd_deg.max():.2f} deg (largest)",
         "rests": f"{len(reference.rests_ns)}, {rested_s:.0f} s in all",
         "returns": f"{accepted} of {len(reference.returns)} to the base pose used",
-        "gaps in the stamps": _gaps(said),
+        "gaps in the stamps": _describe_gaps(said),
         "closing squares": ", ".join(f"{square:.2f}" for square in said.get("closing_squares", ())),
-        "gyro bias": _bias(reference.gyro_bias_b_radps),
+        "gyro bias": _describe_bias(reference.gyro_bias_b_radps),
         "iterations": str(said.get("iterations", "")),
     }
     if reference.heading_sd_rad > 0:
@@ -43,19 +43,19 @@ def _facts(reference: Reference) -> dict[str, str]:
     return {title: fact for title, fact in facts.items() if fact}
 
 
-def _gaps(said: Mapping[str, Any]) -> str:
+def _describe_gaps(said: Mapping[str, Any]) -> str:
     return f"{said['gaps']}, the longest {said['longest_gap_s']:.2f} s" if said.get("gaps") else ""
 
 
-def _bias(gyro_bias_b_radps: Floats) -> str:
-    """First and last value of each axis."""
+def _describe_bias(gyro_bias_b_radps: Floats) -> str:
+    """Return first and last value of each axis in words."""
     first, last = np.rad2deg(gyro_bias_b_radps[[0, -1]])
     axes = (f"{axis} {a:.3f} … {b:.3f}" for axis, a, b in zip("xyz", first, last, strict=True))
     return f"{', '.join(axes)} deg/s, first … last"
 
 
-def _calibration_rows(found: Calibration) -> Mapping[str, Sequence[str]]:
-    """Three cells per row, by the row's title."""
+def _list_calibration(found: Calibration) -> Mapping[str, Sequence[str]]:
+    """Return three cells per row, by the title of the row."""
     rows: dict[str, list[str]] = {}
     for sensor in ("gyro", "accel"):
         matrix, sd = getattr(found, f"{sensor}_matrix"), getattr(found, f"{sensor}_matrix_sd")
@@ -78,7 +78,7 @@ def _calibration_rows(found: Calibration) -> Mapping[str, Sequence[str]]:
     return rows
 
 
-def _returns(reference: Reference) -> list[dict[str, Any]]:
+def _list_returns(reference: Reference) -> list[dict[str, Any]]:
     zero_ns = int(reference.t_ns[0])
     return [
         {

@@ -1,4 +1,4 @@
-"""Pictures of a spinning body's page: errors within their stated bands, and what its accelerometers read."""
+"""Still figures of a spinning body: rates, errors within their stated bands, and readings of the accelerometers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import RollReference
-from stillpoint.scoring.report.figures import REST_GREY, colour_of, columns_of, draw_line, envelope
+from stillpoint.scoring.report.figures import REST_GREY, count_columns, draw_line, get_colour, thin_line
 from stillpoint.scoring.spin import RollComparison
 
 BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
@@ -23,15 +23,15 @@ WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's ma
 
 @dataclass(frozen=True, eq=False)
 class RateSeries:
-    """RateSeries about the spin axis over time, of the judge and of several methods."""
+    """Rates about the spin axis over time, of the judge and of several methods."""
 
     t_s: Floats  # (N,)
     truth_radps: Floats  # (N,)
     rate_radps: Mapping[str, Floats]  # by method, (N,)
 
 
-def series_of(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> RateSeries:
-    """RateSeries at the stamps that all comparisons share."""
+def make_rate_series(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> RateSeries:
+    """Return the rates at the stamps that all comparisons share."""
     t_ns = reduce(np.intersect1d, (c.t_ns for c in comparisons))
     true = np.interp(t_ns, truth.t_ns, truth.rate_radps)
     rates = {c.estimated: true + c.rate_error_radps[np.searchsorted(c.t_ns, t_ns)] for c in comparisons}
@@ -39,7 +39,7 @@ def series_of(truth: Encoder | RollReference, comparisons: Sequence[RollComparis
 
 
 def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_ns: int) -> None:
-    """Errors of angle and rate, one axes each, over three standard deviations as the estimate states them."""
+    """Draw the errors of angle and rate, one axes each, over three standard deviations as the estimate states them."""
     parts = (
         ("angle (deg)", c.angle_error_rad, c.angle_sd_rad),
         ("rate (deg/s)", c.rate_error_radps, c.rate_sd_radps),
@@ -47,13 +47,13 @@ def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_n
     t_s = (c.t_ns - zero_ns) / 1e9
     for ax, (label, error_rad, sd_rad) in zip(axes, parts, strict=True):
         error = np.rad2deg(error_rad)
-        limit = max(error_limit(error), 1e-6)
+        limit = max(find_error_limit(error), 1e-6)
         if sd_rad is not None:
             band = 3 * np.rad2deg(sd_rad)
             limit = max(limit, min(1.1 * float(band.max()), BAND_SHOWN * limit))
-            t, edge = envelope(t_s, band, columns_of(ax))
+            t, edge = thin_line(t_s, band, count_columns(ax))
             ax.fill_between(t, -edge, edge, color=REST_GREY, alpha=0.3, lw=0, label="3 standard deviations")
-        _line(ax, c.t_ns, t_s, error, color=colour_of(colour), lw=1.0, label="error")
+        _draw_series(ax, c.t_ns, t_s, error, color=get_colour(colour), lw=1.0, label="error")
         ax.set_ylim(-limit, limit)
         ax.set_ylabel(label)
         ax.set_xlim(t_s[0], t_s[-1])
@@ -61,12 +61,12 @@ def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_n
 
 
 def draw_accelerometers(axes: Sequence[Axes], spin: Spin) -> None:
-    """What each accelerometer read, one axes each; a value that is missing breaks the line."""
+    """Draw the readings of each accelerometer, one axes each; a missing value breaks the line."""
     t_s = (spin.t_ns - spin.t_ns[0]) / 1e9
     limits = spin.geometry.accel_range_mps2
     for k, ax in enumerate(axes):
         value = spin.accel_mps2[:, k]
-        _line(ax, spin.t_ns, t_s, value, color=colour_of(0), lw=0.8)
+        _draw_series(ax, spin.t_ns, t_s, value, color=get_colour(0), lw=0.8)
         if limits is not None and np.nanmax(np.abs(value)) > 0.7 * limits[k]:
             for sign in (-1, 1):
                 if (sign * value > 0.5 * limits[k]).any():
@@ -77,7 +77,7 @@ def draw_accelerometers(axes: Sequence[Axes], spin: Spin) -> None:
         ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _line(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> None:
+def _draw_series(ax: Axes, t_ns: Times, t_s: Floats, value: Floats, **style: Any) -> None:
     draw_line(ax, t_s, value, longest_step_ns(t_ns) / 1e9, **style)
 
 
@@ -89,37 +89,37 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     """
     truth_degps = np.rad2deg(series.truth_radps)
     errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
-    limits = {method: error_limit(error) for method, error in errors.items()}
+    limits = {method: find_error_limit(error) for method, error in errors.items()}
     shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
     for method, k in methods.items():
-        draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=colour_of(k), lw=0.9, label=method)
+        draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=get_colour(k), lw=0.9, label=method)
     draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
-    margin = 0.06 * np.ptp(truth_degps) + _shown_spread(series, methods)
+    margin = 0.06 * np.ptp(truth_degps) + _find_shown_spread(series, methods)
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")
     for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
         error = errors[method]
-        draw_line(ax, series.t_s, error, color=colour_of(k), lw=0.9)
+        draw_line(ax, series.t_s, error, color=get_colour(k), lw=0.9)
         limit = limits[method] if method == OBSERVATION else shared
         ax.set_ylim(-limit, limit)
         ax.set_ylabel("deg/s")
         beyond = int((np.abs(error) > limit).sum())
         samples = "sample" if beyond == 1 else "samples"
         note = f"  ({beyond} {samples} beyond, up to {np.abs(error).max():.0f} deg/s)" if beyond else ""
-        ax.set_title(f"error of {method}{note}", loc="left", color=colour_of(k), fontweight="bold")
+        ax.set_title(f"error of {method}{note}", loc="left", color=get_colour(k), fontweight="bold")
     for ax in axes:
         ax.set_xlim(series.t_s[0], series.t_s[-1])
         ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def error_limit(error: Floats) -> float:
+def find_error_limit(error: Floats) -> float:
     """Return half the height of an error's axis, which holds all but the worst thousandth, or all where that fits."""
     most = float(np.quantile(np.abs(error), 0.999)) * 1.5
     worst = float(np.abs(error).max())
     return 1.05 * worst if worst < WIDE_FROM * most else most
 
 
-def _shown_spread(series: RateSeries, methods: Mapping[str, int]) -> float:
+def _find_shown_spread(series: RateSeries, methods: Mapping[str, int]) -> float:
     """Return the room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
     truth = np.rad2deg(series.truth_radps)
-    return max(error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)
+    return max(find_error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)

@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a spinning body: angle and rate about its axis, and their errors."""
+"""The report of a spinning body: one HTML page with angle and rate about its axis and their errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import describe_recording, flatten_params, list_versions
-from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, draw_rates, series_of
+from stillpoint.scoring.report.spin_figures import draw_accelerometers, draw_error_band, draw_rates, make_rate_series
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.scoring.spin import (
     ZERO_WORDS,
@@ -27,7 +27,7 @@ from stillpoint.scoring.spin import (
 
 @dataclass(frozen=True, eq=False)
 class SpinMaterial:
-    """What there is about one recording of a spinning body."""
+    """A recording of a spinning body with what was made of it."""
 
     recording: Recording
     references: tuple[RollReference, ...] = ()
@@ -37,7 +37,7 @@ class SpinMaterial:
 
 @dataclass(frozen=True, eq=False)
 class SpinVerdict:
-    """Everything that can be scored against one reference, truth or encoder."""
+    """The scores of everything that one reference, truth or encoder judges."""
 
     against: str
     truth: Encoder | RollReference
@@ -46,7 +46,7 @@ class SpinVerdict:
 
 
 def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[SpinVerdict, ...]:
-    """Score everything against the truth, else the encoder, and everything else against the first reference.
+    """Score against the truth, or without one against the encoder, and against the first reference.
 
     ``zero`` as in :func:`stillpoint.scoring.spin.score_roll`; None takes what is usual for each.
     """
@@ -69,33 +69,33 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
     return tuple(verdicts)
 
 
-def spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) -> str:
-    """The page as text; at least one verdict. The same material gives the same bytes."""
+def make_spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) -> str:
+    """Return the page as text; there is at least one verdict. The same material gives the same bytes."""
     made: list[RollReference | Estimate] = [*material.references, *material.estimates]
     return load_template("stillpoint.scoring.report", "spin_page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.recording.name,
-        facts=_facts(material.recording),
-        references=[{"name": _name(one), "facts": _reference_facts(one)} for one in material.references],
-        met={_name(one): _met(one) for one in material.estimates},
+        facts=_list_facts(material.recording),
+        references=[{"name": _get_name(one), "facts": _describe_reference(one)} for one in material.references],
+        met={_get_name(one): _describe_estimate(one) for one in material.estimates},
         sections=[
             {
                 "against": verdict.against,
                 "scores": sorted(verdict.scores, key=lambda s: s.rate_rmse_degps),
-                "zero": _zeros(verdict.scores),
+                "zero": _describe_zeros(verdict.scores),
             }
             for verdict in verdicts
         ],
-        pictures=_pictures(material.recording, verdicts[0]),
+        pictures=_make_pictures(material.recording, verdicts[0]),
         files=dict(material.sha256),
-        params={_name(thing): dict(flatten_params(thing.params)) for thing in made},
+        params={_get_name(thing): dict(flatten_params(thing.params)) for thing in made},
         versions=list_versions(),
     )
 
 
-def _zeros(scores: Sequence[RollScore]) -> str:
-    """What is taken off the angles, in words; by name where it is not the same for all."""
+def _describe_zeros(scores: Sequence[RollScore]) -> str:
+    """Return in words what is taken off the angles; by name where it differs."""
     zeros = dict.fromkeys(s.zero for s in scores)
     if len(zeros) == 1:
         return ZERO_WORDS[scores[0].zero]
@@ -104,11 +104,11 @@ def _zeros(scores: Sequence[RollScore]) -> str:
     )
 
 
-def _name(thing: RollReference | Estimate) -> str:
+def _get_name(thing: RollReference | Estimate) -> str:
     return f"reference ({thing.method})" if isinstance(thing, RollReference) else thing.name
 
 
-def _facts(recording: Recording) -> dict[str, str]:
+def _list_facts(recording: Recording) -> dict[str, str]:
     facts = describe_recording(recording)
     assert recording.spin is not None
     geometry = recording.spin.geometry
@@ -119,38 +119,38 @@ def _facts(recording: Recording) -> dict[str, str]:
     return facts | {"accelerometers": "; ".join(arms)}
 
 
-def _reference_facts(reference: RollReference) -> dict[str, str]:
-    """Its standard deviations, and what it says of itself in words and counts."""
+def _describe_reference(reference: RollReference) -> dict[str, str]:
+    """Return the standard deviations of a reference, and its diagnostics in words."""
     angle_deg, rate_degps = np.rad2deg(reference.angle_sd_rad), np.rad2deg(reference.rate_sd_radps)
     said = reference.diagnostics
     return {
         "sd of the rate": f"{np.median(rate_degps):.2g} deg/s (median), {rate_degps.max():.2g} deg/s (largest)",
         "sd of the angle": f"{np.median(angle_deg):.2g} deg (median), {angle_deg[-1]:.2g} deg at the end",
         **{key: str(value) for key, value in said.items() if isinstance(value, str)},
-        "met": _counted(said),
+        "met": _describe_counts(said),
     }
 
 
-def _met(estimate: Estimate) -> str:
-    """What an estimator met, in words and counts."""
+def _describe_estimate(estimate: Estimate) -> str:
+    """Return the diagnostics of an estimate in words."""
     words = [str(value) for key, value in estimate.diagnostics.items() if key == "direction"]
-    return "; ".join([_counted(estimate.diagnostics), *words])
+    return "; ".join([_describe_counts(estimate.diagnostics), *words])
 
 
-def _counted(diagnostics: Mapping[str, Any]) -> str:
+def _describe_counts(diagnostics: Mapping[str, Any]) -> str:
     counts = [f"{key[2:].replace('_', ' ')} {n}" for key, n in diagnostics.items() if key.startswith("n_") and n]
     return ", ".join(counts) or "nothing unusual"
 
 
-def _pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
-    """Rates with their errors, then errors with their stated bands, then what was measured."""
+def _make_pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
+    """Return figures of rates with their errors, of errors with their stated bands, and of the readings."""
     assert recording.spin is not None
     spin = recording.spin
     zero_ns = int(spin.t_ns[0])
     colours = {c.estimated: k for k, c in enumerate(verdict.comparisons)}
-    series = series_of(verdict.truth, verdict.comparisons, zero_ns)
+    series = make_rate_series(verdict.truth, verdict.comparisons, zero_ns)
     shown = [
-        picture(
+        make_picture(
             "Rate over time",
             f"Above, the rates over the {verdict.against}; below, estimate minus {verdict.against}.",
             1 + len(colours),
@@ -159,7 +159,7 @@ def _pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
         )
     ]
     shown += [
-        picture(
+        make_picture(
             f"{c.estimated} against the {verdict.against}",
             "Errors of angle and rate"
             + (
@@ -169,11 +169,11 @@ def _pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
             ),
             2,
             130,
-            _drawn_band(c, colours[c.estimated], zero_ns),
+            _make_band_drawer(c, colours[c.estimated], zero_ns),
         )
         for c in verdict.comparisons
     ]
-    sensors = picture(
+    sensors = make_picture(
         "What the accelerometers read",
         "Dotted: the range that the recording states.",
         spin.accel_mps2.shape[1],
@@ -183,5 +183,5 @@ def _pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
     return [*shown, sensors]
 
 
-def _drawn_band(comparison: RollComparison, colour: int, zero_ns: int) -> Callable[[Sequence[Axes]], None]:
+def _make_band_drawer(comparison: RollComparison, colour: int, zero_ns: int) -> Callable[[Sequence[Axes]], None]:
     return lambda axes: draw_error_band(axes, comparison, colour, zero_ns)

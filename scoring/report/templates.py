@@ -1,4 +1,4 @@
-"""The one loader of all page templates: each package holds its own, and all share the parts in this package."""
+"""The loader of all page templates. Each package holds its own templates; all share the parts in this package."""
 
 import json
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ BOKEH_SCRIPTS = ("bokeh.min.js", "bokeh-api.min.js")
 
 
 def load_template(package: str, name: str) -> Template:
-    """The template ``name`` of a package. It may include the shared parts, and nothing in it may be undefined."""
+    """Load the template ``name`` of a package. It may include the shared parts; an undefined name in it is an error."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader(PARTS, ".")]),
         autoescape=True,
@@ -26,25 +26,25 @@ def load_template(package: str, name: str) -> Template:
 
 
 @cache
-def bokeh_scripts() -> Markup:
-    """BokehJS as it is installed, ready to stand in a page."""
+def load_bokeh_scripts() -> Markup:
+    """Return the script elements of BokehJS, from the installed package."""
     bokeh = resources.files("bokeh") / "server" / "static" / "js"
     texts = [(bokeh / name).read_text(encoding="utf-8") for name in BOKEH_SCRIPTS]
-    return Markup("\n").join(Markup(f"<script>\n{_closed(text)}\n</script>") for text in texts)
+    return Markup("\n").join(Markup(f"<script>\n{_escape_end(text)}\n</script>") for text in texts)
 
 
 @cache
-def page_script() -> Markup:
-    """The script of our pages, which runs when the page is there."""
+def load_page_script() -> Markup:
+    """Return the script element of our pages, which stands at the end of the page."""
     text = (resources.files(PARTS) / "page.js").read_text(encoding="utf-8")
-    return Markup(f"<script>\n{_closed(text)}\n</script>")
+    return Markup(f"<script>\n{_escape_end(text)}\n</script>")
 
 
 def embed_json(data: Mapping[str, Any]) -> Markup:
-    """Data for the script, so written that nothing in it can end the element it stands in."""
+    """Return data for the script, escaped so that nothing in it can end the script element."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))
 
 
-def _closed(script: str) -> str:
+def _escape_end(script: str) -> str:
     return script.replace("</script", "<\\/script")

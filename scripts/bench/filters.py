@@ -1,4 +1,4 @@
-"""Every estimator of attitude over two hours of a phone at 100 Hz, beside ``vqf`` and the package ``ahrs``.
+"""Times of every estimator of attitude over two hours of a phone at 100 Hz, beside ``vqf`` and the package ``ahrs``.
 
 The packages' loops in Python get a hundredth of the samples, and their seconds count a hundred times. All rows are the
 time that ``estimate`` reports: the filter's own, without the making of arrays around it, which packages do inside.
@@ -17,7 +17,7 @@ from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.bench.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, time_call
 
 MINUTES = 120.0  # 720 000 samples
 HUNDREDTH = 100
@@ -43,31 +43,31 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 
 def bench_filters(runs: int) -> list[Timing]:
-    """Rows of all estimators in batch, against vqf and against ahrs, then of one call of a stream."""
+    """Return the rows of all estimators in batch, against vqf and against ahrs, then of one call of a stream."""
     _require_packages()
     whole = simulate("phone-3", minutes=MINUTES)
     n = len(whole.require_imu().t_ns)
-    part = first(whole, n // HUNDREDTH)
+    part = take_first(whole, n // HUNDREDTH)
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
-    steps: dict[str, Callable[[], float]] = {name: _batch(whole, name, 1) for name in (*ours, *COMPILED_PEERS)}
+    steps: dict[str, Callable[[], float]] = {name: _time_batch(whole, name, 1) for name in (*ours, *COMPILED_PEERS)}
     for name, entry in ESTIMATORS.items():
         if entry.is_peer and name not in COMPILED_PEERS:
-            steps[name] = _batch(part, name, HUNDREDTH)
+            steps[name] = _time_batch(part, name, HUNDREDTH)
     for kind in sorted({kind for kinds in KINDS.values() for kind in kinds if kind not in ESTIMATORS}):
-        steps[kind] = _ahrs(part, kind)
+        steps[kind] = _time_ahrs(part, kind)
     for name in ours:
-        steps[f"stream {name}"] = _streamed(whole, name)
+        steps[f"stream {name}"] = _time_stream(whole, name)
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for step in steps.values():
         step()  # compiles, and fills the caches of the machine
     for _ in track(range(runs), "filters", console=Console(stderr=True), transient=True):
         for name, step in steps.items():
             seconds[name].append(step())
-    return _rows(ours, seconds, n)
+    return _make_rows(ours, seconds, n)
 
 
-def first(recording: Recording, n: int) -> Recording:
-    """The first ``n`` samples of the IMU, and the fields until then."""
+def take_first(recording: Recording, n: int) -> Recording:
+    """Return the first ``n`` samples of the IMU, and the fields until then."""
     imu, mag = recording.require_imu(), recording.mag
     assert mag is not None
     until = mag.t_ns <= imu.t_ns[n - 1]
@@ -75,7 +75,7 @@ def first(recording: Recording, n: int) -> Recording:
     return Recording("bench", cut, mag=Mag(mag.t_ns[until], mag.mag_b_ut[until]), info=recording.info)
 
 
-def _rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list[Timing]:
+def _make_rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list[Timing]:
     share = f"(a hundredth, times {HUNDREDTH})"
     peers: dict[str, Timing] = {}
     for name in (name for name in seconds if name not in ours and not name.startswith("stream ")):
@@ -88,13 +88,13 @@ def _rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list[Timi
     return rows
 
 
-def _batch(recording: Recording, name: str, times: int) -> Callable[[], float]:
+def _time_batch(recording: Recording, name: str, times: int) -> Callable[[], float]:
     samples = len(recording.require_imu().t_ns) * times
     return lambda: estimate(recording, name).ns_per_sample * samples / 1e9
 
 
-def _streamed(recording: Recording, name: str) -> Callable[[], float]:
-    """Seconds of ``STREAMED`` calls, each with a field, from lists as a program would have them."""
+def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
+    """Return the seconds of ``STREAMED`` calls, each with a field, from lists as a program would have them."""
     imu, mag = recording.require_imu(), recording.mag
     assert mag is not None
     columns = (imu.t_ns, imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut)
@@ -109,13 +109,13 @@ def _streamed(recording: Recording, name: str) -> Callable[[], float]:
             for row in rows[1:]:
                 update(*row)
 
-        return seconds_of(calls)
+        return time_call(calls)
 
     return fed
 
 
-def _ahrs(recording: Recording, kind: str) -> Callable[[], float]:
-    """Seconds of a filter of ahrs that is not in the table, times a hundred."""
+def _time_ahrs(recording: Recording, kind: str) -> Callable[[], float]:
+    """Return the seconds of a filter of ahrs that is not in the table, times a hundred."""
     imu, mag = recording.require_imu(), recording.mag
     assert mag is not None
     field = mag.mag_b_ut[(mag.t_ns.searchsorted(imu.t_ns, side="right") - 1).clip(0)]
@@ -126,7 +126,7 @@ def _ahrs(recording: Recording, kind: str) -> Callable[[], float]:
         arrays = {"gyr": imu.gyro_b_radps}
     filters: Any = import_module("ahrs").filters
     copies = {name: np.array(values) for name, values in arrays.items()}
-    return lambda: seconds_of(lambda: getattr(filters, kind)(**copies)) * HUNDREDTH
+    return lambda: time_call(lambda: getattr(filters, kind)(**copies)) * HUNDREDTH
 
 
 def _require_packages() -> None:

@@ -1,4 +1,4 @@
-"""Writing and reading an hour of a phone's sensors, beside ``mcap`` with ``mcap-ros2-support`` message by message.
+"""Times of writing and reading an hour of a phone's sensors, beside ``mcap`` with ``mcap-ros2-support``.
 
 The peer writes and reads the three topics Imu, MagneticField and PoseStamped; stillpoint, through its public ``read``
 and ``write``, does the same and the flag of the truth, the exact remainder of the field, and all checksums.
@@ -22,7 +22,7 @@ from stillpoint.datasets.mcap.cdr import definition
 from stillpoint.datasets.mcap.store import read, write
 from stillpoint.datasets.mcap.topics import IMU, MAG, POSE, UT_PER_TESLA
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Truth
-from stillpoint.scripts.bench.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, time_call
 
 HOUR = 360_000  # samples at 100 Hz
 TENTH = 10  # the peer needs about a minute for the hour: it gets a tenth of the data, and its seconds count ten times
@@ -33,21 +33,21 @@ TOPICS = 3
 MEASURE = """
 import json, resource, sys, time
 from stillpoint.datasets import read
-def peak():
+def measure_peak():
     if sys.platform == "linux":
         with open("/proc/self/status") as status:
             return 1024 * next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-before, start = peak(), time.perf_counter()
+before, start = measure_peak(), time.perf_counter()
 recording = read(sys.argv[1])
-print(json.dumps({"seconds": time.perf_counter() - start, "bytes": peak() - before}))
+print(json.dumps({"seconds": time.perf_counter() - start, "bytes": measure_peak() - before}))
 """
 
 
 def bench_mcap(runs: int) -> list[Timing]:
-    """Rows of writing, reading and peak memory."""
+    """Return the rows of writing, reading and peak memory."""
     peer = Peer()
-    hour, tenth = phone(HOUR), phone(HOUR // TENTH)
+    hour, tenth = make_phone(HOUR), make_phone(HOUR // TENTH)
     seconds: dict[str, list[float]] = {"peer write": [], "write": [], "peer read": [], "read": []}
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.mcap", Path(folder) / "theirs.mcap"
@@ -62,15 +62,15 @@ def bench_mcap(runs: int) -> list[Timing]:
         for _ in track(range(runs), "mcap", console=Console(stderr=True), transient=True):
             for name, step in steps.items():
                 if name.startswith("peer"):
-                    seconds[name].append(seconds_of(step) * TENTH)
+                    seconds[name].append(time_call(step) * TENTH)
                 else:
-                    seconds[name] += [seconds_of(step) for _ in range(REPEATS)]
+                    seconds[name] += [time_call(step) for _ in range(REPEATS)]
         peaks = [_measure(ours) for _ in range(runs)]
     n = HOUR * TOPICS
     name = "mcap + mcap-ros2-support (a tenth, times 10)"
     peer_write = Timing(f"write, {name}", seconds["peer write"], n)
     peer_read = Timing(f"read, {name}", seconds["peer read"], n)
-    size, peak = _size(hour), max(one["bytes"] for one in peaks)
+    size, peak = _count_bytes(hour), max(one["bytes"] for one in peaks)
     return [
         peer_write,
         Timing("write, stillpoint", seconds["write"], n, against=peer_write),
@@ -91,8 +91,8 @@ def bench_mcap(runs: int) -> list[Timing]:
     ]
 
 
-def phone(n: int, seed: int = 0) -> Recording:
-    """Noise in all digits: the worst case for compression, and a size that quantised data stays below."""
+def make_phone(n: int, seed: int = 0) -> Recording:
+    """Return a recording with noise in all digits: the worst case for compression."""
     rng = np.random.default_rng(seed)
     t_ns = np.arange(n, dtype=np.int64) * 10_000_000 + 1_700_000_000_000_000_000
     q_nb = rng.normal(size=(n, 4))
@@ -103,7 +103,7 @@ def phone(n: int, seed: int = 0) -> Recording:
 
 
 class Peer:
-    """The canonical way, as its documentation shows it: one Python object per message."""
+    """The way that the documentation of ``mcap`` shows: one Python object per message."""
 
     def __init__(self) -> None:
         try:
@@ -117,7 +117,7 @@ class Peer:
         self.make_reader, self.decoders, self.writer = make_reader, DecoderFactory, Writer
 
     def write(self, path: Path, recording: Recording) -> None:
-        """The three topics, interleaved by time."""
+        """Write the three topics, interleaved by time."""
         imu, mag, truth = recording.require_imu(), recording.mag, recording.truth
         assert mag is not None
         assert truth is not None
@@ -160,7 +160,7 @@ class Peer:
             writer.finish()
 
     def read(self, path: Path) -> dict[str, Floats]:
-        """The numbers of the three topics as arrays."""
+        """Return the numbers of the three topics as arrays."""
         rows: dict[str, list[tuple[float, ...]]] = {"/imu/data_raw": [], "/imu/mag": [], "/truth/pose": []}
         with path.open("rb") as file:
             reader = self.make_reader(file, decoder_factories=[self.decoders()])
@@ -179,8 +179,8 @@ class Peer:
         return {topic: np.array(values) for topic, values in rows.items()}
 
 
-def _size(recording: Recording) -> int:
-    """Bytes of all columns, the stamps of each stream included."""
+def _count_bytes(recording: Recording) -> int:
+    """Return the bytes of all columns, the stamps of each stream included."""
     streams = (recording.imu, recording.mag, recording.truth)
     return sum(a.nbytes for stream in streams for a in vars(stream).values() if isinstance(a, np.ndarray))
 

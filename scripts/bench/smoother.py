@@ -1,4 +1,4 @@
-"""The reference smoother beside ``offlineVQF``, and how its time and memory grow with the recording."""
+"""Times of the reference smoother beside ``offlineVQF``, and how its time and memory grow with the recording."""
 
 import json
 import subprocess
@@ -10,7 +10,7 @@ from rich.progress import track
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.bench.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, time_call
 from stillpoint.smoother import reference
 
 SHORT_S, SHORT_HZ = 200, 286  # the length and rate of BROAD's trials
@@ -21,20 +21,20 @@ LONG_HZ = 100
 MEASURE = """
 import json, resource, sys
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.bench.timing import seconds_of
+from stillpoint.scripts.bench.timing import time_call
 from stillpoint.smoother import reference
 reference(simulate("phone-3", minutes=2))
 recording = simulate("phone-3", minutes=60 * float(sys.argv[1]), rate_hz=float(sys.argv[2]))
-seconds = seconds_of(lambda: reference(recording))
+seconds = time_call(lambda: reference(recording))
 unit = 1 if sys.platform == "darwin" else 1024
 print(json.dumps({"seconds": seconds, "bytes": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}))
 """
 
 
 def bench_smoother(runs: int) -> list[Timing]:
-    """Rows of a short recording beside its peer, and of an hour and four hours."""
+    """Return the rows of a short recording beside its peer, and of an hour and four hours."""
     short = simulate("phone-3", minutes=SHORT_S / 60, rate_hz=SHORT_HZ)
-    peer, ours = _side_by_side(short, runs)
+    peer, ours = _time_side_by_side(short, runs)
     n = len(short.require_imu().t_ns)
     offline = Timing(f"offlineVQF, {SHORT_S} s at {SHORT_HZ} Hz", peer, n)
     graph = f"graph, {SHORT_S} s at {SHORT_HZ} Hz, with covariances"
@@ -56,8 +56,8 @@ def bench_smoother(runs: int) -> list[Timing]:
     return rows
 
 
-def _side_by_side(recording: Recording, runs: int) -> tuple[list[float], list[float]]:
-    """Seconds of the peer and of the graph in turn, after one call of each that is not counted."""
+def _time_side_by_side(recording: Recording, runs: int) -> tuple[list[float], list[float]]:
+    """Return seconds of the peer and of the graph in turn, after one call of each that is not counted."""
     try:
         from vqf import offlineVQF
     except ImportError as error:
@@ -73,8 +73,8 @@ def _side_by_side(recording: Recording, runs: int) -> tuple[list[float], list[fl
     reference(recording)
     seconds: tuple[list[float], list[float]] = ([], [])
     for _ in track(range(runs), "smoother", console=Console(stderr=True), transient=True):
-        seconds[0].append(seconds_of(peer))
-        seconds[1].append(seconds_of(lambda: reference(recording)))
+        seconds[0].append(time_call(peer))
+        seconds[1].append(time_call(lambda: reference(recording)))
     return seconds
 
 

@@ -1,4 +1,4 @@
-"""How long a user waits at the beginning: for the help page, and for the first estimate after an installation."""
+"""Times that a user waits at the beginning: for the help page, and for the first estimate after an installation."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from rich.progress import track
 
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.bench.timing import Timing, seconds_of
+from stillpoint.scripts.bench.timing import Timing, time_call
 
 HELP = "import sys; from stillpoint.scripts.main import main; main(['--help'])"
 # The imports count too: they are part of what a user waits for. Simulated data and the interpreter do not.
@@ -30,17 +30,17 @@ print(json.dumps(time.perf_counter() - start))
 
 
 def bench_start(runs: int) -> list[Timing]:
-    """Rows of the help page, and of each estimator of attitude with nothing compiled (once each)."""
-    rows = [Timing("stillpoint --help", [seconds_of(lambda: _run(HELP)) for _ in range(runs)], None)]
+    """Return the rows of the help page, and of each estimator of attitude with nothing compiled (once each)."""
+    rows = [Timing("stillpoint --help", [time_call(lambda: _time_command(HELP)) for _ in range(runs)], None)]
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
     for name in track(ours, "start", console=Console(stderr=True), transient=True):
         with tempfile.TemporaryDirectory() as cache:
-            seconds = [float(json.loads(_run(FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
+            seconds = [float(json.loads(_time_command(FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
         rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
         rows.append(Timing(f"the next process with {name}", seconds[1:], None))
     return rows
 
 
-def _run(program: str, *words: str, **environment: str) -> str:
+def _time_command(program: str, *words: str, **environment: str) -> str:
     command = [sys.executable, "-c", program, *words]
     return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=True).stdout

@@ -1,4 +1,4 @@
-"""Seconds of things that are timed beside each other: the rows of ``stillpoint bench``."""
+"""The rows of ``stillpoint bench``: seconds of what is timed, and of what it is compared with."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class Timing:
-    """One row: seconds of each run, and beside which other row they are set."""
+    """One row: seconds of each run, and the row that it is compared with."""
 
     name: str
     seconds: Sequence[float]
@@ -20,19 +20,19 @@ class Timing:
 
     @property
     def median_s(self) -> float:
-        """The middle of all runs, in s."""
+        """The median of all runs, in s."""
         return median(self.seconds)
 
     @property
     def ratio(self) -> float | None:
-        """Of the medians, in the sense of ``ratio_is``."""
+        """The ratio of the medians, in the sense of ``ratio_is``."""
         if self.against is None:
             return None
         faster = self.against.median_s / self.median_s
         return faster if self.ratio_is == "times as fast" else 1 / faster
 
     def row(self) -> dict[str, Any]:
-        """The row as ``--json`` has it."""
+        """Return the row as ``--json`` writes it."""
         return {
             "name": self.name,
             "median_s": self.median_s,
@@ -47,8 +47,8 @@ class Timing:
         }
 
 
-def seconds_of(call: Callable[[], object]) -> float:
-    """Wall-clock seconds of one call."""
+def time_call(call: Callable[[], object]) -> float:
+    """Return the wall-clock seconds of one call."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.ablation DIR...``: print what each ingredient of the graph is worth.
+"""``python -m stillpoint.scripts.pages.ablation DIR...``: print how much each ingredient of the graph improves it.
 
 Recordings with truth are solved with one ingredient off at a time; docs/method.md holds the tables.
 """
@@ -29,7 +29,7 @@ FIGURES = ("total", "heading", "inclination", "worst total", "in 95 %", "NEES/3"
 
 @dataclass(frozen=True)
 class Variant:
-    """The graph with one ingredient off."""
+    """The graph without one ingredient."""
 
     name: str
     settings: dict[str, float] = field(default_factory=dict)  # dotted names, as for --set
@@ -74,32 +74,32 @@ def main(*folders: Path) -> None:
     """Print one table per folder and alignment."""
     for folder in folders:
         sources = recordings([folder])
-        rows = [(variant.name, _scores(variant, sources)) for variant in VARIANTS]
+        rows = [(variant.name, _score_variant(variant, sources)) for variant in VARIANTS]
         for align in ALIGNMENTS:
             print(f"\n{folder.name}, {len(sources)} recordings, aligned: {align}\n")
             print(f"| | {' | '.join(FIGURES)} | refused |\n|{'---|' * (len(FIGURES) + 2)}")
             for name, scores in rows:
                 found = [each[align] for each in scores if each is not None]
-                print(f"| {name} | {' | '.join(_cells(found))} | {len(scores) - len(found)} |", flush=True)
+                print(f"| {name} | {' | '.join(_format_cells(found))} | {len(scores) - len(found)} |", flush=True)
 
 
-def _scores(variant: Variant, sources: Sequence[Path]) -> list[dict[AlignKind, Score] | None]:
-    """One entry per recording, None where the variant was refused."""
-    outcomes = run_jobs(partial(_scored, variant=variant), sources, None, variant.name)
+def _score_variant(variant: Variant, sources: Sequence[Path]) -> list[dict[AlignKind, Score] | None]:
+    """Return one score per recording, None where the variant was refused."""
+    outcomes = run_jobs(partial(_score_recording, variant=variant), sources, None, variant.name)
     return [outcome.value for outcome in outcomes]
 
 
-def _scored(source: Path, variant: Variant) -> dict[AlignKind, Score]:
+def _score_recording(source: Path, variant: Variant) -> dict[AlignKind, Score]:
     recording = read_recording(source)
     if recording.truth is None:
         raise StillpointError(f"{source}: has no independent truth; an ablation needs one")
     given = recording if variant.magnetometer else replace(recording, mag=None)
-    made = solved(given, variant)
+    made = solve_variant(given, variant)
     return {align: score(made, recording.truth, align) for align in ALIGNMENTS}
 
 
-def solved(recording: Recording, variant: Variant) -> Reference | Estimate:
-    """The recording by this variant of the graph; raises what the graph raises."""
+def solve_variant(recording: Recording, variant: Variant) -> Reference | Estimate:
+    """Return the reference by this variant of the graph; raises what the graph raises."""
     params = choose_settings(HANDHELD, variant.settings, "graph")
     evidence = gather_evidence(recording, params)
     if not variant.returns:
@@ -110,8 +110,8 @@ def solved(recording: Recording, variant: Variant) -> Reference | Estimate:
     return reference_from_evidence(recording, evidence, params)
 
 
-def _cells(scores: Sequence[Score]) -> list[str]:
-    """Means over the recordings, medians in brackets; the worst total."""
+def _format_cells(scores: Sequence[Score]) -> list[str]:
+    """Return means over the recordings with medians in brackets, and the worst total."""
     if not scores:
         return ["–"] * len(FIGURES)
     errors = {name: [getattr(s, f"{name}_rmse_deg") for s in scores] for name in FIGURES[:3]}

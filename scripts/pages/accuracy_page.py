@@ -27,12 +27,12 @@ def main(folder: Path, page: Path = PAGE) -> None:
     """Rewrite the table of this page from BROAD's trials in ``folder``."""
     trials = [trial for path in sorted(folder.glob("*.mat")) for trial in IMPORTERS["broad"](path)]
     console = Console(stderr=True)
-    totals = {name: total_rmse_deg(trials, name) for name in track(ATTITUDES, "BROAD", console=console)}
-    page.write_text(with_table(page.read_text(encoding="utf-8"), trials, totals), encoding="utf-8")
+    totals = {name: score_trials(trials, name) for name in track(ATTITUDES, "BROAD", console=console)}
+    page.write_text(replace_table(page.read_text(encoding="utf-8"), trials, totals), encoding="utf-8")
 
 
-def total_rmse_deg(trials: Sequence[Recording], name: str) -> list[float]:
-    """One estimator's error on each trial, with its default parameters."""
+def score_trials(trials: Sequence[Recording], name: str) -> list[float]:
+    """Return the error of one estimator on each trial, with its default parameters."""
     found = []
     for trial in trials:
         assert trial.truth is not None
@@ -40,8 +40,8 @@ def total_rmse_deg(trials: Sequence[Recording], name: str) -> list[float]:
     return found
 
 
-def with_table(text: str, trials: Sequence[Recording], totals: Mapping[str, Sequence[float]]) -> str:
-    """The text with the table between its marks made anew, the best mean first."""
+def replace_table(text: str, trials: Sequence[Recording], totals: Mapping[str, Sequence[float]]) -> str:
+    """Return the text with a new table between its marks, the best mean first."""
     numbers = [trial.name.split("_")[0] for trial in trials]
     lines = ["| estimator | mean | median | " + " | ".join(numbers) + " |", "|---" * (len(numbers) + 3) + "|"]
     for name in sorted(totals, key=lambda name: float(np.mean(totals[name]))):

@@ -22,12 +22,12 @@ def main(seeds: int = 30) -> None:
     """Print a Markdown table, one row per kind of phone."""
     print(f"{HEAD}\n|{'---|' * HEAD.count('| ')}")
     for kind in MINUTES:
-        outcomes = run_jobs(partial(_scored, kind), list(range(seeds)), None, kind)
+        outcomes = run_jobs(partial(_score_seed, kind), list(range(seeds)), None, kind)
         scores = [outcome.value for outcome in outcomes if outcome.value is not None]
-        print(f"| {kind} | {seeds} | {' | '.join(cells(scores))} | {seeds - len(scores)} |", flush=True)
+        print(f"| {kind} | {seeds} | {' | '.join(format_cells(scores))} | {seeds - len(scores)} |", flush=True)
 
 
-def _scored(kind: str, seed: int) -> Score:
+def _score_seed(kind: str, seed: int) -> Score:
     recording = simulate(kind, seed=seed, minutes=MINUTES[kind])
     assert recording.truth is not None
     made = reference(recording)
@@ -35,8 +35,8 @@ def _scored(kind: str, seed: int) -> Score:
     return score(made, recording.truth, "heading")
 
 
-def cells(scores: list[Score]) -> list[str]:
-    """Means over the seeds, and the range of NEES/3."""
+def format_cells(scores: list[Score]) -> list[str]:
+    """Return means over the seeds, and the range of NEES/3."""
     totals = [s.total_rmse_deg for s in scores]
     inside = [s.coverage95 for s in scores if s.coverage95 is not None]
     nees = sorted(s.nees_per_dof for s in scores if s.nees_per_dof is not None)

@@ -44,7 +44,7 @@ PARAMS = SpinGraphParams(
 
 @dataclass(frozen=True, eq=False)
 class DiscFlight:
-    """The flight, and what the graph makes of its settled part."""
+    """A flight, and the reference that the graph makes of its settled part."""
 
     all_t_s: Floats  # (M,) from the release
     all_gyro_radps: Floats  # (M,) spin rate
@@ -58,8 +58,8 @@ class DiscFlight:
     arm_m: tuple[float, float]  # length and its sd
 
 
-def disc_flight(file: Path) -> DiscFlight:
-    """The flight in a log of the flatball firmware; raises :class:`BadRecording` when there is none."""
+def read_disc_flight(file: Path) -> DiscFlight:
+    """Read the flight in a log of the flatball firmware; raises :class:`BadRecording` when there is none."""
     recording = next(IMPORTERS["flatball"](file, Options(units_unchecked=True)))
     spin = recording.spin
     assert spin is not None
@@ -68,13 +68,13 @@ def disc_flight(file: Path) -> DiscFlight:
         raise BadRecording(f"{file}: spins above 3000 deg/s for less than a second; there is no flight to look at")
     t_s = (spin.t_ns - spin.t_ns[flying[0]]) / 1e9
     rows = np.flatnonzero((t_s > SETTLED * FILTER_S) & (t_s < t_s[flying[-1]] - CATCH_S))
-    flight = _at_arm(recording, spin, rows)
+    flight = _place_at_arm(recording, spin, rows)
     taught = t_s[rows] < (t_s[rows[0]] + t_s[rows[-1]]) / 2
     assert flight.encoder is not None
-    half = replace(flight, encoder=_first(flight.encoder, int(taught.sum())))
+    half = replace(flight, encoder=_find_first(flight.encoder, int(taught.sum())))
     made = make_spin_reference(half, PARAMS)
     error, sd = made.diagnostics["arm_squared"]
-    wobble = np.where(taught, _wobble_radps(made, taught), _wobble_radps(made, ~taught))
+    wobble = np.where(taught, _measure_wobble_radps(made, taught), _measure_wobble_radps(made, ~taught))
     return DiscFlight(
         all_t_s=t_s[flying],
         all_gyro_radps=spin.gyro_radps[flying, 0],
@@ -89,8 +89,8 @@ def disc_flight(file: Path) -> DiscFlight:
     )
 
 
-def _at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> Recording:
-    """The two accelerometers across the spin axis at the guessed arm, and the gyro's angle as an encoder."""
+def _place_at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> Recording:
+    """Return the two accelerometers across the spin axis at the guessed arm, with the gyro's angle as an encoder."""
     across = spin.accel_mps2[rows, 1:]
     inward = np.median(across, axis=0)
     arm = np.array([0.0, *(-GUESS_M * inward / np.linalg.norm(inward))])
@@ -107,11 +107,11 @@ def _at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> Record
     )
 
 
-def _wobble_radps(made: RollReference, part: NDArray[np.bool_]) -> float:
-    """RMS of the rate around a parabola."""
+def _measure_wobble_radps(made: RollReference, part: NDArray[np.bool_]) -> float:
+    """Return the rms of the rate around a parabola."""
     t_s, rate = (made.t_ns[part] - made.t_ns[part][0]) / 1e9, made.rate_radps[part]
     return float(np.std(rate - np.polyval(np.polyfit(t_s, rate, 2), t_s)))
 
 
-def _first(encoder: Encoder, count: int) -> Encoder:
+def _find_first(encoder: Encoder, count: int) -> Encoder:
     return Encoder(encoder.t_ns[:count], encoder.angle_rad[:count], encoder.rate_radps[:count])

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.scoring import AlignKind, compare
-from stillpoint.scoring.report.figures import COLOURS, draw_band, view_of
+from stillpoint.scoring.report.figures import COLOURS, draw_band, make_view
 from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
@@ -29,17 +29,17 @@ DPI = 80
 
 
 def main(*files: Path) -> None:
-    """Draw both pictures."""
+    """Draw both figures of docs/method.md."""
     tables = [file for file in files if file.suffix == ".json"]
     recordings = [file for file in files if file.suffix == ".mcap"]
     TRIALS.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
-        _trials(tables).savefig(TRIALS, dpi=DPI, metadata={"Software": None})
-        _bands(recordings).savefig(BANDS, dpi=DPI, metadata={"Software": None})
+        _read_trials(tables).savefig(TRIALS, dpi=DPI, metadata={"Software": None})
+        _draw_bands(recordings).savefig(BANDS, dpi=DPI, metadata={"Software": None})
 
 
-def _trials(tables: Sequence[Path]) -> Figure:
-    """One panel per table: total RMSE of each recording and method."""
+def _read_trials(tables: Sequence[Path]) -> Figure:
+    """Read the total RMSE of each recording and method, one panel per table."""
     rows = [json.loads(table.read_text(encoding="utf-8"))["rows"] for table in tables]
     widths = [len({row["recording"] for row in each}) for each in rows]
     figure = Figure(figsize=(10, 5), layout="constrained")
@@ -64,8 +64,8 @@ def _draw_trials(ax: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str
     ax.set_title(f"aligned: {rows[0]['align']}", loc="left", fontsize=9)
 
 
-def _bands(recordings: Sequence[Path]) -> Figure:
-    """A column per recording: the error about east, north and up."""
+def _draw_bands(recordings: Sequence[Path]) -> Figure:
+    """Draw a column per recording: the error about east, north and up."""
     figure = Figure(figsize=(10, 5), layout="constrained")
     axes = figure.subplots(3, len(recordings), squeeze=False, sharex="col")
     for column, file in zip(axes.T, recordings, strict=True):
@@ -73,7 +73,7 @@ def _bands(recordings: Sequence[Path]) -> Figure:
         if recording.truth is None:
             raise BadParameter(f"{file}: has no independent truth to draw the error against")
         comparison = compare(attitude_reference(recording, DEFAULT_METHOD), recording.truth, ALIGN)
-        draw_band(list(column), view_of([comparison], recording.truth, "nwu", int(recording.truth.t_ns[0])))
+        draw_band(list(column), make_view([comparison], recording.truth, "nwu", int(recording.truth.t_ns[0])))
         column[0].set_title(recording.name, loc="left", fontsize=9)
         column[-1].set_xlabel("time (s)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2, frameon=False)

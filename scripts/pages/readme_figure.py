@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.scoring.report.figures import draw_angles, draw_scores, view_of
+from stillpoint.scoring.report.figures import draw_angles, draw_scores, make_view
 from stillpoint.scoring.report.page import Material, Verdict, judge
 from stillpoint.scripts.verbs.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
@@ -33,16 +33,17 @@ def main(target: Path = TARGET) -> None:
     material = Material(recording.name, recording, (attitude_reference(recording),), estimates)
     target.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
-        _draw(judge(material)[0]).savefig(target, dpi=110, metadata={"Software": None})
+        _draw_figure(judge(material)[0]).savefig(target, dpi=110, metadata={"Software": None})
 
 
-def _draw(verdict: Verdict) -> Figure:
+def _draw_figure(verdict: Verdict) -> Figure:
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.7, 1))
     first: Axes = figure.add_subplot(grid[0, 0])
     angles = [first, *(figure.add_subplot(grid[row, 0], sharex=first) for row in (1, 2))]
     draw_angles(
-        angles, view_of(verdict.comparisons, verdict.truth, "nwu", int(verdict.truth.t_ns[0])).busiest(CLOSE_UP_S)
+        angles,
+        make_view(verdict.comparisons, verdict.truth, "nwu", int(verdict.truth.t_ns[0])).find_busiest(CLOSE_UP_S),
     )
     for ax in angles[:2]:
         ax.tick_params(labelbottom=False)

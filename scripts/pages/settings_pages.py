@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.settings_pages``: make the tables in docs/ from the settings in the code.
+"""``python -m stillpoint.scripts.pages.settings_pages``: write the tables of settings in docs/ from the code.
 
 An estimator of the table without a section on its page gets one, from its module's docstring, to be put in order.
 """
@@ -20,25 +20,25 @@ LAST_SECTIONS = "## How accurate they are"  # new ones come before
 
 
 def main(*pages: Path) -> None:
-    """Rewrite what stands between the marks of these pages, by default of all that have some."""
+    """Rewrite the text between the marks of these pages, by default of all pages that have marks."""
     for page in pages or PAGES:
-        page.write_text(refreshed(page.read_text(encoding="utf-8")), encoding="utf-8")
+        page.write_text(refresh_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
-def refreshed(text: str) -> str:
-    """A page's text with every generated table made anew, and a section for every estimator on the page of all."""
+def refresh_tables(text: str) -> str:
+    """Return the text of a page with new tables, and on the page of estimators a section for each."""
 
-    def table(match: re.Match[str]) -> str:
-        made = _estimators() if match[2] == "estimators" else _settings(_defaults(match[3]))
+    def make_table(match: re.Match[str]) -> str:
+        made = _list_estimators() if match[2] == "estimators" else _list_settings(_find_defaults(match[3]))
         return f"{match[1]}{made}{match[4]}"
 
     if TABLE_OF_ALL in text:
-        new = "".join(_section(name) for name in ESTIMATORS if f"\n## {name}\n" not in text)
+        new = "".join(_make_section(name) for name in ESTIMATORS if f"\n## {name}\n" not in text)
         text = text.replace(LAST_SECTIONS, new + LAST_SECTIONS)
-    return BETWEEN_MARKS.sub(table, text)
+    return BETWEEN_MARKS.sub(make_table, text)
 
 
-def _estimators() -> str:
+def _list_estimators() -> str:
     lines = ["| name | what | sees the future |", "|---|---|---|"]
     for name, entry in ESTIMATORS.items():
         peer = "peer: " if entry.is_peer else ""
@@ -46,15 +46,21 @@ def _estimators() -> str:
     return "\n".join(lines) + "\n"
 
 
+<<<<<<< HEAD
 def _section(name: str) -> str:
     """What its module says, as Markdown, and a place for its settings."""
     said = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
+=======
+def _make_section(name: str) -> str:
+    """Return the module docstring of an estimator as Markdown, and a place for its settings."""
+    said = sys.modules[find(name).params.__module__].__doc__ or ""
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     said = re.sub(r":\w+:`([^`]*)`", r"`\1`", said.replace("``", "`"))
     return f"## {name}\n\n{re.sub(r' ?::$', ':', said, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
 
 
-def _defaults(name: str) -> Settings:
-    """Of a reference method, the source of the heading, the sensors' ranges, or an estimator."""
+def _find_defaults(name: str) -> Settings:
+    """Return the default settings of a reference method, the heading source, the sensors' ranges or an estimator."""
     if name == "gps-course":
         return heading_source.Params()
     if name == "range":
@@ -63,7 +69,7 @@ def _defaults(name: str) -> Settings:
     return methods[name].defaults if name in methods else find_estimator(name).params()
 
 
-def _settings(settings: Settings) -> str:
+def _list_settings(settings: Settings) -> str:
     lines = ["| setting | default | range | meaning |", "|---|---|---|---|"]
     for one in describe(settings):
         lines.append(f"| `{one.name}` | {one.default} | {one.allowed} | {one.meaning} |")

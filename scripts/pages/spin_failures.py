@@ -22,47 +22,47 @@ QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filter
 AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
 
 
-def _nothing(accel: Floats) -> None:
-    """The trial as it is."""
+def _change_nothing(accel: Floats) -> None:
+    """Return the trial unchanged."""
 
 
-def _tangential_bias(accel: Floats) -> None:
+def _add_tangential_bias(accel: Floats) -> None:
     accel[:, 1] += 0.4
 
 
-def _radial_bias(accel: Floats) -> None:
+def _add_radial_bias(accel: Floats) -> None:
     accel[:, 0] += 0.1
 
 
-def _missing(accel: Floats) -> None:
+def _drop_samples(accel: Floats) -> None:
     accel[AT, 0] = np.nan
 
 
-def _zeros(accel: Floats) -> None:
+def _set_zeros(accel: Floats) -> None:
     accel[AT : AT + 3] = 0.0
 
 
-def _stuck(accel: Floats) -> None:
+def _freeze_sensor(accel: Floats) -> None:
     accel[AT : AT + LONG, 0] = accel[AT, 0]
 
 
-def _dead_start(accel: Floats) -> None:
+def _kill_start(accel: Floats) -> None:
     accel[:20] = 0.0
 
 
-def _bad_start(accel: Floats) -> None:
+def _spoil_start(accel: Floats) -> None:
     accel[0, 0] += 60.0
 
 
 FAULTS: dict[str, Callable[[Floats], None]] = {
-    "nothing": _nothing,
-    "F5 off by 0.4 m/s² (40 mg)": _tangential_bias,
-    "F4 off by 0.1 m/s² (10 mg)": _radial_bias,
-    "one NaN": _missing,
-    "three samples read zero": _zeros,
-    "F4 stuck for 1 s": _stuck,
-    "the first sample is a glitch": _bad_start,
-    "F4 and F5 read zero for the first 80 ms": _dead_start,
+    "nothing": _change_nothing,
+    "F5 off by 0.4 m/s² (40 mg)": _add_tangential_bias,
+    "F4 off by 0.1 m/s² (10 mg)": _add_radial_bias,
+    "one NaN": _drop_samples,
+    "three samples read zero": _set_zeros,
+    "F4 stuck for 1 s": _freeze_sensor,
+    "the first sample is a glitch": _spoil_start,
+    "F4 and F5 read zero for the first 80 ms": _kill_start,
 }
 
 
@@ -71,17 +71,17 @@ def main() -> None:
     print(f"| fault | {' | '.join(FILTERS)} | smoother |")
     print("|---" * (len(FILTERS) + 2) + "|")
     for name, spoil in FAULTS.items():
-        recording = _spoilt(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
+        recording = _spoil_trial(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
         smoothed = reference(recording)
         assert isinstance(smoothed, RollReference)
         made: list[Estimate | RollReference] = [
             *(estimate(recording, each, make_settings(CONSTANT, method, False)) for method, each in FILTERS.items()),
             smoothed,
         ]
-        print(f"| {name} | {' | '.join(_cell(recording, one) for one in made)} |")
+        print(f"| {name} | {' | '.join(_format_cell(recording, one) for one in made)} |")
 
 
-def _spoilt(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
+def _spoil_trial(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
     spin = recording.spin
     assert spin is not None
     accel = spin.accel_mps2.copy()
@@ -89,7 +89,7 @@ def _spoilt(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
     return replace(recording, spin=Spin(spin.t_ns, accel, spin.gyro_radps, spin.geometry))
 
 
-def _cell(recording: Recording, made: Estimate | RollReference) -> str:
+def _format_cell(recording: Recording, made: Estimate | RollReference) -> str:
     assert recording.roll_truth is not None
     found = score_roll(made, recording.roll_truth)
     return f"{found.angle_max_deg:.1f}, {found.rate_rmse_degps:.2f}"

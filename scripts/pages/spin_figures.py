@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.spin_figures [DISC.csv]``: the pictures of docs/roll.md, and the disc's numbers.
+"""``python -m stillpoint.scripts.pages.spin_figures [DISC.csv]``: draw docs/roll.md, and print the numbers of the disc.
 
 Geometry and graph are drawings; the errors are of simulated trials, by the graph told of a calibrated rig; the flight
 is that of the log given, which is left out without one.
@@ -18,7 +18,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, SpinSensor
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring.report.figures import COLOURS
-from stillpoint.scripts.pages.disc_flight import DiscFlight, disc_flight
+from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import reference
 
@@ -30,36 +30,36 @@ BAND_SD = 2.0
 
 
 def main(*logs: Path) -> None:
-    """Draw all."""
+    """Draw all figures of docs/roll.md."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    pictures = {"roll_geometry": _geometry, "roll_graph": _graph, "roll_errors": _errors}
+    pictures = {"roll_geometry": _draw_geometry, "roll_graph": _draw_graph, "roll_errors": _draw_errors}
     with mpl.rc_context(STYLE):
         for name, draw in pictures.items():
-            _save(draw(), name)
+            _save_figure(draw(), name)
         for log in logs:
-            flight = disc_flight(log)
-            _save(_disc(flight), "roll_disc")
-            print("\n".join(disc_lines(flight)))
+            flight = read_disc_flight(log)
+            _save_figure(_draw_disc(flight), "roll_disc")
+            print("\n".join(describe_disc(flight)))
 
 
-def _save(figure: Figure, name: str) -> None:
+def _save_figure(figure: Figure, name: str) -> None:
     figure.savefig(FOLDER / f"{name}.png", dpi=DPI, metadata={"Software": None})
 
 
-def _geometry() -> Figure:
-    """The body seen along its spin axis, and where gravity stands at angle 0."""
+def _draw_geometry() -> Figure:
+    """Draw the body seen along its spin axis, and the direction of gravity at angle 0."""
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     general, bench = figure.subplots(1, 2)
-    _body(general, centre=True)
+    _draw_body(general, centre=True)
     general.set_title("five accelerometers, two gyros: in flight", loc="left", fontsize=10)
-    _body(bench, centre=False)
+    _draw_body(bench, centre=False)
     bench.set_title("bench of two: on a motor's shaft", loc="left", fontsize=10)
     bench.annotate("", (0.62, 0.62), (0.62, 0.30), arrowprops={"arrowstyle": "->", "color": COLOURS[3], "lw": 2})
     bench.text(0.65, 0.30, "up, across the axis,\nat angle 0:\ng sin(tilt)", color=COLOURS[3], fontsize=9)
     return figure
 
 
-def _body(ax: Axes, centre: bool) -> None:
+def _draw_body(ax: Axes, centre: bool) -> None:
     arrow = {"arrowstyle": "-|>", "lw": 2}
     ax.add_patch(Circle((0, 0), 0.6, fill=False, color="0.6"))
     ax.add_patch(Arc((0, 0), 0.5, 0.5, theta1=200, theta2=290, color="0.3", lw=1.5))
@@ -85,8 +85,8 @@ def _body(ax: Axes, centre: bool) -> None:
     ax.axis("off")
 
 
-def _graph() -> Figure:
-    """Keys, constants, and the factors between them."""
+def _draw_graph() -> Figure:
+    """Draw the keys, the constants, and the factors between them."""
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     ax = figure.subplots()
     keys = np.arange(6) * 1.7
@@ -123,8 +123,8 @@ def _graph() -> Figure:
     return figure
 
 
-def _errors() -> Figure:
-    """Error of angle and rate within what the graph states: on a vertical and on a horizontal axis."""
+def _draw_errors() -> Figure:
+    """Draw errors of angle and rate within the stated bands, on a vertical and on a horizontal axis."""
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for column, tilt_deg in zip(axes.T, (0.0, 90.0), strict=True):
@@ -132,8 +132,8 @@ def _errors() -> Figure:
         made, truth = reference(recording, params=RIG), recording.roll_truth
         assert isinstance(made, RollReference)
         assert truth is not None
-        _band(column[0], made, made.angle_rad - truth.angle_rad, made.angle_sd_rad)
-        _band(column[1], made, made.rate_radps - truth.rate_radps, made.rate_sd_radps)
+        _draw_band(column[0], made, made.angle_rad - truth.angle_rad, made.angle_sd_rad)
+        _draw_band(column[1], made, made.rate_radps - truth.rate_radps, made.rate_sd_radps)
         column[0].set_title(f"axis {'vertical' if tilt_deg == 0 else 'horizontal'}", loc="left", fontsize=10)
         column[1].set_xlabel("time (s)")
     axes[0, 0].set_ylabel("angle error (deg)")
@@ -147,7 +147,7 @@ def _wrong(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
     return replace(sensor, name="docs", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
 
 
-def _band(ax: Axes, made: RollReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
+def _draw_band(ax: Axes, made: RollReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
     t_s = (made.t_ns - made.t_ns[0]) / 1e9
     whole = 2 * np.pi * np.round(np.median(error_rad) / (2 * np.pi))
     band = BAND_SD * np.rad2deg(sd_rad)
@@ -155,7 +155,7 @@ def _band(ax: Axes, made: RollReference, error_rad: np.ndarray, sd_rad: np.ndarr
     ax.plot(t_s, np.rad2deg(error_rad - whole), color=COLOURS[0], lw=0.8, label="error")
 
 
-def _disc(flight: DiscFlight) -> Figure:
+def _draw_disc(flight: DiscFlight) -> Figure:
     figure = Figure(figsize=(10, 5), layout="constrained")
     rate, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     plain = np.sqrt(flight.all_force_mps2 / flight.arm_m[0])
@@ -178,8 +178,8 @@ def _disc(flight: DiscFlight) -> Figure:
     return figure
 
 
-def disc_lines(flight: DiscFlight) -> list[str]:
-    """The numbers of the flight, for the page."""
+def describe_disc(flight: DiscFlight) -> list[str]:
+    """Return the numbers of the flight, for the page."""
     left = np.rad2deg(flight.reference.rate_radps - flight.gyro_radps)
     lines = [
         f"lever arm {1e3 * flight.arm_m[0]:.2f} mm, sd {1e3 * flight.arm_m[1]:.2f}; settled from {flight.t_s[0]:.2f} s"

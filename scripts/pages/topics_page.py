@@ -22,19 +22,19 @@ provenance, parameters, rests, calibration) is JSON in the metadata record `stil
 """
 
 
-def page() -> str:
-    """The text of ``docs/topics.md``."""
+def make_page() -> str:
+    """Return the text of ``docs/topics.md``."""
     parts = [HEAD]
     for kind, title in TITLES.items():
         topics = [topic for topic in TOPICS if topic.kind == kind]
-        rows = [row for topic in topics for row in _rows(topic)]
+        rows = [row for topic in topics for row in _list_rows(topic)]
         notes = [f"- `{topic.name}`: {topic.holds}." for topic in topics]
         heading = ["| topic | type | frame | in memory | in the message | unit |", "|---|---|---|---|---|---|"]
         parts.append("\n".join([f"## {title}", "", *heading, *rows, "", *notes, ""]))
     return "\n".join(parts)
 
 
-def _rows(topic: Topic) -> Iterator[str]:
+def _list_rows(topic: Topic) -> Iterator[str]:
     frame = f"`{topic.frame}`" if topic.frame else ""
     head = f"`{topic.name}` | {topic.type_name.replace('/msg/', '/')} | {frame}"
     for column in topic.columns:
@@ -47,4 +47,4 @@ def _rows(topic: Topic) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(make_page(), end="")

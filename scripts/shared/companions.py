@@ -1,4 +1,4 @@
-"""Which files belong together: ``NAME.mcap``, ``NAME[.METHOD].reference.mcap``, ``NAME.ESTIMATOR.estimate.mcap``.
+"""Find files that belong together: ``NAME.mcap``, ``NAME[.METHOD].reference.mcap``, ``NAME.ESTIMATOR.estimate.mcap``.
 
 Names find the candidates; what settles it is the SHA-256 of the recording that a file says it was made from.
 """

@@ -28,10 +28,15 @@ class Run:
     ranges: dict[str, Any]
 
 
-def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
+def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
     """One run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
+<<<<<<< HEAD
     names = _names(estimators)
     entries = {name: find_estimator(name) for name in names}
+=======
+    names = _parse_names(estimators)
+    entries = {name: find(name) for name in names}
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
     if precision == "single" and peers:
         raise BadParameter(
@@ -43,21 +48,26 @@ def runs_of(estimators: str, set_: Sequence[str] | None, precision: Precision, h
         raise BadParameter(
             f"--heading {heading}: {', '.join(spins)} follows a spin, which has no heading; leave it out"
         )
+<<<<<<< HEAD
     settings = _settings(set_, names)
     make_front(heading, settings[HEADING], settings[RANGE], None)
+=======
+    settings = _parse_settings(set_, names)
+    front_of(heading, settings[HEADING], settings[RANGE], None)
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     for name, entry in entries.items():
         choose_settings(entry.params(), settings[name], name)
     return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]
 
 
-def _names(estimators: str) -> list[str]:
+def _parse_names(estimators: str) -> list[str]:
     """The estimators that a word of the command line stands for."""
     if estimators in ("all", "roll"):
         return list(ATTITUDES if estimators == "all" else ROLLS)
     return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
 
 
-def _settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _parse_settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
     settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, HEADING, RANGE)}
     for path, value in assignments(set_, EXAMPLE).items():

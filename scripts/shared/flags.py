@@ -1,4 +1,4 @@
-"""The types of arguments that several verbs take: how they are named on the command line and read from it."""
+"""Types of arguments that several verbs take: their flags and how their text is read."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter, Token
 
 
-def whole_number(_: Any, tokens: Sequence[Token]) -> int:
-    """An integer as it is written: cyclopts alone would round 1.5 in silence."""
+def parse_whole_number(_: Any, tokens: Sequence[Token]) -> int:
+    """Read an integer; cyclopts alone would round 1.5 in silence."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -19,6 +19,6 @@ Inputs = Annotated[list[Path], Parameter(negative=(), json_list=False)]
 OutDir = Annotated[Path, Parameter(name=["--out", "-o"])]
 OutBeside = Annotated[Path | None, Parameter(name=["--out", "-o"])]  # None: beside the file it is made of
 SetFlag = Annotated[list[str] | None, Parameter(name="--set", negative=())]
-Whole = Annotated[int, Parameter(converter=whole_number)]
-Jobs = Annotated[int | None, Parameter(converter=whole_number)]
+Whole = Annotated[int, Parameter(converter=parse_whole_number)]
+Jobs = Annotated[int | None, Parameter(converter=parse_whole_number)]
 Columns = Annotated[str | None, Parameter(name="--columns")]

@@ -52,7 +52,7 @@ def open_scene(save: Path | None, things: Sequence[Kept]) -> rr.RecordingStream:
     return scene
 
 
-def finish(scene: rr.RecordingStream) -> None:
+def finish_scene(scene: rr.RecordingStream) -> None:
     """Wait until all is sent; raises :class:`BadParameter` when the window or the file does not take it."""
     try:
         scene.flush()
@@ -61,7 +61,7 @@ def finish(scene: rr.RecordingStream) -> None:
         raise BadParameter(f"view: {reason}; write a file instead: --save NAME.rrd") from None
 
 
-def show(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
+def show_thing(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     """Send all columns of a thing to entities that end in its name."""
     if isinstance(thing, Recording):
         _show_recording(scene, name, thing)

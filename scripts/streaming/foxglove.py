@@ -1,4 +1,4 @@
-"""A recording replayed live to Foxglove, with what streaming estimators say about it.
+"""Replay a recording live to Foxglove, with the estimates of streaming estimators.
 
 The recording's own messages go out as they lie in the file (``cdr`` with ``ros2msg`` schemas), so the same layout shows
 the file and the replay. Beside them are one transform ``map`` -> ``imu_link/NAME`` and one pose per estimator.
@@ -24,7 +24,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME
 from stillpoint.filters import Stream
 from stillpoint.scripts.streaming.lines import Arrival
-from stillpoint.scripts.streaming.replay import samples
+from stillpoint.scripts.streaming.replay import replay_samples
 
 ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
 POSES_HZ = 60.0  # of real time: no screen shows more
@@ -33,7 +33,7 @@ BACKLOG = 16384  # messages that wait for a slow client
 
 
 class _FirstClient(ServerListener):
-    """Says when somebody looks."""
+    """Tells when the first client has subscribed."""
 
     def __init__(self) -> None:
         self.is_there = Event()
@@ -42,8 +42,10 @@ class _FirstClient(ServerListener):
         self.is_there.set()
 
 
-def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host: str, port: int, speed: float) -> int:
-    """Wait for a client, then send the recording in its own time, ``speed`` times as fast; the number of samples.
+def replay_live(
+    file: Path, recording: Recording, streams: Mapping[str, Stream], host: str, port: int, speed: float
+) -> int:
+    """Wait for a client, then send the recording at ``speed`` times its own pace. Return the number of samples.
 
     Ends with the recording, or by Ctrl-C. Raises :class:`BadParameter` when the port cannot be listened on.
     """
@@ -69,8 +71,8 @@ def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host
         while not client.is_there.wait(0.1):
             pass
         time.sleep(PATIENCE_S)
-        stamped = ((sample.t_ns, sample) for sample in samples(recording))
-        _send(heapq.merge(raw, stamped, key=lambda timed: timed[0]), server, raw, estimates, speed)
+        stamped = ((sample.t_ns, sample) for sample in replay_samples(recording))
+        _send_messages(heapq.merge(raw, stamped, key=lambda timed: timed[0]), server, raw, estimates, speed)
         time.sleep(PATIENCE_S)
     except KeyboardInterrupt:
         pass  # the ordinary way to end it early
@@ -79,8 +81,10 @@ def replay(file: Path, recording: Recording, streams: Mapping[str, Stream], host
     return estimates.n_samples
 
 
-def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float) -> None:
-    """Each message when its time has come."""
+def _send_messages(
+    timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float
+) -> None:
+    """Send each message when its time has come."""
     begun, first_ns = time.monotonic(), None
     for t_ns, what in timed:
         first_ns = t_ns if first_ns is None else first_ns
@@ -95,7 +99,7 @@ def _send(timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", sa
 
 
 class _RawMessages:
-    """The messages of a file with their log time, and a channel for each topic."""
+    """The messages of a file with their log times, and a channel for each topic."""
 
     def __init__(self, file: Path, context: Context) -> None:
         self._file = file
@@ -118,12 +122,12 @@ class _RawMessages:
                 yield message.log_time, (channel.id, message.data)
 
     def send(self, t_ns: int, number: int, data: bytes) -> None:
-        """One message as it lies in the file."""
+        """Send one message as it lies in the file."""
         self._channels[number].log(data, log_time=t_ns)
 
 
 class _Estimates:
-    """The streams, and the channels for what they say."""
+    """The streams of estimators, and a channel for each."""
 
     def __init__(self, streams: Mapping[str, Stream], context: Context) -> None:
         self._streams = streams
@@ -133,7 +137,7 @@ class _Estimates:
         self.n_samples = 0
 
     def update(self, sample: Arrival) -> None:
-        """One sample to every stream; to Foxglove no more often than a screen shows it."""
+        """Feed one sample to every stream; send to Foxglove no more often than a screen shows it."""
         said = {name: stream.update(*sample) for name, stream in self._streams.items()}
         self.n_samples += 1
         if time.monotonic() - self._sent < 1 / POSES_HZ:

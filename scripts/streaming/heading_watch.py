@@ -1,4 +1,4 @@
-"""Says when nothing holds the heading of a stream: a run without magnetometer looks like any other."""
+"""Warn when nothing holds the heading of a stream, because its output looks like any other."""
 
 import sys
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixe
 
 
 class HeadingWatch:
-    """Looks for the first field, or the first fix where the heading is to come from them."""
+    """Waits for the first field, or for the first fix where the heading comes from fixes."""
 
     def __init__(self, names: Sequence[str], heading: Heading) -> None:
         self._of = ", ".join(names)
@@ -19,7 +19,7 @@ class HeadingWatch:
         self._begun_ns: int | None = None
 
     def see(self, sample: Arrival | SpinArrival) -> None:
-        """One sample; says so, once, when the patience is over."""
+        """Take one sample; warn once when the waiting time is over."""
         if self._is_done or not isinstance(sample, Arrival):
             return
         if sample.mag_b_ut is not None or (self._by_course and sample.course is not None):
@@ -30,7 +30,7 @@ class HeadingWatch:
             self._say(f" in the first {PATIENCE_NS // 10**9} s; until one comes")
 
     def end(self) -> None:
-        """No sample more."""
+        """Warn at the end of the samples, where it is still due."""
         if not self._is_done and self._begun_ns is not None:
             self._say(", so")
 

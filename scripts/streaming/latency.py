@@ -1,4 +1,4 @@
-"""How long each sample took: median, 99th percentile and maximum, in memory that does not grow."""
+"""Statistics of the time per sample, in memory that does not grow."""
 
 from dataclasses import dataclass, field
 
@@ -17,20 +17,20 @@ class Latency:
     bins: np.ndarray = field(default_factory=lambda: np.zeros(PER_OCTAVE * OCTAVES, dtype=np.int64))
 
     def add(self, ns: int) -> None:
-        """One sample more."""
+        """Count one sample."""
         self.n += 1
         self.max_ns = max(self.max_ns, ns)
         self.bins[min(int(np.log2(max(ns, 1)) * PER_OCTAVE), len(self.bins) - 1)] += 1
 
     def quantile_us(self, share: float) -> float:
-        """The duration that this share of the samples did not exceed, µs; NaN without samples."""
+        """Return the duration that this share of the samples did not exceed, in µs; NaN without samples."""
         if self.n == 0:
             return float("nan")
         row = int(np.searchsorted(np.cumsum(self.bins), share * self.n))
         return float(min(2.0 ** ((row + 0.5) / PER_OCTAVE), self.max_ns)) / 1e3
 
     def facts(self) -> dict[str, float]:
-        """Median, 99th percentile and maximum, µs."""
+        """Return median, 99th percentile and maximum in µs."""
         return {
             "median_us": self.quantile_us(0.5),
             "p99_us": self.quantile_us(0.99),

@@ -1,4 +1,4 @@
-"""Lines of text become samples: NDJSON or CSV, told apart by the first line. docs/streaming.md describes both."""
+"""Read samples from lines of text: NDJSON or CSV, told apart by the first line (docs/streaming.md)."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,7 +18,7 @@ Vector = tuple[float, ...]
 
 
 class Arrival(NamedTuple):
-    """One line: what :meth:`stillpoint.filters.Stream.update` takes."""
+    """The sample of one line, as :meth:`stillpoint.filters.Stream.update` takes it."""
 
     t_ns: int
     gyro_b_radps: Vector
@@ -28,7 +28,11 @@ class Arrival(NamedTuple):
 
 
 class SpinArrival(NamedTuple):
+<<<<<<< HEAD
     """One line: what :meth:`stillpoint.filters.SpinStream.update` takes."""
+=======
+    """The sample of one line, as :meth:`stillpoint.filters.RollStream.update` takes it."""
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
     t_ns: int
     accel_mps2: Vector
@@ -37,7 +41,7 @@ class SpinArrival(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Which fields a line has, and what they make."""
+    """The fields that a line may have, and the sample that they make."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...]
@@ -46,7 +50,7 @@ class Layout:
 
 
 class Malformed(ValueError):
-    """A line that is no sample, and why."""
+    """A line that is no sample, and the reason."""
 
 
 class Lines:
@@ -61,7 +65,7 @@ class Lines:
         self._values: Callable[[str], Mapping[str, Any]] | None = None
 
     def read(self, raw: bytes) -> Arrival | SpinArrival | None:
-        """The sample of a line; None for an empty one and for the header."""
+        """Return the sample of a line; None for an empty line and for the header."""
         try:
             text = raw.decode("utf-8-sig" if self._values is None else "utf-8").strip()
         except UnicodeDecodeError:
@@ -74,9 +78,9 @@ class Lines:
 
     def _begin(self, text: str) -> Arrival | SpinArrival | None:
         if text.startswith("{"):
-            values = _object(text)
+            values = _parse_object(text)
             self._require(list(values))
-            self._values = _object
+            self._values = _parse_object
             return self._layout.arrival(values)
         names = [name.strip() for name in text.split(",")]
         self._require(names)
@@ -103,15 +107,17 @@ class Lines:
         self.ignored = tuple(name for name in names if name not in known)
 
 
-def arrival(values: Mapping[str, Any]) -> Arrival:
-    """The sample that these fields make; a field that is not there is NaN, which the guard of a stream knows."""
-    gyro, accel, mag, fix = (tuple(_number(values, name) for name in names) for names in (IMU[:3], IMU[3:], MAG, FIX))
+def make_arrival(values: Mapping[str, Any]) -> Arrival:
+    """Return the sample that these fields make; a missing field is NaN, which the guard of a stream handles."""
+    gyro, accel, mag, fix = (
+        tuple(_parse_number(values, name) for name in names) for names in (IMU[:3], IMU[3:], MAG, FIX)
+    )
     return Arrival(
-        _stamp(values),
+        _parse_stamp(values),
         gyro,
         accel,
-        mag if _any(values, MAG) else None,
-        (fix[0], fix[1]) if _any(values, FIX) else None,
+        mag if _parse_any(values, MAG) else None,
+        (fix[0], fix[1]) if _parse_any(values, FIX) else None,
     )
 
 
@@ -119,12 +125,12 @@ ATTITUDE = Layout(
     IMU,
     (*MAG, *FIX),
     "gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps",
-    arrival,
+    make_arrival,
 )
 
 
-def csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Iterator[str]:
-    """The lines that :class:`Lines` reads these samples from, bit for bit; columns of the field and the fix on demand.
+def format_csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Iterator[str]:
+    """Yield lines from which :class:`Lines` reads these samples bit for bit; field and fix are optional columns.
 
     A number that is not finite is written as it is, ``nan``: an empty cell would be no field, or no fix, at all.
     """
@@ -138,19 +144,19 @@ def csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Itera
         yield ",".join((str(sample.t_ns), *(each if isinstance(each, str) else repr(each) for each in numbers)))
 
 
-def spin_layout(n_accels: int, n_gyros: int) -> Layout:
-    """Of a spinning body: one field per accelerometer and gyro, in the order of its geometry."""
+def make_spin_layout(n_accels: int, n_gyros: int) -> Layout:
+    """Return the layout for a spinning body: a field per accelerometer and gyro, in the order of its geometry."""
     accels, gyros = (tuple(f"{letter}{i + 1}" for i in range(n)) for letter, n in (("a", n_accels), ("g", n_gyros)))
 
-    def spin_arrival(values: Mapping[str, Any]) -> SpinArrival:
-        accel, gyro = (tuple(_number(values, name) for name in names) for names in (accels, gyros))
-        return SpinArrival(_stamp(values), accel, gyro)
+    def make_spin_arrival(values: Mapping[str, Any]) -> SpinArrival:
+        accel, gyro = (tuple(_parse_number(values, name) for name in names) for names in (accels, gyros))
+        return SpinArrival(_parse_stamp(values), accel, gyro)
 
     units = [f"{', '.join(names)} ({unit})" for names, unit in ((accels, "m/s^2"), (gyros, "rad/s")) if names]
-    return Layout((*accels, *gyros), (), ", ".join(units), spin_arrival)
+    return Layout((*accels, *gyros), (), ", ".join(units), make_spin_arrival)
 
 
-def _object(text: str) -> Mapping[str, Any]:
+def _parse_object(text: str) -> Mapping[str, Any]:
     try:
         values = json.loads(text)
     except ValueError as error:
@@ -162,11 +168,11 @@ def _object(text: str) -> Mapping[str, Any]:
     return values
 
 
-def _any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+def _parse_any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
     return any(values.get(name) not in (None, "") for name in names)
 
 
-def _number(values: Mapping[str, Any], name: str) -> float:
+def _parse_number(values: Mapping[str, Any], name: str) -> float:
     value = values.get(name)
     if value is None or value == "":
         return NAN
@@ -178,7 +184,7 @@ def _number(values: Mapping[str, Any], name: str) -> float:
         raise Malformed(f"{name} is {short(value)}, not a number") from None
 
 
-def _stamp(values: Mapping[str, Any]) -> int:
+def _parse_stamp(values: Mapping[str, Any]) -> int:
     given = [name for name in TIME if values.get(name) not in (None, "")]
     if not given:
         raise Malformed(f"{' and '.join(name for name in TIME if name in values) or 't_ns'} has no value")
@@ -187,7 +193,7 @@ def _stamp(values: Mapping[str, Any]) -> int:
     if isinstance(value, bool):
         raise Malformed(f"{name} is {short(value)}, not a time")
     try:
-        t_ns = round(_number(values, name) * 1e9) if name == "t_s" else int(value)
+        t_ns = round(_parse_number(values, name) * 1e9) if name == "t_s" else int(value)
     except (TypeError, ValueError, OverflowError):
         raise Malformed(f"{name} is {short(value)}, not a time") from None
     if not -(2**63) <= t_ns < 2**63 or (isinstance(value, float) and name == "t_ns" and value != t_ns):

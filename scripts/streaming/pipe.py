@@ -1,4 +1,4 @@
-"""Samples from one pipe, estimates into another: line by line, each one flushed before the next is read."""
+"""Read samples from one pipe and write estimates to another, each line flushed before the next is read."""
 
 import json
 import math
@@ -25,8 +25,8 @@ END = "end of input"
 
 
 @dataclass
-class Passed:
-    """What went through."""
+class Counts:
+    """Counts of a run of the pipe."""
 
     n_lines: int = 0
     n_malformed: int = 0
@@ -37,21 +37,21 @@ class Passed:
     failure: str = ""  # what went wrong with a pipe, where that ended it
 
 
-def pipe(
+def run_pipe(
     streams: Mapping[str, Live],
     source: BinaryIO,
     target: TextIO,
     layout: Layout = ATTITUDE,
     see: Callable[[Arrival | SpinArrival], None] | None = None,
-) -> Passed:
-    """Feed every sample to every stream and write what they say, until the input ends, or the output is closed.
+) -> Counts:
+    """Feed every sample to every stream and write the estimates, until the input ends or the output is closed.
 
     ``see`` gets each sample too. SIGINT and SIGTERM end it between two samples; an output that nobody reads is waited
     for ``PATIENCE_S`` then, or until the second signal. Raises :class:`BadParameter` for a first line that names no
     samples.
     """
-    passed, lines = Passed(), Lines(layout)
-    with _signals_end(passed, target) as (read, write):
+    passed, lines = Counts(), Lines(layout)
+    with _end_at_signals(passed, target) as (read, write):
         for raw in iter(lambda: read(source), b""):
             begun_ns = perf_counter_ns()
             passed.n_lines += 1
@@ -75,17 +75,22 @@ def pipe(
     return passed
 
 
-def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: Passed) -> str:
+def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: Counts) -> str:
     begun_ns = perf_counter_ns()
     parts: tuple[Any, ...] = sample
     outputs = [stream.update(*parts) for stream in streams.values()]
     passed.update.add(perf_counter_ns() - begun_ns)
     passed.n_samples += 1
-    return "".join(line(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
+    return "".join(format_estimate(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
 
 
+<<<<<<< HEAD
 def line(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
     """One estimate as NDJSON; a number that is not finite is null, what is not estimated is not there."""
+=======
+def format_estimate(t_ns: int, name: str, output: Output | RollAnswer) -> str:
+    """Return one estimate as NDJSON; a number that is not finite is null, and what is not estimated is left out."""
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     facts: dict[str, Any] = {"t_ns": t_ns, "estimator": name}
     for field_name, value in output._asdict().items():
         if isinstance(value, tuple):
@@ -98,8 +103,8 @@ def line(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
 
 
 @contextmanager
-def ctrl_c_quits() -> Iterator[None]:
-    """SIGINT ends the process at once, with nothing to be saved yet: the compiler's callbacks lose the exception."""
+def quit_at_interrupt() -> Iterator[None]:
+    """End the process at once on SIGINT: nothing is to be saved yet, and callbacks of the compiler lose exceptions."""
     before = signal.signal(signal.SIGINT, lambda *_: os._exit(130))
     try:
         yield
@@ -108,12 +113,14 @@ def ctrl_c_quits() -> Iterator[None]:
 
 
 class _Ended(Exception):
-    """A signal came while a pipe was waited for."""
+    """Raised when a signal comes while a pipe is waited for."""
 
 
 @contextmanager
-def _signals_end(passed: Passed, target: TextIO) -> Iterator[tuple[Callable[[BinaryIO], bytes], Callable[[str], bool]]]:
-    """Functions that read a line, and nothing more (``b""``) once there was a signal, and write one if that goes."""
+def _end_at_signals(
+    passed: Counts, target: TextIO
+) -> Iterator[tuple[Callable[[BinaryIO], bytes], Callable[[str], bool]]]:
+    """Yield two functions: one reads a line, or ``b""`` after a signal, and one writes a line if it can."""
     waits_for = ""
 
     def on_signal(number: int, _: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""The samples of a recording as a stream gets them: what ``stream --foxglove`` replays and ``export`` writes."""
+"""The samples of a recording in the order of a stream, for ``stream --foxglove`` and ``export``."""
 
 from collections.abc import Iterator
 
@@ -7,8 +7,8 @@ from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.streaming.lines import Arrival
 
 
-def samples(recording: Recording) -> Iterator[Arrival]:
-    """Each IMU sample with the newest field and fix that came since the one before, as a batch run takes them.
+def replay_samples(recording: Recording) -> Iterator[Arrival]:
+    """Yield each IMU sample with the newest field and fix since the sample before, as a batch run takes them.
 
     A magnetometer that is not calibrated is left out, the course of a fix that is not valid is NaN. Raises
     :class:`BadRecording` without an IMU.

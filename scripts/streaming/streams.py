@@ -1,4 +1,4 @@
-"""The streams behind ``stillpoint stream``: new, or gone on with from a file of ``--save``."""
+"""The streams of ``stillpoint stream``: new ones, or those of a file of ``--save``."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -18,8 +18,8 @@ Live = Stream | SpinStream
 Make = Callable[..., Any]  # of a stream
 
 
-def attitude(run: Run, declination_deg: float | None) -> Callable[..., Stream]:
-    """What makes a stream of attitude, of a saved state or anew."""
+def make_attitude_stream(run: Run, declination_deg: float | None) -> Callable[..., Stream]:
+    """Return a function that makes a stream of attitude, new or from a saved state."""
     return partial(
         Stream,
         run.estimator,
@@ -32,24 +32,30 @@ def attitude(run: Run, declination_deg: float | None) -> Callable[..., Stream]:
     )
 
 
+<<<<<<< HEAD
 def roll(run: Run, geometry: SpinGeometry) -> Callable[..., SpinStream]:
     """What makes a stream of roll, of a saved state or anew."""
     return partial(SpinStream, run.estimator, geometry, run.params, run.precision)
+=======
+def make_spin_stream(run: Run, geometry: SpinGeometry) -> Callable[..., RollStream]:
+    """Return a function that makes a spin stream, new or from a saved state."""
+    return partial(RollStream, run.estimator, geometry, run.params, run.precision)
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
 
-def kind_of(runs: Sequence[Run], declination_deg: float | None, geometry: SpinGeometry | None) -> dict[str, Any]:
-    """What has to be the same to go on."""
+def describe_run(runs: Sequence[Run], declination_deg: float | None, geometry: SpinGeometry | None) -> dict[str, Any]:
+    """Return the options that must be the same to continue from a saved state."""
     kind: dict[str, Any] = {"runs": [vars(run) for run in runs], "declination_deg": declination_deg}
     if geometry is not None:
         kind["geometry"] = {name: to_plain(value) for name, value in vars(geometry).items()}
     return kind
 
 
-def live(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]) -> dict[str, Live]:
-    """One stream each, new or gone on with. Raises :class:`BadParameter` for a file of another kind of run."""
+def open_streams(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]) -> dict[str, Live]:
+    """Make one stream each, new or from a saved state. Raises :class:`BadParameter` for a file of other options."""
     if resume is None:
         return {name: make() for name, make in makes.items()}
-    kept = _kept(resume, kind)
+    kept = _read_saved(resume, kind)
     missing = [name for name in makes if name not in kept]
     if missing:
         raise BadParameter(f"--resume {resume}: holds no state of {', '.join(missing)}; start without it")
@@ -59,14 +65,21 @@ def live(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[str, Any]
         raise BadParameter(f"--resume {resume}: holds a number that no state has ({error}); start without it") from None
 
 
+<<<<<<< HEAD
 def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
     """Write the file that :func:`live` goes on from."""
     states: dict[str, Saved | SavedSpin] = {name: one.save() for name, one in streams.items()}
     kept = {name: to_plain(state) for name, state in states.items()}
+=======
+def save_streams(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
+    """Write the file from which :func:`open_streams` continues."""
+    states: dict[str, Saved | SavedRoll] = {name: one.save() for name, one in streams.items()}
+    kept = {name: plain(state) for name, state in states.items()}
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     write_text(save, json.dumps({"kind": kind, "states": kept}) + "\n")
 
 
-def _kept(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
+def _read_saved(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
     try:
         kept = json.loads(resume.read_text(encoding="utf-8"))
         states, kept_kind = dict(kept["states"]), kept["kind"]

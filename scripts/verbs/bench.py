@@ -7,7 +7,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from stillpoint.datasets.nearest import require_known
-from stillpoint.scripts.shared.flags import Columns, whole_number
+from stillpoint.scripts.shared.flags import Columns, parse_whole_number
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 
@@ -27,7 +27,7 @@ def bench(
     name: str,
     /,
     *,
-    runs: Annotated[int, Parameter(converter=whole_number, validator=Number(gte=1))] = 5,
+    runs: Annotated[int, Parameter(converter=parse_whole_number, validator=Number(gte=1))] = 5,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> None:

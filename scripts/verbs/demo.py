@@ -17,12 +17,12 @@ from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.scoring.report.page import Material, judge, report_html
+from stillpoint.scoring.report.page import Material, judge, make_report_html
 from stillpoint.scripts.shared.flags import OutDir, Whole
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.shared.recordings import find_rests_at_default
-from stillpoint.scripts.verbs.report import PAGE, gather
+from stillpoint.scripts.verbs.report import PAGE, gather_material
 from stillpoint.scripts.verbs.score import print_scores
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
@@ -73,11 +73,11 @@ def demo(
             found = replace(estimate(recording, name), made_from=made_from)
             write(folder / f"{recording.name}.{name}.estimate.mcap", found)
     with _step("scores and report"):
-        material = gather(path)
+        material = gather_material(path)
         assert isinstance(material, Material)
         verdicts = judge(material)
         page = folder / f"{recording.name}{PAGE}"
-        write_text(page, report_html(material, verdicts))
+        write_text(page, make_report_html(material, verdicts))
     print_scores([score for verdict in verdicts for score in verdict.scores])
     print(f"report: {page}")
 

@@ -18,7 +18,7 @@ from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
-from stillpoint.scripts.shared.estimator_choice import Run, runs_of
+from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import JsonFile
@@ -85,7 +85,7 @@ def estimate(
         Also write the table's facts as JSON to this file; - is the standard output.
     """
     sources = inputs.recordings(paths)
-    runs = _runs_by_source(sources, estimators, partial(runs_of, set_=set_, precision=precision, heading=heading))
+    runs = _runs_by_source(sources, estimators, partial(choose_runs, set_=set_, precision=precision, heading=heading))
     work = _jobs(runs, None if out is None else inputs.output_dir(out), calibration)
     outcomes = run_jobs(_make, work, jobs, "estimate")
     rows = [

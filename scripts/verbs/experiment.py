@@ -1,4 +1,4 @@
-"""``stillpoint experiment NAME``: a paper's experiment from the simulator to a page beside the paper's own numbers."""
+"""``stillpoint experiment NAME``: repeat a paper's experiment on simulated trials, beside its printed numbers."""
 
 from cyclopts import App
 

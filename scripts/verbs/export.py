@@ -19,8 +19,8 @@ from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import write_text
-from stillpoint.scripts.streaming.lines import csv_lines
-from stillpoint.scripts.streaming.replay import samples
+from stillpoint.scripts.streaming.lines import format_csv_lines
+from stillpoint.scripts.streaming.replay import replay_samples
 
 Format = Literal["csv", "stream", "tum"]
 SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum"}
@@ -59,7 +59,7 @@ def export(
         raise BadParameter("no input: name recordings, references or estimates as files, folders or globs")
     folder = None if out is None else inputs.output_dir(out)
     require_distinct(inputs.folder_for(file, folder) / file.name for file in files)
-    outcomes = run_jobs(partial(_export, folder=folder, format=format), files, jobs, "export")
+    outcomes = run_jobs(partial(_export_file, folder=folder, format=format), files, jobs, "export")
     if len(files) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
         raise StillpointError(outcomes[0].error)
     for outcome in outcomes:
@@ -70,23 +70,23 @@ def export(
     return exit_code(outcomes)
 
 
-def _export(file: Path, folder: Path | None, format: Format) -> list[Path]:
+def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
     """Write the texts of one file, and return where."""
     thing, stem = read(file), file.name.removesuffix(inputs.SUFFIX)
     written = []
-    for label, text in _texts(file, thing, format):
+    for label, text in _format_texts(file, thing, format):
         target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
         write_text(target, text)
         written.append(target)
     return written
 
 
-def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]:
+def _format_texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]:
     """Return what to write of a file, as pairs of a label and a text."""
     if format == "csv":
         return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
     if format == "stream":
-        return [("stream", _samples(file, thing))]
+        return [("stream", _format_samples(file, thing))]
     if isinstance(thing, Recording):
         if thing.truth is None:
             raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
@@ -96,7 +96,7 @@ def _texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]
     return [("", format_tum(thing.t_ns, thing.q_nb))]
 
 
-def _samples(file: Path, thing: Kept) -> str:
+def _format_samples(file: Path, thing: Kept) -> str:
     """Return what ``stream`` reads of a recording; print what is left out, and options as of a batch run, to stderr."""
     if not isinstance(thing, Recording):
         raise BadParameter(f"{file}: holds no samples; give the recording that it was made from, or --format csv")
@@ -116,4 +116,4 @@ def _samples(file: Path, thing: Kept) -> str:
         notes.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
     for text in notes:
         print(f"stillpoint: {file}: {text}", file=sys.stderr)
-    return "\n".join([*csv_lines(samples(thing), mag is not None, thing.gps is not None), ""])
+    return "\n".join([*format_csv_lines(replay_samples(thing), mag is not None, thing.gps is not None), ""])

@@ -1,4 +1,4 @@
-"""``stillpoint info``: what is in a recording, reference or estimate."""
+"""``stillpoint info``: print what is in a recording, reference or estimate."""
 
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
-SAID = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
+SHOWN = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
 
 
 def info(
@@ -32,7 +32,7 @@ def info(
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
-    """Say what is in a file: streams, rates, gaps, duration, rests, provenance.
+    """Print what is in a file: streams, rates, gaps, duration, rests, provenance.
 
     A file that cannot be read is named, the others are shown, and the exit code is 2.
 
@@ -52,36 +52,36 @@ def info(
         if thing is None:
             rows.append({"file": str(path), "error": error})
             continue
-        facts = facts_of(path, thing)
+        facts = list_facts(path, thing)
         rows.append({**facts, "error": None})
         if json != STDOUT:
-            _show(facts, columns)
+            _print_facts(facts, columns)
     write_json(json, rows)
     return 2 if any(row["error"] is not None for row in rows) else 0
 
 
-def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:
-    """What there is to say about the content of one file."""
+def list_facts(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:
+    """Return the facts about the content of one file."""
     if isinstance(thing, Recording):
-        return {"file": str(path), "kind": "recording", "name": thing.name, **_recording_facts(thing)}
+        return {"file": str(path), "kind": "recording", "name": thing.name, **_list_recording_facts(thing)}
     name = thing.recording if isinstance(thing, Estimate) else thing.name
     facts: dict[str, Any] = {
         "file": str(path),
         "kind": "estimate",
         "name": name,
-        "streams": [_clock("q_nb", thing.t_ns)],
+        "streams": [_describe_clock("q_nb", thing.t_ns)],
     }
     if isinstance(thing, Reference):
         sd_deg = np.rad2deg(total_sd_rad(thing.cov_b_rad2))
         returns = [one.accepted for one in thing.returns]
-        facts |= {"kind": "reference", "method": thing.method, "rests": _spans(thing.rests_ns, thing.t_ns)}
+        facts |= {"kind": "reference", "method": thing.method, "rests": _list_spans(thing.rests_ns, thing.t_ns)}
         facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
         facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
-        facts |= {name: thing.diagnostics[name] for name in SAID if name in thing.diagnostics}
+        facts |= {name: thing.diagnostics[name] for name in SHOWN if name in thing.diagnostics}
     elif isinstance(thing, RollReference):
         sd_deg = np.rad2deg(thing.angle_sd_rad)
-        facts |= {"kind": "roll reference", "method": thing.method, "streams": [_clock("angle", thing.t_ns)]}
+        facts |= {"kind": "roll reference", "method": thing.method, "streams": [_describe_clock("angle", thing.t_ns)]}
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
     else:
         facts |= {"estimator": thing.name, "ns_per_sample": thing.ns_per_sample}
@@ -89,15 +89,15 @@ def facts_of(path: Path, thing: Recording | Reference | RollReference | Estimate
     return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
 
 
-def _recording_facts(recording: Recording) -> dict[str, Any]:
+def _list_recording_facts(recording: Recording) -> dict[str, Any]:
     info = recording.info
     imu = recording.imu
     facts = {
         "duration_s": recording.duration_s,
-        "streams": [_clock(name, t_ns) for name, t_ns in recording.streams()],
-        "rests": [] if imu is None else _spans(find_rests_at_default(recording), imu.t_ns),
+        "streams": [_describe_clock(name, t_ns) for name, t_ns in recording.streams()],
+        "rests": [] if imu is None else _list_spans(find_rests_at_default(recording), imu.t_ns),
         "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
-        "spin": [] if recording.spin is None else _spin_lines(recording.spin),
+        "spin": [] if recording.spin is None else _describe_spin(recording.spin),
     }
     said = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
     marks = {name: getattr(info, name) for name in ("mag_uncalibrated", "units_unchecked")}
@@ -114,8 +114,8 @@ def _recording_facts(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _spin_lines(spin: Spin) -> list[str]:
-    """Where the single-axis sensors sit, and how many of their values tell nothing; x is the spin axis."""
+def _describe_spin(spin: Spin) -> list[str]:
+    """Return lines about the single-axis sensors: place, axis, and how many values are saturated or missing."""
     geometry, full, missing = (
         spin.geometry,
         find_saturated(spin).sum(axis=0),
@@ -128,17 +128,17 @@ def _spin_lines(spin: Spin) -> list[str]:
             if geometry.accel_range_mps2 is None
             else f", range {geometry.accel_range_mps2[k] / STANDARD_GRAVITY_MPS2:.3g} g"
         )
-        place = "arm not known" if np.isnan(arm).any() else f"arm {_vector(arm)} m"
+        place = "arm not known" if np.isnan(arm).any() else f"arm {_format_vector(arm)} m"
         spoilt = f", {full[k]} saturated" * bool(full[k]) + f", {missing[k]} missing" * bool(missing[k])
-        lines.append(f"accelerometer {k + 1}: {place}, axis {_vector(axis)}{limit}{spoilt}")
-    return lines + [f"gyro {k + 1}: axis {_vector(axis)}" for k, axis in enumerate(geometry.gyro_axis_b)]
+        lines.append(f"accelerometer {k + 1}: {place}, axis {_format_vector(axis)}{limit}{spoilt}")
+    return lines + [f"gyro {k + 1}: axis {_format_vector(axis)}" for k, axis in enumerate(geometry.gyro_axis_b)]
 
 
-def _vector(values: Floats) -> str:
+def _format_vector(values: Floats) -> str:
     return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
-def _clock(name: str, t_ns: Times) -> dict[str, Any]:
+def _describe_clock(name: str, t_ns: Times) -> dict[str, Any]:
     steps_s = np.diff(t_ns) / 1e9
     gaps_s = steps_s[find_gaps(t_ns)]
     return {
@@ -152,12 +152,12 @@ def _clock(name: str, t_ns: Times) -> dict[str, Any]:
     }
 
 
-def _spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
-    """Start and length of rests, in s from the first sample."""
+def _list_spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
+    """Return start and length of rests, in s from the first sample."""
     return [{"start_s": float(start - t_ns[0]) / 1e9, "length_s": float(end - start) / 1e9} for start, end in rests_ns]
 
 
-def _show(facts: dict[str, Any], wanted: str | None) -> None:
+def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
     rows = [
         [
             one["stream"],
@@ -171,18 +171,18 @@ def _show(facts: dict[str, Any], wanted: str | None) -> None:
     print(f"{facts['file']}: {facts['kind']} {facts['name']}")
     print_table("streams", COLUMNS, [rows], texts=1, wanted=wanted)
     if "rests" in facts:
-        print(f"  {'rests':17} {_rests_line(facts['rests'])}")
+        print(f"  {'rests':17} {_describe_rests(facts['rests'])}")
     shown = {"file", "kind", "name", "streams", "rests", "duration_s"}
     for key, value in facts.items():
         if key in shown or value in (None, "", [], {}, False):
             continue
-        for line in _lines(value):
+        for line in _format_lines(value):
             print(f"  {key:17} {line}")
             key = ""
     print()
 
 
-def _rests_line(rests: list[dict[str, float]]) -> str:
+def _describe_rests(rests: list[dict[str, float]]) -> str:
     if not rests:
         return "none"
     total = sum(rest["length_s"] for rest in rests)
@@ -190,7 +190,7 @@ def _rests_line(rests: list[dict[str, float]]) -> str:
     return f"{len(rests)}, {total:.1f} s in all: at {at}{' ...' if len(rests) > 6 else ''} s"
 
 
-def _lines(value: Any) -> list[str]:
+def _format_lines(value: Any) -> list[str]:
     if isinstance(value, dict):
         return [f"{name}: {item}" for name, item in value.items()]
     if isinstance(value, list) and value and isinstance(value[0], str):

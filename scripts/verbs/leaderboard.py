@@ -21,7 +21,7 @@ from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.study import Against
 from stillpoint.studies.publish.curves import read_entries
-from stillpoint.studies.publish.page import page_html
+from stillpoint.studies.publish.page import make_page_html
 from stillpoint.studies.publish.paper import write_paper
 
 DEFAULT_OUT = Path("leaderboard")
@@ -176,7 +176,7 @@ def _study(
 def _write(board: Leaderboard, folder: Path) -> None:
     """Write the leaderboard, its page, and the complete study, with paths relative to the folder."""
     write_document(str(folder / "leaderboard.json"), board.to_json())
-    write_text(folder / "index.html", page_html(board, read_entries(folder, board)))
+    write_text(folder / "index.html", make_page_html(board, read_entries(folder, board)))
     study = Study(**board.study)
     study = replace(
         study,

@@ -11,13 +11,13 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.scoring import AlignKind
-from stillpoint.scoring.report.figures import View, draw_angles, draw_errors, view_of
+from stillpoint.scoring.report.figures import View, draw_angles, draw_errors, make_view
 from stillpoint.scoring.report.page import Material, judge
 from stillpoint.scoring.report.printed import COLUMN_IN, write_figure
 from stillpoint.scripts.shared.companions import recording_name
 from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import SUFFIX, kind_of
-from stillpoint.scripts.verbs.report import gather
+from stillpoint.scripts.verbs.report import gather_material
 
 Kind = Literal["angles", "errors", "ranking", "map"]
 BOARD_FILE = "leaderboard.json"
@@ -62,7 +62,7 @@ def plot(
         Width of the figure in inches.
     """
     if kind in ("ranking", "map"):
-        _plot_board(_board_file(paths), kind, out, width)
+        _plot_board(_find_board_file(paths), kind, out, width)
     else:
         _plot_run(paths, kind, out, width, align, frame, (from_s, to_s))
     print(out)
@@ -70,7 +70,7 @@ def plot(
 
 def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
     from stillpoint.studies.leaderboard import Leaderboard
-    from stillpoint.studies.publish.figures import draw_map, draw_ranking, map_height_in, ranking_height_in
+    from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
 
     try:
         board = Leaderboard.from_json(json.loads(file.read_text(encoding="utf-8")))
@@ -78,13 +78,13 @@ def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
         reason = f"{type(error).__name__}: {error}"
         raise BadParameter(f"{file}: is no result of stillpoint leaderboard ({reason})") from None
     if kind == "map":
-        write_figure(out, 1, map_height_in(board), lambda axes: draw_map(axes[0], board), width)
+        write_figure(out, 1, get_map_height_in(board), lambda axes: draw_map(axes[0], board), width)
     else:
         table = board.tables[0]
-        write_figure(out, 1, ranking_height_in(table), lambda axes: draw_ranking(axes[0], table), width)
+        write_figure(out, 1, get_ranking_height_in(table), lambda axes: draw_ranking(axes[0], table), width)
 
 
-def _board_file(paths: Sequence[Path]) -> Path:
+def _find_board_file(paths: Sequence[Path]) -> Path:
     if len(paths) != 1:
         raise BadParameter(f"plot: {len(paths)} files; --kind ranking and map take one {BOARD_FILE}")
     file = paths[0] / BOARD_FILE if paths[0].is_dir() else paths[0]
@@ -102,11 +102,11 @@ def _plot_run(
     frame: EulerFrame,
     span_s: tuple[float | None, float | None],
 ) -> None:
-    verdicts = judge(_material(paths), align, frame)
+    verdicts = judge(_gather_material(paths), align, frame)
     if not verdicts:
         raise BadParameter(f"{paths[0]}: nothing to draw; make estimates of it: stillpoint estimate")
     first = verdicts[0]
-    view = _cut(view_of(first.comparisons, first.truth, frame, int(first.truth.t_ns[0])), span_s)
+    view = _cut_view(make_view(first.comparisons, first.truth, frame, int(first.truth.t_ns[0])), span_s)
     if kind == "angles":
         write_figure(out, 3, ANGLE_ROW_IN, lambda axes: draw_angles(axes, view), width, time_axis=True)
     else:
@@ -114,7 +114,7 @@ def _plot_run(
         write_figure(out, rows, ERROR_ROW_IN, lambda axes: draw_errors(axes, view), width, time_axis=True)
 
 
-def _material(paths: Sequence[Path]) -> Material:
+def _gather_material(paths: Sequence[Path]) -> Material:
     """A recording with all that lies beside it, or only with the estimates that are named."""
     kinds = {kind_of(path) for path in paths}
     names = {recording_name(path) for path in paths}
@@ -124,7 +124,7 @@ def _material(paths: Sequence[Path]) -> Material:
     missing = next((path for path in paths if not path.is_file()), None)
     if missing is not None:
         raise BadParameter(f"{missing}: there is no such file")
-    material = gather(paths[0].parent / f"{name}{SUFFIX}")
+    material = gather_material(paths[0].parent / f"{name}{SUFFIX}")
     if not isinstance(material, Material):
         raise BadParameter(f"{paths[0]}: is of a spinning body; its figures stand in its report: stillpoint report")
     if kinds == {"recording"}:
@@ -133,7 +133,7 @@ def _material(paths: Sequence[Path]) -> Material:
     return replace(material, estimates=tuple(one for one in material.estimates if one.name in wanted))
 
 
-def _cut(view: View, span_s: tuple[float | None, float | None]) -> View:
+def _cut_view(view: View, span_s: tuple[float | None, float | None]) -> View:
     """The view between two times in seconds from its start. Raises :class:`BadParameter` when nothing is left."""
     ends = [
         end if asked is None else view.zero_ns + round(asked * 1e9)

@@ -116,33 +116,35 @@ def reference(
     changes = assignments(set_, "returns.tilt_gate_rad=0.02")
     sources = inputs.recordings(paths)
     if method is None and preset is None:
-        methods = _by_streams(sources, bool(changes))
+        methods = _choose_methods(sources, bool(changes))
     else:
         named = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
         methods = dict.fromkeys(sources, named)
-    settings = _settings(list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes)
-    work = _jobs(methods, None if out is None else inputs.output_dir(out))
+    settings = _choose_settings(
+        list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes
+    )
+    work = _plan_jobs(methods, None if out is None else inputs.output_dir(out))
     known = None
     if calibration is not None:
-        known = _Known(calibration.name, calibration=_calibration_in(calibration), sha256=sha256(calibration))
-    outcomes = run_jobs(partial(_make, settings=settings, known=known), work, jobs, "reference")
+        known = _Known(calibration.name, calibration=_read_calibration(calibration), sha256=sha256(calibration))
+    outcomes = run_jobs(partial(_make_one, settings=settings, known=known), work, jobs, "reference")
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
-        return report_made("references", ROLL_COLUMNS, rows, _roll_cells, json, columns)
-    code = report_made("references", COLUMNS, rows, _cells, json, columns)
+        return report_made("references", ROLL_COLUMNS, rows, _format_roll_cells, json, columns)
+    code = report_made("references", COLUMNS, rows, _format_cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
         print_refusals("without magnetometer", ((said[left_out], name) for name, said in made if left_out in said))
-        print_refusals("left out", ((_islands(said), name) for name, said in made if said.get("left_out")))
+        print_refusals("left out", ((_describe_islands(said), name) for name, said in made if said.get("left_out")))
     return code
 
 
-def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str]) -> dict[str, Settings]:
-    """The settings of each method; raises :class:`BadParameter` for a preset that is not there or not the method's."""
+def _choose_settings(methods: Sequence[str], preset: str | None, changes: dict[str, str]) -> dict[str, Settings]:
+    """Return the settings of each method; raises :class:`BadParameter` for a preset that the method does not have."""
     if preset is None:
         return {name: settings_of(name, changes) for name in methods}
     require_known(preset, PRESETS, "preset")
@@ -152,15 +154,15 @@ def _settings(methods: Sequence[str], preset: str | None, changes: dict[str, str
     return {"graph": choose_settings(PRESETS[preset], changes, "graph")}
 
 
-def _by_streams(sources: Sequence[Path], changed: bool) -> dict[Path, list[str]]:
-    """The method of each recording's streams; changed settings are of one method, the spin's where all are of spin."""
+def _choose_methods(sources: Sequence[Path], changed: bool) -> dict[Path, list[str]]:
+    """Return the method for each recording by its streams. Changed settings need one method for all recordings."""
     spins = {source: inputs.is_of_spin(source) for source in sources}
     if changed:
         spins = dict.fromkeys(sources, all(spins.values()))
     return {source: [DEFAULT_ROLL_METHOD if spin else DEFAULT_METHOD] for source, spin in spins.items()}
 
 
-def _jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]:
+def _plan_jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]:
     work = []
     for source, names in methods.items():
         for name in names:
@@ -171,8 +173,8 @@ def _jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]
     return work
 
 
-def _calibration_in(path: Path) -> Calibration:
-    """The calibration of a reference; raises :class:`BadParameter` for a file that has none."""
+def _read_calibration(path: Path) -> Calibration:
+    """Read the calibration of a reference; raises :class:`BadParameter` for a file that has none."""
     if not path.is_file():
         raise BadParameter(f"--calibration {path}: there is no such file; name a reference of the same sensor")
     found = read_reference(path).calibration
@@ -181,8 +183,8 @@ def _calibration_in(path: Path) -> Calibration:
     return found
 
 
-def _make(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> dict[str, Any]:
-    """Read, make, write; the facts of the table."""
+def _make_one(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> dict[str, Any]:
+    """Read a recording, make its reference, write it, and return the facts of the table."""
     recording = open_recording(job.source)
     begun = perf_counter()
     made = make_reference(recording, job.method, settings[job.method], known.calibration if known else None)
@@ -190,10 +192,10 @@ def _make(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> 
     made_from = {job.source.name: sha256(job.source)} | ({known.name: known.sha256} if known else {})
     made = replace(made, made_from=made_from)
     write(job.target, made)
-    return {**(_facts(made) if isinstance(made, Reference) else _roll_facts(made)), "seconds": seconds}
+    return {**(_list_facts(made) if isinstance(made, Reference) else _list_roll_facts(made)), "seconds": seconds}
 
 
-def _islands(diagnostics: Mapping[str, Any]) -> str:
+def _describe_islands(diagnostics: Mapping[str, Any]) -> str:
     """Return in words which pieces between gaps the reference leaves out."""
     pieces = [f"{one['samples']} samples at {one['start_s']:.2f} s" for one in diagnostics["left_out"]]
     return f"too short between gaps for a reference: {', '.join(pieces[:3])}" + (
@@ -201,7 +203,7 @@ def _islands(diagnostics: Mapping[str, Any]) -> str:
     )
 
 
-def _facts(made: Reference) -> dict[str, Any]:
+def _list_facts(made: Reference) -> dict[str, Any]:
     sd_deg = np.rad2deg(total_sd_rad(made.cov_b_rad2))
     return {
         "samples": len(made.t_ns),
@@ -217,7 +219,7 @@ def _facts(made: Reference) -> dict[str, Any]:
     }
 
 
-def _roll_facts(made: RollReference) -> dict[str, Any]:
+def _list_roll_facts(made: RollReference) -> dict[str, Any]:
     angle_sd_deg, rate_sd_degps = np.rad2deg(made.angle_sd_rad), np.rad2deg(made.rate_sd_radps)
     return {
         "method": made.method,
@@ -229,11 +231,11 @@ def _roll_facts(made: RollReference) -> dict[str, Any]:
     }
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _format_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(COLUMNS) - 2)]
     if row["method"] == DEFAULT_ROLL_METHOD:
-        return _roll_in_attitude_table(row)
+        return _format_roll_among_attitudes(row)
     accepted = sum(one["accepted"] for one in row["returns"])
     closing = row["diagnostics"].get("closing_error_deg", [])
     return [
@@ -250,7 +252,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
     ]
 
 
-def _roll_in_attitude_table(row: dict[str, Any]) -> list[str]:
+def _format_roll_among_attitudes(row: dict[str, Any]) -> list[str]:
     """Return the cells of a reference of an angle in a table of attitudes: its sd, and "-" for what it lacks."""
     sd = f"{row['angle_sd_median_deg']:.2f}"
     last = f"{row['angle_sd_last_deg']:.2f}"
@@ -258,7 +260,7 @@ def _roll_in_attitude_table(row: dict[str, Any]) -> list[str]:
     return [row["recording"], row["method"], sd, "-", "-", "-", "-", last, iterations, f"{row['seconds']:.1f}"]
 
 
-def _roll_cells(row: dict[str, Any]) -> list[str]:
+def _format_roll_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(ROLL_COLUMNS) - 2)]
     found = row["diagnostics"]

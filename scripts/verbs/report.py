@@ -12,8 +12,8 @@ from stillpoint.datasets.mcap.store import read, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
 from stillpoint.scoring import AlignKind
-from stillpoint.scoring.report.page import Material, judge, report_html
-from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, spin_report_html
+from stillpoint.scoring.report.page import Material, judge, make_report_html
+from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
@@ -58,7 +58,7 @@ def report(
         Processes; by default one per core, fewer for few recordings.
     """
     recordings = inputs.recordings(paths)
-    targets = _targets(recordings, out)
+    targets = _choose_targets(recordings, out)
     pages = [_Page(*pair) for pair in zip(recordings, targets, strict=True)]
     outcomes = run_jobs(partial(_write_page, align=align, frame=frame), pages, jobs, "report")
     if len(pages) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
@@ -78,10 +78,10 @@ class _Page:
 
 
 def _write_page(page: _Page, align: AlignKind, frame: EulerFrame) -> None:
-    write_report(page.target, gather(page.source), align, frame)
+    write_report(page.target, gather_material(page.source), align, frame)
 
 
-def gather(path: Path) -> Material | SpinMaterial:
+def gather_material(path: Path) -> Material | SpinMaterial:
     """Read a recording with the references and estimates beside it; raises :class:`BadParameter` when there is none.
 
     They are attitudes, or angles and rates about the axis of a spinning body where the recording has no IMU.
@@ -119,12 +119,12 @@ def write_report(target: Path, material: Material | SpinMaterial, align: AlignKi
         spun = judge_spin(material, zero_of(align, name))
         if not spun:
             raise nothing
-        write_text(target, spin_report_html(material, spun))
+        write_text(target, make_spin_report_html(material, spun))
         return
     verdicts = judge(material, align, frame)
     if not verdicts:
         raise nothing
-    write_text(target, report_html(material, verdicts))
+    write_text(target, make_report_html(material, verdicts))
 
 
 def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | RollReference | Estimate]) -> None:
@@ -137,7 +137,7 @@ def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | 
     raise BadParameter(f"{path}: no {missing} of it lies beside it; make one: stillpoint reference {path}")
 
 
-def _targets(recordings: Sequence[Path], out: Path | None) -> list[Path]:
+def _choose_targets(recordings: Sequence[Path], out: Path | None) -> list[Path]:
     if out is not None and out.suffix == ".html":
         if len(recordings) > 1:
             raise BadParameter(f"-o {out}: {len(recordings)} recordings give as many pages; name a folder")

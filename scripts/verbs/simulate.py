@@ -74,13 +74,13 @@ def simulate(
         recording = make(kind, seed=number, minutes=minutes, rate_hz=rate, sensor=sensor)
         path = output_dir(out) / f"{recording.name}.mcap"
         write(path, recording)
-        rows.append(_facts(path, recording))
+        rows.append(_list_facts(path, recording))
         if json != STDOUT:
-            print(_line(rows[-1]))
+            print(_format_line(rows[-1]))
     write_json(json, rows)
 
 
-def _facts(path: Path, recording: Recording) -> dict[str, Any]:
+def _list_facts(path: Path, recording: Recording) -> dict[str, Any]:
     return {
         "file": str(path),
         "minutes": recording.duration_s / 60,
@@ -90,7 +90,7 @@ def _facts(path: Path, recording: Recording) -> dict[str, Any]:
     }
 
 
-def _line(row: dict[str, Any]) -> str:
+def _format_line(row: dict[str, Any]) -> str:
     rates = ", ".join(f"{name} {rate:.1f} Hz" for name, rate in row["rates_hz"].items())
     rests = f", {row['rests']} rests" if row["rests"] else ""
     notes = "".join(f"; {note}" for note in row["notes"])

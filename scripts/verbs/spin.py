@@ -1,4 +1,4 @@
-"""``stillpoint spin NAME``: accelerometers on a spinning body, where to put them and how noisy they are."""
+"""``stillpoint spin NAME``: place accelerometers on a spinning body, and identify their noise."""
 
 from cyclopts import App
 

@@ -13,7 +13,7 @@ from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.studies.rig.design import Placement, Rig, limits_m, longest, place
+from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, find_longest_arms, limits_m
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
 
 DESIGN_COLUMNS = (
@@ -86,30 +86,30 @@ def spin_design(
         tangential_var_m2ps4=tangential_var,
         period_s=period_s,
     )
-    chosen = longest(rig)
-    rows = [chosen, *_others(rig, chosen)]
+    chosen = find_longest_arms(rig)
+    rows = [chosen, *_list_neighbours(rig, chosen)]
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
-        _design_figure(rig, chosen).savefig(folder / "spin-design.png", dpi=DPI, metadata={"Software": None})
+        _draw_figure(rig, chosen).savefig(folder / "spin-design.png", dpi=DPI, metadata={"Software": None})
     facts = [asdict(rig) | asdict(one) for one in rows]
     write_json(str(folder / "spin-design.json"), facts)
     write_json(json, facts)
     if json == STDOUT:
         return
     d1_m, d2_m = limits_m(rig)
-    print_table("placements, the best that fits first", DESIGN_COLUMNS, [[_design_row(one) for one in rows]], texts=0)
+    print_table("placements, the best that fits first", DESIGN_COLUMNS, [[_format_row(one) for one in rows]], texts=0)
     print(f"F4 reads the whole range at d1 = {d1_m:.3f} m, F5 at d2 = {d2_m:.3f} m")
     print(f"{folder / 'spin-design.png'}, {folder / 'spin-design.json'}")
 
 
-def _others(rig: Rig, chosen: Placement) -> list[Placement]:
-    """Shorter and longer arms around the chosen ones, one arm changed at a time."""
+def _list_neighbours(rig: Rig, chosen: Placement) -> list[Placement]:
+    """Return shorter and longer arms around the chosen ones, one arm changed at a time."""
     factors = (0.25, 0.5, 0.75, 1.25, 1.5)
-    changed = [place(rig, round(chosen.d1_m * factor, 4), chosen.d2_m) for factor in factors]
-    return changed + [place(rig, chosen.d1_m, round(chosen.d2_m * factor, 4)) for factor in factors]
+    changed = [evaluate_placement(rig, round(chosen.d1_m * factor, 4), chosen.d2_m) for factor in factors]
+    return changed + [evaluate_placement(rig, chosen.d1_m, round(chosen.d2_m * factor, 4)) for factor in factors]
 
 
-def _design_row(one: Placement) -> Sequence[str]:
+def _format_row(one: Placement) -> Sequence[str]:
     return (
         f"{one.d1_m:.3f}",
         f"{one.d2_m:.3f}",
@@ -125,7 +125,7 @@ def _design_row(one: Placement) -> Sequence[str]:
     )
 
 
-def _design_figure(rig: Rig, chosen: Placement) -> Figure:
+def _draw_figure(rig: Rig, chosen: Placement) -> Figure:
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     for ax, draw in zip(figure.subplots(1, 3), (draw_radial, draw_tangential, draw_both), strict=True):
         draw(ax, rig, chosen)

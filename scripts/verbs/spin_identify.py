@@ -19,7 +19,7 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_variances
-from stillpoint.studies.rig.identify import Identified, Trial, identify
+from stillpoint.studies.rig.identify import Identified, Trial, identify_variances
 
 TRIAL_COLUMNS = (
     "recording",
@@ -63,23 +63,23 @@ def spin_identify(
     json
         Also write the rows to this file; - is the standard output.
     """
-    found = identify([open_recording(path) for path in recordings(paths)], by_truth)
+    found = identify_variances([open_recording(path) for path in recordings(paths)], by_truth)
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
-        _variance_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
+        _draw_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
     facts: list[dict[str, Any]] = [asdict(one) for one in found.trials]
     facts.append({"recording": "maximum"} | {name: value for name, value in asdict(found).items() if name != "trials"})
     write_json(str(folder / "spin-identify.json"), facts)
     write_json(json, facts)
     if json != STDOUT:
-        _show_variances(found)
+        _print_variances(found)
         print(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
 
 
-def _show_variances(found: Identified) -> None:
+def _print_variances(found: Identified) -> None:
     most = dict.fromkeys(TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
     most |= {"D5": f"{found.d5_m2ps4:.3f}", "D5 alone": f"{found.d5_alone_m2ps4:.3f}"}
-    sections: list[list[Sequence[str]]] = [[_trial_row(one) for one in found.trials], [list(most.values())]]
+    sections: list[list[Sequence[str]]] = [[_format_row(one) for one in found.trials], [list(most.values())]]
     print_table("variances in (m/s²)², means and what turns once per turn in m/s²", TRIAL_COLUMNS, sections, texts=1)
     for one in found.trials:
         if one.turning_share > TURNING_SHARE:
@@ -88,7 +88,7 @@ def _show_variances(found: Identified) -> None:
                 f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
                 f"tilted by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"
             )
-    for note in _encoder_notes(found):
+    for note in _list_notes(found):
         print(f"note: {note}")
     alone = f", {found.q_alone_rad2ps4:.3g} by F5 alone" if found.tells_tangential else ""
     print(f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)²{alone}")
@@ -100,7 +100,7 @@ def _show_variances(found: Identified) -> None:
 
 
 def _is_allowed(name: str, value: float) -> bool:
-    """Whether the estimators take a variance; sensors without noise have one that they refuse."""
+    """Return whether the estimators accept a variance; that of sensors without noise they refuse."""
     setting: dict[str, Any] = {name: float(f"{value:.3g}")}
     try:
         SpinParams(**setting)
@@ -109,8 +109,8 @@ def _is_allowed(name: str, value: float) -> bool:
     return True
 
 
-def _encoder_notes(found: Identified) -> list[str]:
-    """What of the variances is the encoder's, and whether the trials are of one rig."""
+def _list_notes(found: Identified) -> list[str]:
+    """Return notes: the part of the variances that is the encoder's, and trials that differ too much."""
     notes = []
     for one in found.trials:
         if one.smoothed_s:
@@ -128,7 +128,7 @@ def _encoder_notes(found: Identified) -> list[str]:
                 "sheet or from a rest, or use a finer encoder"
             )
     for which, name in (("radial", "F4"), ("tangential", "F5")):
-        pair = found.differing(which)
+        pair = found.find_differing(which)
         if pair is not None:
             low, high = (f"{getattr(one, which).robust_m2ps4:.3g} ({one.recording})" for one in pair)
             notes.append(
@@ -137,7 +137,7 @@ def _encoder_notes(found: Identified) -> list[str]:
     return notes
 
 
-def _trial_row(one: Trial) -> Sequence[str]:
+def _format_row(one: Trial) -> Sequence[str]:
     return (
         one.recording,
         str(one.samples),
@@ -153,7 +153,7 @@ def _trial_row(one: Trial) -> Sequence[str]:
     )
 
 
-def _variance_figure(found: Identified) -> Figure:
+def _draw_figure(found: Identified) -> Figure:
     figure = Figure(figsize=(10, 4), layout="constrained")
     for ax, which in zip(figure.subplots(1, 2), ("radial", "tangential"), strict=True):
         draw_variances(ax, found, which)

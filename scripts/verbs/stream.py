@@ -1,4 +1,4 @@
-"""``stillpoint stream``: estimates while the samples come."""
+"""``stillpoint stream``: estimate while samples arrive."""
 
 import importlib.util
 import sys
@@ -15,15 +15,28 @@ from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
+<<<<<<< HEAD
 from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared.estimator_choice import Run, runs_of
+=======
+from stillpoint.filters.table import ROLLS, Peer, find
+from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 from stillpoint.scripts.shared.flags import SetFlag, Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, writable, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
-from stillpoint.scripts.streaming.lines import ATTITUDE, spin_layout
-from stillpoint.scripts.streaming.pipe import Passed, ctrl_c_quits, pipe
-from stillpoint.scripts.streaming.streams import Live, Make, attitude, keep, kind_of, live, roll
+from stillpoint.scripts.streaming.lines import ATTITUDE, make_spin_layout
+from stillpoint.scripts.streaming.pipe import Passed, quit_at_interrupt, run_pipe
+from stillpoint.scripts.streaming.streams import (
+    Live,
+    Make,
+    describe_run,
+    make_attitude_stream,
+    make_spin_stream,
+    open_streams,
+    save_streams,
+)
 
 SPIN = Group("Estimators of roll", sort_key=1)
 HOST = "127.0.0.1"
@@ -96,47 +109,54 @@ def stream(
     """
     if json == STDOUT:
         raise BadParameter("--json -: the standard output is for the estimates; name a file")
-    _require_in_place(
+    _require_useful_options(
         foxglove is not None, {"--resume": resume, "--save": save, "--json": json}, {"--host": host, "--speed": speed}
     )
+<<<<<<< HEAD
     runs = runs_of(estimators, set_, precision, heading)
     peers = [run.estimator for run in runs if isinstance(find_estimator(run.estimator), Peer)]
+=======
+    runs = choose_runs(estimators, set_, precision, heading)
+    peers = [run.estimator for run in runs if isinstance(find(run.estimator), Peer)]
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     if peers:
         names, take = ",".join(peers), "takes" if len(peers) == 1 else "take"
         raise BadParameter(f"{names}: {take} whole recordings only; use stillpoint estimate -e {names}")
-    spin = _geometry_of(runs, SpinOptions(geometry=geometry, d1_m=d1_m, d2_m=d2_m, range_g=range_g), declination)
+    spin = _read_geometry(runs, SpinOptions(geometry=geometry, d1_m=d1_m, d2_m=d2_m, range_g=range_g), declination)
     if foxglove is not None:
         if spin is not None:
             raise BadParameter(f"--foxglove: replays attitudes; for {estimators} use stillpoint estimate and view")
-        _to_foxglove(file, runs, declination, HOST if host is None else host, foxglove, 1.0 if speed is None else speed)
+        _stream_to_foxglove(
+            file, runs, declination, HOST if host is None else host, foxglove, 1.0 if speed is None else speed
+        )
         return
     if file is not None:
         raise BadParameter(f"{file}: a recording is replayed with --foxglove PORT; samples come on the standard input")
-    kind = kind_of(runs, declination, spin)
+    kind = describe_run(runs, declination, spin)
     makes: dict[str, Make]
     if spin is None:
         layout = ATTITUDE
-        makes = {run.estimator: attitude(run, declination) for run in runs}
+        makes = {run.estimator: make_attitude_stream(run, declination) for run in runs}
     else:
-        layout = spin_layout(len(spin.accel_axis_b), len(spin.gyro_axis_b))
-        makes = {run.estimator: roll(run, spin) for run in runs}
-    with ctrl_c_quits():
-        streams = live(makes, resume, kind)
+        layout = make_spin_layout(len(spin.accel_axis_b), len(spin.gyro_axis_b))
+        makes = {run.estimator: make_spin_stream(run, spin) for run in runs}
+    with quit_at_interrupt():
+        streams = open_streams(makes, resume, kind)
     if sys.stdin is None or sys.stdout is None:
         raise BadParameter("the standard input or output is closed; samples come on the one, estimates on the other")
     watch = HeadingWatch(list(streams), heading)
-    passed = pipe(streams, sys.stdin.buffer, sys.stdout, layout, watch.see)
+    passed = run_pipe(streams, sys.stdin.buffer, sys.stdout, layout, watch.see)
     watch.end()
     if save is not None:
-        keep(save, streams, kind)
-    _say(passed, streams)
-    write_json(json, [_facts(passed, name, one) for name, one in streams.items()])
+        save_streams(save, streams, kind)
+    _print_summary(passed, streams)
+    write_json(json, [_list_facts(passed, name, one) for name, one in streams.items()])
     if passed.failure:
         raise StillpointError(passed.failure)
 
 
-def _require_in_place(is_replay: bool, of_pipe: Mapping[str, Any], of_replay: Mapping[str, Any]) -> None:
-    """Raise :class:`BadParameter` for options that would do nothing."""
+def _require_useful_options(is_replay: bool, of_pipe: Mapping[str, Any], of_replay: Mapping[str, Any]) -> None:
+    """Raise :class:`BadParameter` for options that would have no effect."""
     for option, value in (of_pipe if is_replay else of_replay).items():
         if value is not None and is_replay:
             raise BadParameter(f"{option}: is for samples from the standard input; leave it out with --foxglove")
@@ -144,10 +164,10 @@ def _require_in_place(is_replay: bool, of_pipe: Mapping[str, Any], of_replay: Ma
             raise BadParameter(f"{option}: is for a replay; give --foxglove PORT with it, or leave it out")
 
 
-def _to_foxglove(
+def _stream_to_foxglove(
     file: Path | None, runs: Sequence[Run], declination_deg: float | None, host: str, port: int, speed: float
 ) -> None:
-    """Check before the server starts, then replay. Raises :class:`BadParameter`."""
+    """Check the options, start the server, and replay. Raises :class:`BadParameter`."""
     if file is None:
         raise BadParameter("--foxglove: names no recording; give the MCAP file to replay")
     if not 0 <= port <= 65535:
@@ -156,19 +176,19 @@ def _to_foxglove(
         raise BadParameter(f"--speed {speed:g}: give a number above 0, 1 for as fast as it was recorded")
     if importlib.util.find_spec("foxglove") is None:
         raise BadParameter("--foxglove: foxglove-sdk is not installed; pip install 'stillpoint[view]'")
-    from stillpoint.scripts.streaming.foxglove import replay
+    from stillpoint.scripts.streaming.foxglove import replay_live
 
     recording = open_recording(file)
     recording.require_imu()  # before somebody waits for it
     if declination_deg is None:
         declination_deg = degrees(local_declination(recording.info)[0])
-    streams = {run.estimator: attitude(run, declination_deg)() for run in runs}
-    n_samples = replay(file, recording, streams, host, port, speed)
+    streams = {run.estimator: make_attitude_stream(run, declination_deg)() for run in runs}
+    n_samples = replay_live(file, recording, streams, host, port, speed)
     print(f"stillpoint: {n_samples} samples replayed", file=sys.stderr)
 
 
-def _geometry_of(runs: Sequence[Run], options: SpinOptions, declination_deg: float | None) -> SpinGeometry | None:
-    """Of the spinning body; None where attitudes are estimated. Raises :class:`BadParameter` for what does not go."""
+def _read_geometry(runs: Sequence[Run], options: SpinOptions, declination_deg: float | None) -> SpinGeometry | None:
+    """Read the geometry of a spinning body; None for attitudes. Raises :class:`BadParameter` for options that clash."""
     spins, names = [run.estimator for run in runs if run.estimator in ROLLS], ", ".join(ROLLS)
     if not spins:
         if options != SpinOptions():
@@ -183,8 +203,8 @@ def _geometry_of(runs: Sequence[Run], options: SpinOptions, declination_deg: flo
     return find_geometry(options)
 
 
-def _say(passed: Passed, streams: Mapping[str, Live]) -> None:
-    """The summary, on stderr."""
+def _print_summary(passed: Passed, streams: Mapping[str, Live]) -> None:
+    """Print the summary to stderr."""
     said = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
     for what, latency in (("estimators", passed.update), ("line to line", passed.whole)):
         if not latency.n:
@@ -198,7 +218,7 @@ def _say(passed: Passed, streams: Mapping[str, Live]) -> None:
         print(f"stillpoint: {text}", file=sys.stderr)
 
 
-def _facts(passed: Passed, name: str, one: Live) -> dict[str, Any]:
+def _list_facts(passed: Passed, name: str, one: Live) -> dict[str, Any]:
     return {
         "estimator": name,
         "n_samples": passed.n_samples,

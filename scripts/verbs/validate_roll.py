@@ -1,4 +1,4 @@
-"""What ``stillpoint validate`` does with recordings of a spinning body."""
+"""``stillpoint validate`` for recordings of a spinning body."""
 
 from collections.abc import Sequence
 from functools import partial

@@ -37,7 +37,7 @@ def view(
     """
     if importlib.util.find_spec("rerun") is None:
         raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={NEEDED}")
-    from stillpoint.scripts.shared.rerun_scene import finish, open_scene, show
+    from stillpoint.scripts.shared.rerun_scene import finish_scene, open_scene, show_thing
 
     if save is not None and not save.absolute().parent.is_dir():
         raise BadParameter(f"--save {save}: the folder is not there; make it or name another")
@@ -47,8 +47,8 @@ def view(
     things = [read(file) for file in files]  # all of them before a file or a window is there
     scene = open_scene(save, things)
     for file, thing in zip(files, things, strict=True):
-        show(scene, file.name.removesuffix(".mcap"), thing)
-    finish(scene)
+        show_thing(scene, file.name.removesuffix(".mcap"), thing)
+    finish_scene(scene)
     if save is not None:
         print(f"{save}: {len(files)} files; open it with: rerun {save}")
 

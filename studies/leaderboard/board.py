@@ -142,23 +142,23 @@ class Leaderboard:
         return tuple(run for run in self.runs if run.error is not None)
 
     def __str__(self) -> str:
-        from stillpoint.studies.publish.tables import text_table
+        from stillpoint.studies.publish.tables import format_text
 
-        return text_table(self)
+        return format_text(self)
 
     def _repr_html_(self) -> str:
-        from stillpoint.studies.publish.tables import html_table
+        from stillpoint.studies.publish.tables import format_html
 
-        return html_table(self)
+        return format_html(self)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return every row with all its figures as a pandas frame.
 
         Raises :class:`BadParameter` when pandas is not installed.
         """
-        from stillpoint.studies.publish.tables import ranking_frame
+        from stillpoint.studies.publish.tables import make_frame
 
-        return ranking_frame(self)
+        return make_frame(self)
 
     def to_json(self) -> dict[str, Any]:
         """The layout of ``leaderboard.json``; numbers that are not finite become null."""

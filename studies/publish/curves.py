@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.scoring.report.curves import Curve, coarsen_curve
-from stillpoint.scoring.report.plot_data import encode_errors, recording_entry
+from stillpoint.scoring.report.plot_data import encode_errors, make_recording_entry
 from stillpoint.studies.leaderboard import ErrorOverTime, Leaderboard, Run, read_error_series
 
 PAGE_BYTES = 2_400_000  # of all curves of a page
@@ -58,4 +58,4 @@ def _make_entry(series: Mapping[str, ErrorOverTime], keys: list[str], columns: i
         first = next(iter(one.curves.values()))
         end_s = max(end_s, late_s + first.start_s + first.step_s * len(first.middle))
     rests_s = (next(iter(series.values())).rests_ns - zero_ns) / 1e9
-    return recording_entry((0.0, end_s), rests_s, encode_errors(reduced))
+    return make_recording_entry((0.0, end_s), rests_s, encode_errors(reduced))

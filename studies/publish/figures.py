@@ -30,13 +30,13 @@ def draw_ranking(ax: Axes, table: Table) -> None:
     ax.grid(axis="y", visible=False)
 
 
-def ranking_height_in(table: Table) -> float:
-    """Height of the axes of a printed ranking."""
+def get_ranking_height_in(table: Table) -> float:
+    """Return the height of the axes of a printed ranking."""
     return ROW_IN * max(len(table.rows), 3)
 
 
-def map_height_in(board: Leaderboard) -> float:
-    """Height of the axes of a printed map, with room for the names below it."""
+def get_map_height_in(board: Leaderboard) -> float:
+    """Return the height of the axes of a printed map, with room for the names below it."""
     return MAP_ROW_IN * max(len(board.sources), 4) + 0.6
 
 
@@ -49,7 +49,7 @@ def draw_map(ax: Axes, board: Leaderboard) -> None:
     sizes = np.full((len(names), len(labels)), np.nan)
     for run in board.runs:
         size = getattr(run, field)
-        if size is not None and run.label in labels and _judged_alike(run.against, first.against):
+        if size is not None and run.label in labels and _is_judged_alike(run.against, first.against):
             sizes[names.index(run.recording), labels.index(run.label)] = size
     logged = np.log10(np.maximum(sizes, 1e-3))
     ax.imshow(logged, cmap=MAP_COLOURS, aspect="auto", vmax=np.nanmax(logged) + 0.5 if len(names) else None)
@@ -64,8 +64,8 @@ def draw_map(ax: Axes, board: Leaderboard) -> None:
     ax.set_title(f"{first.ranked_by} RMSE (deg)", loc="left")
 
 
-def _judged_alike(against: str, wanted: str) -> bool:
-    """Whether a run's judge is among those of a table, for example "reference (graph)" and "truth and reference"."""
+def _is_judged_alike(against: str, wanted: str) -> bool:
+    """Return whether a run's judge is one of a table's: "reference (graph)" is in "truth and reference"."""
     return against.split(" ")[0] in wanted
 
 

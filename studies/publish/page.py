@@ -8,16 +8,16 @@ from typing import Any
 from urllib.parse import quote
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.plot_data import ERROR_PANELS, plots_payload
-from stillpoint.scoring.report.templates import bokeh_scripts, embed_json, load_template, page_script
+from stillpoint.scoring.report.plot_data import ERROR_PANELS, make_page_data
+from stillpoint.scoring.report.templates import embed_json, load_bokeh_scripts, load_page_script, load_template
 from stillpoint.studies.leaderboard import Leaderboard, Row, Run, Summary, Table
 
 AXIS_PX = 150.0  # width of a drawn interval
 TICKS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = None, title: str = "Leaderboard") -> str:
-    """The page as text. The same leaderboard gives the same bytes.
+def make_page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = None, title: str = "Leaderboard") -> str:
+    """Return the page as text. The same leaderboard gives the same bytes.
 
     ``recordings`` holds the curves to draw by the name of the recording, as
     :func:`~stillpoint.scoring.report.plot_data.recording_entry` makes them.
@@ -25,24 +25,24 @@ def page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = None, t
     entries = dict(recordings or {})
     labels = tuple(dict.fromkeys(row.label for table in board.tables for row in table.rows))
     panels = [panel for panel in ERROR_PANELS if any(panel.key in entry["curves"] for entry in entries.values())]
-    costs = _costs(board.tables[0])
+    costs = _list_costs(board.tables[0])
     return load_template("stillpoint.studies.publish", "page.html.j2").render(
         title=title,
         board=board,
         labels=labels,
-        notes=tuple(_notes(board)),
+        notes=tuple(_list_notes(board)),
         axes=[LogAxis.over(table) for table in board.tables],
-        heat=_heat_map(board),
-        groups=_group_table(board, labels),
+        heat=_make_heat_map(board),
+        groups=_make_group_table(board, labels),
         recordings=list(entries),
         has_costs=bool(costs),
-        parameters=_parameters(board),
+        parameters=_list_parameters(board),
         study=json.dumps(board.study, indent=2, ensure_ascii=False, default=str),
         colours=COLOURS,
         colours_on_dark=ON_DARK,
-        data=embed_json(plots_payload(panels, labels, entries, costs=costs)),
-        bokeh=bokeh_scripts(),
-        script=page_script(),
+        data=embed_json(make_page_data(panels, labels, entries, costs=costs)),
+        bokeh=load_bokeh_scripts(),
+        script=load_page_script(),
     )
 
 
@@ -55,32 +55,32 @@ class LogAxis:
 
     @classmethod
     def over(cls, table: Table) -> "LogAxis":
-        """The axis that holds every interval of a table."""
-        ends = [end for row in table.rows if (one := ranked_by(row, table)) is not None for end in one.ci95]
+        """Return the axis that holds every interval of a table."""
+        ends = [end for row in table.rows if (one := get_ranking_summary(row, table)) is not None for end in one.ci95]
         known = [end for end in ends if math.isfinite(end) and end > 0]
         return cls(min(known, default=0.1), max(known, default=10.0))
 
     def place(self, value_deg: float) -> float:
-        """Where a value lies, in px; values beyond the axis lie on its end."""
+        """Return the place of a value in px; values beyond the axis lie on its end."""
         share = math.log(max(value_deg, 1e-9) / self.low_deg) / (math.log(self.high_deg / self.low_deg) or 1.0)
         return round(4 + min(max(share, 0.0), 1.0) * (AXIS_PX - 8), 1)
 
     @property
     def ticks(self) -> list[dict[str, Any]]:
-        """At most four round values on the axis."""
+        """Up to four round values with their places on the axis."""
         within = [tick for tick in TICKS_DEG if self.low_deg <= tick <= self.high_deg]
         kept = within[:: max(1, math.ceil(len(within) / 4))]
         return [{"x": self.place(tick), "text": f"{tick:g}"} for tick in kept]
 
 
-def ranked_by(row: Row, table: Table) -> Summary | None:
-    """The summary of a row that decides its rank in a table."""
+def get_ranking_summary(row: Row, table: Table) -> Summary | None:
+    """Return the summary that decides the rank of a row in a table."""
     summary: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
     return summary
 
 
-def _notes(board: Leaderboard) -> Iterator[str]:
-    """What a reader has to know before the ranking."""
+def _list_notes(board: Leaderboard) -> Iterator[str]:
+    """Yield what a reader has to know before the ranking."""
     left_out = dict.fromkeys(run.recording for run in board.runs if run.magnetometer_left_out)
     if left_out:
         reason = next(run.magnetometer_left_out for run in board.runs if run.magnetometer_left_out)
@@ -95,8 +95,8 @@ def _notes(board: Leaderboard) -> Iterator[str]:
         )
 
 
-def _heat_map(board: Leaderboard) -> dict[str, Any]:
-    """Rows of recordings, a cell per label: its RMSE and its place between the least (0) and the greatest (1)."""
+def _make_heat_map(board: Leaderboard) -> dict[str, Any]:
+    """Return rows of recordings with a cell per label: its RMSE, and a heat from the least (0) to the greatest (1)."""
     first = board.tables[0]
     columns = [row.label for row in first.rows]
     runs = {(run.recording, run.label): run for run in board.runs}
@@ -107,12 +107,12 @@ def _heat_map(board: Leaderboard) -> dict[str, Any]:
     low, high = min(sizes, default=1.0), max(sizes, default=1.0)
     rows = []
     for name in dict.fromkeys(run.recording for run in board.runs):
-        cells = [_heat_cell(runs.get((name, label)), field, low, high) for label in columns]
+        cells = [_make_heat_cell(runs.get((name, label)), field, low, high) for label in columns]
         rows.append({"name": name, "link": quote(name, safe=""), "cells": cells})
     return {"columns": columns, "rows": rows, "what": first.ranked_by}
 
 
-def _heat_cell(run: Run | None, field: str, low: float, high: float) -> dict[str, Any] | None:
+def _make_heat_cell(run: Run | None, field: str, low: float, high: float) -> dict[str, Any] | None:
     if run is None:
         return None
     value = getattr(run, field)
@@ -121,7 +121,7 @@ def _heat_cell(run: Run | None, field: str, low: float, high: float) -> dict[str
     return {"value": value, "heat": math.log(max(value, low) / low) / (math.log(high / low) or 1.0)}
 
 
-def _group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, Any]:
+def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, Any]:
     columns = [
         {"name": group.name, "size": len(group.recordings), "ranked_by": group.ranked_by} for group in board.groups
     ]
@@ -130,16 +130,16 @@ def _group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, Any]:
         found = [next((row for row in group.rows if row.label == label), None) for group in board.groups]
         cells = []
         for row, group in zip(found, board.groups, strict=True):
-            summary = None if row is None else ranked_by(row, group)
+            summary = None if row is None else get_ranking_summary(row, group)
             rank = None if row is None else row.rank
             cells.append(None if summary is None else {"typical": summary.typical, "rank": rank})
         rows.append({"label": label, "cells": cells})
     return {"columns": columns, "rows": rows}
 
 
-def _costs(table: Table) -> list[dict[str, Any]]:
-    """Points of the plot of accuracy against cost."""
-    found = ((row.label, row.ns_per_sample, ranked_by(row, table)) for row in table.rows)
+def _list_costs(table: Table) -> list[dict[str, Any]]:
+    """Return the points of the plot of accuracy against cost."""
+    found = ((row.label, row.ns_per_sample, get_ranking_summary(row, table)) for row in table.rows)
     return [
         {"name": label, "cost": cost, "error": summary.typical}
         for label, cost, summary in found
@@ -147,8 +147,8 @@ def _costs(table: Table) -> list[dict[str, Any]]:
     ]
 
 
-def _parameters(board: Leaderboard) -> dict[str, str]:
-    """Parameters of every label as text, of the first run that states them."""
+def _list_parameters(board: Leaderboard) -> dict[str, str]:
+    """Return the parameters of every label as text, from the first run that states them."""
     found: dict[str, str] = {}
     for run in board.runs:
         if run.parameters and run.label not in found:

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from stillpoint.scoring.report.printed import write_figure
 from stillpoint.studies.leaderboard import Leaderboard
-from stillpoint.studies.publish.figures import draw_map, draw_ranking, map_height_in, ranking_height_in
-from stillpoint.studies.publish.tables import csv_table, latex_table, markdown_table
+from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
+from stillpoint.studies.publish.tables import format_csv, format_latex, format_markdown
 
-TABLES = {"table.tex": latex_table, "table.csv": csv_table, "table.md": markdown_table}
+TABLES = {"table.tex": format_latex, "table.csv": format_csv, "table.md": format_markdown}
 
 
 def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
@@ -20,9 +20,11 @@ def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
     for ending in (".pdf", ".svg"):
         for k, table in enumerate(board.tables):
             target = folder / f"ranking{'' if k == 0 else f'-{k + 1}'}{ending}"
-            write_figure(target, 1, ranking_height_in(table), lambda axes, table=table: draw_ranking(axes[0], table))
+            write_figure(
+                target, 1, get_ranking_height_in(table), lambda axes, table=table: draw_ranking(axes[0], table)
+            )
             written.append(target)
         target = folder / f"map{ending}"
-        write_figure(target, 1, map_height_in(board), lambda axes: draw_map(axes[0], board))
+        write_figure(target, 1, get_map_height_in(board), lambda axes: draw_map(axes[0], board))
         written.append(target)
     return written

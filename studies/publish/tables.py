@@ -31,14 +31,14 @@ LATEX = {
 }
 
 
-def latex_table(board: Leaderboard) -> str:
-    """The tables of the leaderboard in LaTeX, ruled by the package booktabs; errors in degrees."""
-    return "\n".join(_latex(table) for table in board.tables)
+def format_latex(board: Leaderboard) -> str:
+    """Return the tables of the leaderboard in LaTeX, ruled by the package booktabs; errors in degrees."""
+    return "\n".join(_format_latex_table(table) for table in board.tables)
 
 
-def csv_table(board: Leaderboard) -> str:
-    """One line per row of each table, every figure in full, errors in degrees."""
-    rows = ranking_rows(board)
+def format_csv(board: Leaderboard) -> str:
+    """Return one line per row of each table, every figure in full, errors in degrees."""
+    rows = list_rows(board)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else ["estimator"], lineterminator="\n")
     writer.writeheader()
@@ -46,44 +46,46 @@ def csv_table(board: Leaderboard) -> str:
     return text.getvalue()
 
 
-def markdown_table(board: Leaderboard) -> str:
-    """The tables of the leaderboard in Markdown, each with its conclusion."""
+def format_markdown(board: Leaderboard) -> str:
+    """Return the tables of the leaderboard in Markdown, each with its conclusion."""
     parts = []
     for table in board.tables:
-        rows = [[cell.replace("|", "\\|") for cell in _cells(row)] for row in table.rows]
+        rows = [[cell.replace("|", "\\|") for cell in _format_cells(row)] for row in table.rows]
         aligned = ["---" if k == 1 else "---:" for k in range(len(HEADINGS))]
         lines = [HEADINGS, aligned, *rows]
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        parts.append(f"{text}\n\n{_caption(table)} {table.conclusion}\n")
+        parts.append(f"{text}\n\n{_make_caption(table)} {table.conclusion}\n")
     return "\n".join(parts)
 
 
-def html_table(board: Leaderboard) -> str:
-    """The tables of the leaderboard as HTML, for notebooks."""
+def format_html(board: Leaderboard) -> str:
+    """Return the tables of the leaderboard as HTML, for notebooks."""
     parts = []
     for table in board.tables:
         head = "".join(f"<th>{escape(title)}</th>" for title in HEADINGS)
-        body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in _cells(row))}</tr>" for row in table.rows)
+        body = "".join(
+            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in _format_cells(row))}</tr>" for row in table.rows
+        )
         parts.append(
-            f"<table><caption>{escape(_caption(table))}</caption><thead><tr>{head}</tr></thead>"
+            f"<table><caption>{escape(_make_caption(table))}</caption><thead><tr>{head}</tr></thead>"
             f"<tbody>{body}</tbody></table><p>{escape(table.conclusion)}</p>"
         )
     return "".join(parts)
 
 
-def text_table(board: Leaderboard) -> str:
-    """The tables of the leaderboard as aligned text."""
+def format_text(board: Leaderboard) -> str:
+    """Return the tables of the leaderboard as aligned text."""
     parts = []
     for table in board.tables:
-        lines = [HEADINGS, *map(_cells, table.rows)]
+        lines = [HEADINGS, *map(_format_cells, table.rows)]
         widths = [max(len(line[k]) for line in lines) for k in range(len(HEADINGS))]
         padded = ["  ".join(_pad(line[k], width, k) for k, width in enumerate(widths)).rstrip() for line in lines]
-        parts.append("\n".join([_caption(table), *padded, table.conclusion]))
+        parts.append("\n".join([_make_caption(table), *padded, table.conclusion]))
     return "\n\n".join(parts)
 
 
-def ranking_rows(board: Leaderboard) -> list[dict[str, Any]]:
-    """Flat figures of every row of every table; None where there is no figure."""
+def list_rows(board: Leaderboard) -> list[dict[str, Any]]:
+    """Return flat figures of every row of every table; None where there is no figure."""
     rows = []
     for table in board.tables:
         for row in table.rows:
@@ -100,63 +102,63 @@ def ranking_rows(board: Leaderboard) -> list[dict[str, Any]]:
                 "failed": row.failed,
             }
             for error in ERRORS:
-                flat |= _flat(error, getattr(row, f"{error}_rmse_deg"))
+                flat |= _flatten_summary(error, getattr(row, f"{error}_rmse_deg"))
             flat |= {name: getattr(row, name) for name in ("ns_per_sample", "nees_per_dof", "coverage95")}
             rows.append(flat)
     return rows
 
 
-def ranking_frame(board: Leaderboard) -> "pd.DataFrame":
-    """:func:`ranking_rows` as a pandas frame; raises :class:`BadParameter` when pandas is not installed."""
+def make_frame(board: Leaderboard) -> "pd.DataFrame":
+    """Return :func:`list_rows` as a pandas frame; raises :class:`BadParameter` when pandas is not installed."""
     try:
         import pandas as pd
     except ImportError:
         raise BadParameter("to_frame: pandas is not installed; install it: pip install pandas") from None
-    return pd.DataFrame(ranking_rows(board))
+    return pd.DataFrame(list_rows(board))
 
 
-def _flat(error: str, summary: Summary | None) -> dict[str, Any]:
+def _flatten_summary(error: str, summary: Summary | None) -> dict[str, Any]:
     low, high = (None, None) if summary is None else summary.ci95
     statistics = {f"{error}_rmse_{name}_deg": getattr(summary, name, None) for name in STATISTICS}
     return {**statistics, f"{error}_rmse_low95_deg": low, f"{error}_rmse_high95_deg": high}
 
 
-def _cells(row: Row) -> list[str]:
+def _format_cells(row: Row) -> list[str]:
     total = row.total_rmse_deg
     return [
         "–" if row.rank is None else "–".join(dict.fromkeys(map(str, row.rank))),
         row.label,
-        _typical(total),
+        _format_typical(total),
         "–" if total is None else f"{total.ci95[0]:.2f}–{total.ci95[1]:.2f}",
-        _typical(row.heading_rmse_deg),
-        _typical(row.inclination_rmse_deg),
+        _format_typical(row.heading_rmse_deg),
+        _format_typical(row.inclination_rmse_deg),
         "–" if total is None else f"{total.worst:.2f}",
         "–" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}",
         f"{row.failed}/{row.recordings}",
     ]
 
 
-def _typical(summary: Summary | None) -> str:
+def _format_typical(summary: Summary | None) -> str:
     return "–" if summary is None else f"{summary.typical:.2f}"
 
 
-def _caption(table: Table) -> str:
+def _make_caption(table: Table) -> str:
     return (
         f"RMSE in degrees against {table.against} over {len(table.recordings)} recordings, ranked by the "
         f"{table.ranked_by} error; geometric means with 95 % intervals."
     )
 
 
-def _latex(table: Table) -> str:
+def _format_latex_table(table: Table) -> str:
     lines = [
         r"\begin{table}",
         r"\centering",
-        rf"\caption{{{_escape_latex(_caption(table))} {_escape_latex(table.conclusion)}}}",
+        rf"\caption{{{_escape_latex(_make_caption(table))} {_escape_latex(table.conclusion)}}}",
         r"\begin{tabular}{rlrrrrrrr}",
         r"\toprule",
         f"{' & '.join(map(_escape_latex, HEADINGS))} \\\\",
         r"\midrule",
-        *(f"{' & '.join(map(_escape_latex, _cells(row)))} \\\\" for row in table.rows),
+        *(f"{' & '.join(map(_escape_latex, _format_cells(row)))} \\\\" for row in table.rows),
         r"\bottomrule",
         r"\end{tabular}",
         r"\end{table}",

@@ -1,4 +1,4 @@
-"""Where on a spinning body the accelerometers should sit (Asghari et al. 2018, section 3.2 and eq (27)).
+"""Find where on a spinning body the accelerometers should sit (Asghari et al. 2018, section 3.2 and eq (27)).
 
 The longer the lever arms, the smaller the variances Q and R of eq (25); the range of the accelerometers and the room
 there is end them.
@@ -20,7 +20,7 @@ LENGTH_STEP_M = 0.01  # arms are chosen in whole centimetres
 
 @dataclass(frozen=True)
 class Rig:
-    """What is to be measured, and by what."""
+    """The motion to be measured, and the sensors."""
 
     geometry: str = "bench"  # of GEOMETRIES
     fastest_radps: float = float(np.deg2rad(2000))
@@ -43,13 +43,13 @@ class Rig:
 
     @property
     def spin_up_radps2(self) -> float:
-        """The angular acceleration to be measured."""
+        """The angular acceleration to be measured, in rad/s²."""
         return self.fastest_radps / self.spin_up_s
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Two lever arms and what comes of them, at the fastest rate."""
+    """Two lever arms and the accuracy that they give at the fastest rate."""
 
     d1_m: float
     d2_m: float
@@ -64,13 +64,13 @@ class Placement:
     rate_per_arm: float  # rate error in rad/s for each m of an error of d1
 
 
-def place(rig: Rig, d1_m: float, d2_m: float) -> Placement:
-    """What the lever arms d1 of F4 and d2 of F5 are good for."""
+def evaluate_placement(rig: Rig, d1_m: float, d2_m: float) -> Placement:
+    """Evaluate the lever arms d1 of F4 and d2 of F5."""
     geometry = GEOMETRIES[rig.geometry](d1_m, d2_m, rig.range_mps2)
     variance = np.full(len(geometry.accel_r_b_m), rig.tangential_var_m2ps4)
     variance[-2] = rig.radial_var_m2ps4
     by = channels(geometry, variance)
-    radial, tangential = shares(rig, geometry)[-2:]
+    radial, tangential = compute_range_shares(rig, geometry)[-2:]
     slope = 1 / (2 * rig.fastest_radps)  # d(rate)/d(squared rate)
     raw_sd = float(np.sqrt(by.r_rad2ps4) * slope)
     usable = 1 - rig.headroom
@@ -83,14 +83,14 @@ def place(rig: Rig, d1_m: float, d2_m: float) -> Placement:
         r_rad2ps4=by.r_rad2ps4,
         q_rad2ps4=by.q_rad2ps4,
         raw_rate_sd_radps=raw_sd,
-        filtered_rate_sd_radps=float(np.sqrt(steady_variance(rig.period_s**2 * by.q_rad2ps4, raw_sd**2))),
+        filtered_rate_sd_radps=float(np.sqrt(compute_steady_variance(rig.period_s**2 * by.q_rad2ps4, raw_sd**2))),
         rate_per_bias=float(abs(by.omega_squared.accel[-2]) * slope),
         rate_per_arm=float(rig.fastest_radps / (2 * d1_m)),
     )
 
 
-def shares(rig: Rig, geometry: SpinGeometry) -> Floats:
-    """The part of its range (k,) that each accelerometer uses: the larger of full speed and spinning up from rest.
+def compute_range_shares(rig: Rig, geometry: SpinGeometry) -> Floats:
+    """Return the part of its range (k,) that each accelerometer uses, at full speed or while spinning up from rest.
 
     Linear acceleration of the centre is not counted.
     """
@@ -101,19 +101,19 @@ def shares(rig: Rig, geometry: SpinGeometry) -> Floats:
     return np.maximum(*felt) / rig.range_mps2
 
 
-def steady_variance(step: float, observation: float) -> float:
-    """Variance after the update in the steady state of a random walk: p = m r/(m + r), m = p + q."""
+def compute_steady_variance(step: float, observation: float) -> float:
+    """Return the variance after the update in the steady state of a random walk: p = m r/(m + r), m = p + q."""
     before = 0.5 * (step + np.sqrt(step**2 + 4 * step * observation))
     return float(before * observation / (before + observation))
 
 
-def longest(rig: Rig) -> Placement:
-    """The placement with the longest arms that fit, in whole centimetres: by (27) the most accurate.
+def find_longest_arms(rig: Rig) -> Placement:
+    """Return the placement with the longest arms that fit, in whole centimetres: by (27) the most accurate.
 
     Raises :class:`BadParameter` where not even one centimetre fits.
     """
     shortest = GEOMETRIES[rig.geometry](LENGTH_STEP_M, LENGTH_STEP_M, rig.range_mps2)
-    used = shares(rig, shortest)[-2:]  # in proportion to the arm
+    used = compute_range_shares(rig, shortest)[-2:]  # in proportion to the arm
     lengths_m = np.minimum(LENGTH_STEP_M * (1 - rig.headroom) / used, rig.room_m)
     whole = np.floor(lengths_m / LENGTH_STEP_M + 1e-9) * LENGTH_STEP_M
     if (whole < LENGTH_STEP_M).any():
@@ -121,10 +121,10 @@ def longest(rig: Rig) -> Placement:
             f"at {np.rad2deg(rig.fastest_radps):.4g} deg/s an arm of 1 cm already uses {100 * used.max():.0f} % of the "
             "range, or there is no room for it: take accelerometers with a larger range"
         )
-    return place(rig, *(round(float(one), 4) for one in whole))
+    return evaluate_placement(rig, *(round(float(one), 4) for one in whole))
 
 
 def limits_m(rig: Rig) -> tuple[float, float]:
     """The arms d1 and d2 at which F4 and F5 read the whole range."""
-    used = shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
+    used = compute_range_shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
     return float(1 / used[0]), float(1 / used[1])

@@ -1,4 +1,4 @@
-"""Pictures of a spin rig: accuracy over its lever arms, and its accelerometers' variances per trial."""
+"""Figures of a spin rig: accuracy over its lever arms, and its accelerometers' variances per trial."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scoring.report.figures import COLOURS
-from stillpoint.studies.rig.design import Placement, Rig, limits_m, place
+from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, limits_m
 from stillpoint.studies.rig.identify import Identified
 
 STYLE: dict[Any, Any] = {"axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
@@ -23,10 +23,10 @@ POINTS, MAP_POINTS = 60, 30  # of a curve, and of a map in each direction
 
 
 def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
-    """Error of the rate over d1: of one sample, of the filter, and for a bias of 1 mg."""
+    """Draw the error of the rate over d1: of one sample, of the filter, and for a bias of 1 mg."""
     limit_m = limits_m(rig)[0]
     arms_m = np.linspace(min(0.01, chosen.d1_m / 2), max(1.4 * limit_m, 1.2 * chosen.d1_m), POINTS)
-    found = [place(rig, float(arm), chosen.d2_m) for arm in arms_m]
+    found = [evaluate_placement(rig, float(arm), chosen.d2_m) for arm in arms_m]
     for values, colour, label, above in (
         ([one.raw_rate_sd_radps for one in found], COLOURS[0], "one sample", ABOVE),
         ([one.filtered_rate_sd_radps for one in found], COLOURS[1], f"filtered, d2 = {chosen.d2_m:g} m", BELOW),
@@ -41,10 +41,10 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 
 def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
-    """Standard deviation of the angular acceleration over d2."""
+    """Draw the standard deviation of the angular acceleration over d2."""
     limit_m = limits_m(rig)[1]
     arms_m = np.linspace(min(0.02, chosen.d2_m / 2), max(1.2 * limit_m, 1.2 * chosen.d2_m), POINTS)
-    sds = [np.sqrt(place(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
+    sds = [np.sqrt(evaluate_placement(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
     ax.plot(arms_m, np.rad2deg(sds), color=COLOURS[0])
     _range(ax, limit_m, rig.headroom)
     ax.plot(chosen.d2_m, np.rad2deg(np.sqrt(chosen.q_rad2ps4)), CHOSEN, color=COLOURS[0])
@@ -52,10 +52,10 @@ def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
 
 
 def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
-    """Lines of equal error of the filtered rate over both arms; grey where the range, its headroom or the room ends."""
+    """Draw lines of equal error of the filtered rate over both arms; grey where range, headroom or room end."""
     d1_m = np.linspace(min(0.02, chosen.d1_m / 2), 1.3 * limits_m(rig)[0], MAP_POINTS)
     d2_m = np.linspace(min(0.05, chosen.d2_m / 2), 1.2 * limits_m(rig)[1], MAP_POINTS)
-    found = [[place(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
+    found = [[evaluate_placement(rig, float(one), float(other)) for one in d1_m] for other in d2_m]
     sd_degps = np.rad2deg([[one.filtered_rate_sd_radps for one in row] for row in found])
     levels = np.geomspace(sd_degps.min(), sd_degps.max(), LINES + 2)[1:-1]
     lines = ax.contour(d1_m, d2_m, sd_degps, levels=levels, colors=COLOURS[0], linewidths=0.9)
@@ -81,7 +81,7 @@ def _range(ax: Axes, limit_m: float, headroom: float) -> None:
 
 
 def draw_variances(ax: Axes, found: Identified, which: str) -> None:
-    """The variance of one accelerometer in each trial, and the maximum: the paper's figures 7 (radial) and 8."""
+    """Draw the variance of one accelerometer in each trial, and the maximum: figures 7 (radial) and 8 of the paper."""
     residuals = [getattr(one, which) for one in found.trials]
     numbers = np.arange(1, len(residuals) + 1)
     series: list[tuple[Sequence[float], dict[str, Any]]] = [

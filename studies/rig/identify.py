@@ -1,4 +1,4 @@
-"""Noise variances of the accelerometers on a shaft, from trials with an encoder (Asghari et al. 2018, eqs (28)-(31)).
+"""Identify noise variances of accelerometers on a shaft, with an encoder (Asghari et al. 2018, eqs (28)-(31)).
 
 Of an encoder that gives its angle alone, the rate is a difference of counts: at 4096 a turn and 4 ms its noise makes
 a D5 of 1000 (m/s^2)^2. Rate and angular acceleration are then taken from the angle over a window, by a parabola, just
@@ -30,7 +30,7 @@ FOURTH = 70.0  # sum of the squares of 1, -4, 6, -4, 1
 
 @dataclass(frozen=True)
 class Residual:
-    """What one accelerometer of a trial reads beyond what the encoder explains."""
+    """The readings of one accelerometer of a trial that the encoder does not explain."""
 
     variance_m2ps4: float
     robust_m2ps4: float  # by the median absolute deviation: the variance without its glitches
@@ -41,7 +41,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class Trial:
-    """One recording's variances."""
+    """The variances of one recording."""
 
     recording: str
     samples: int  # that were used
@@ -57,17 +57,17 @@ class Trial:
 
     @property
     def turning_share(self) -> float:
-        """The part of D4 that turns with the shaft: gravity on a shaft that is tilted, or vibration."""
+        """Return the part of D4 that turns with the shaft: gravity on a shaft that is tilted, or vibration."""
         return self.radial.once_per_turn_mps2**2 / 2 / self.radial.variance_m2ps4
 
     @property
     def tangential_alone_m2ps4(self) -> float:
-        """The tangential accelerometer's variance without the encoder's part."""
+        """The variance of the tangential accelerometer without the part of the encoder."""
         return max(self.tangential.variance_m2ps4 - self.encoder_m2ps4, 0.0)
 
     @property
     def tells_tangential(self) -> bool:
-        """Whether the encoder leaves enough of (30) to tell the accelerometer's variance."""
+        """Return whether the encoder leaves enough of (30) to tell the accelerometer's variance."""
         sd = np.sqrt(2 / self.samples) * self.tangential.variance_m2ps4
         sd += np.sqrt(2 * self.smoothed_samples / self.samples) * self.encoder_m2ps4
         return bool(self.tangential_alone_m2ps4 > TOLD_SDS * sd)
@@ -75,7 +75,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Identified:
-    """The maximum over trials, as the paper takes it, and what follows by eq (25)."""
+    """The maximum over trials, as the paper takes it, and the noise by eq (25)."""
 
     trials: tuple[Trial, ...]
     d4_m2ps4: float
@@ -87,24 +87,24 @@ class Identified:
 
     @property
     def tells_tangential(self) -> bool:
-        """Whether the encoders of all trials leave enough of (30) to tell F5's variance."""
+        """Return whether the encoders of all trials leave enough of (30) to tell F5's variance."""
         return all(one.tells_tangential for one in self.trials)
 
-    def differing(self, which: str) -> tuple[Trial, Trial] | None:
-        """The trials with the least and the most noise of "radial" or "tangential", where these cannot be one rig's."""
+    def find_differing(self, which: str) -> tuple[Trial, Trial] | None:
+        """Return the trials with the least and the most "radial" or "tangential" noise, if they differ too much."""
         ordered = sorted(self.trials, key=lambda one: getattr(one, which).robust_m2ps4)
         low, high = (getattr(one, which).robust_m2ps4 for one in (ordered[0], ordered[-1]))
         sd = ROBUST_SD * (low**2 / ordered[0].samples + high**2 / ordered[-1].samples) ** 0.5
         return (ordered[0], ordered[-1]) if high - low > DIFFERENT_SDS * sd and high > DIFFERENT * low else None
 
 
-def identify(recordings: Sequence[Recording], by_truth: bool = False) -> Identified:
-    """Variances of F4 and F5 from trials of one rig with a fixed axis; ``by_truth`` takes the true rate instead.
+def identify_variances(recordings: Sequence[Recording], by_truth: bool = False) -> Identified:
+    """Identify the variances of F4 and F5 from trials of one rig with a fixed axis; ``by_truth`` takes the true rate.
 
     Raises :class:`BadRecording` for a recording without spin or encoder, of another geometry than the first one, or
     with too few samples.
     """
-    trials = tuple(_trial(recording, by_truth) for recording in recordings)
+    trials = tuple(_identify_trial(recording, by_truth) for recording in recordings)
     first = recordings[0].spin
     assert first is not None  # a trial of it was made
     for recording in recordings[1:]:
@@ -120,7 +120,7 @@ def identify(recordings: Sequence[Recording], by_truth: bool = False) -> Identif
             strict=True,
         )
     )
-    radial, tangential = _which(first, recordings[0].name)
+    radial, tangential = _find_columns(first, recordings[0].name)
     variance = np.ones(len(first.geometry.accel_r_b_m))
     variance[[radial, tangential]] = d4, d5
     with_encoder = channels(first.geometry, variance)
@@ -129,7 +129,7 @@ def identify(recordings: Sequence[Recording], by_truth: bool = False) -> Identif
     return Identified(trials, d4, d5, d5_alone, with_encoder.r_rad2ps4, with_encoder.q_rad2ps4, alone.q_rad2ps4)
 
 
-def _trial(recording: Recording, by_truth: bool) -> Trial:
+def _identify_trial(recording: Recording, by_truth: bool) -> Trial:
     spin = recording.spin
     if spin is None:
         raise BadRecording(f"{recording.name}: has no spin stream; import it with `stillpoint import spin`")
@@ -139,15 +139,15 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
     if reference is None:
         what = "truth of its roll" if by_truth else "encoder to compare with"
         raise BadRecording(f"{recording.name}: has no {what}; import the trial with its column")
-    radial, tangential = _which(spin, recording.name)
+    radial, tangential = _find_columns(spin, recording.name)
     seen = coefficients(spin.geometry)
     arm1, arm2 = -seen[radial, TERMS.index("omega_x^2")], seen[tangential, TERMS.index("omega_x dot")]
     window_s = 0.0
     if _is_angle_alone(reference):
-        window_s = _window_s(reference, float(np.nanvar(spin.accel_mps2[:, tangential]) / arm2**2))
-        rate, turning, inside = _smoothed(spin, reference, window_s)
+        window_s = _choose_window_s(reference, float(np.nanvar(spin.accel_mps2[:, tangential]) / arm2**2))
+        rate, turning, inside = _smooth_encoder(spin, reference, window_s)
     else:
-        rate, turning, inside = _of_encoder(spin, reference)
+        rate, turning, inside = _read_encoder(spin, reference)
     use = inside & np.isfinite(spin.accel_mps2).all(axis=1) & ~find_saturated(spin).any(axis=1)
     if use.sum() < FEWEST:
         raise BadRecording(
@@ -158,14 +158,14 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
     angle = np.interp(spin.t_ns[use], reference.t_ns, reference.angle_rad)
     ahead, felt = arm2 * turning[use], spin.accel_mps2[use, tangential]
     # Noise of encoder and accelerometer are independent: what they share beside gravity is motion.
-    shared = np.cov(_without_turns(ahead, angle), _without_turns(felt, angle))
-    shared_along = np.cov(_without_turns(along, angle), -_without_turns(felt_along, angle))
+    shared = np.cov(_remove_turns(ahead, angle), _remove_turns(felt, angle))
+    shared_along = np.cov(_remove_turns(along, angle), -_remove_turns(felt_along, angle))
     return Trial(
         recording=recording.name,
         samples=int(use.sum()),
         left_out=int((~use).sum()),
-        radial=_residual(along + felt_along, angle),
-        tangential=_residual(ahead - felt, angle),
+        radial=_compute_residual(along + felt_along, angle),
+        tangential=_compute_residual(ahead - felt, angle),
         encoder_m2ps4=max(float(shared[0, 0] - shared[0, 1]), 0.0),
         encoder_radial_m2ps4=max(float(shared_along[0, 0] - shared_along[0, 1]), 0.0),
         smoothed_s=window_s,
@@ -175,8 +175,8 @@ def _trial(recording: Recording, by_truth: bool) -> Trial:
     )
 
 
-def _which(spin: Spin, name: str) -> tuple[int, int]:
-    """Columns of the radial and of the tangential accelerometer: the only ones that see w^2 and w'."""
+def _find_columns(spin: Spin, name: str) -> tuple[int, int]:
+    """Return the columns of the radial and the tangential accelerometer, which alone see w^2 and w'."""
     seen = np.abs(coefficients(spin.geometry))
     found = [np.flatnonzero(seen[:, TERMS.index(term)] > 1e-9) for term in ("omega_x^2", "omega_x dot")]
     if any(len(one) != 1 for one in found) or found[0][0] == found[1][0]:
@@ -186,8 +186,8 @@ def _which(spin: Spin, name: str) -> tuple[int, int]:
     return int(found[0][0]), int(found[1][0])
 
 
-def _of_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Rate (N,) at the samples, its difference over the step before (N,), and which lie within the encoder's time."""
+def _read_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return rate (N,), its difference over the step before (N,), and which samples lie within the encoder's time."""
     rate = np.interp(spin.t_ns, encoder.t_ns, encoder.rate_radps)
     turning = np.diff(rate, prepend=rate[:1]) / (np.diff(spin.t_ns, prepend=spin.t_ns[0] - 1) / 1e9)
     inside = (spin.t_ns >= encoder.t_ns[0]) & (spin.t_ns <= encoder.t_ns[-1])
@@ -196,35 +196,35 @@ def _of_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray[n
 
 
 def _is_angle_alone(encoder: Encoder) -> bool:
-    """Whether its rate was made from its angle, as an import does where a log has none."""
+    """Return whether the rate was made from the angle, as an import does where a log has none."""
     if len(encoder.t_ns) < FEWEST:
         return False
     made = np.diff(encoder.angle_rad) / (np.diff(encoder.t_ns) / 1e9)
     return bool(np.allclose(encoder.rate_radps[1:], made, rtol=1e-9, atol=1e-9))
 
 
-def _window_s(encoder: Encoder, accel_var: float) -> float:
-    """The shortest over which the angle's noise leaves a small part of the variance of the angular acceleration.
+def _choose_window_s(encoder: Encoder, accel_var: float) -> float:
+    """Return the shortest window in which the noise of the angle is a small part of the variance of the acceleration.
 
     A parabola through n angles with noise s at steps of T has the second derivative to 720 s^2 / (T^4 n^5).
     """
     step_s = float(np.median(np.diff(encoder.t_ns))) / 1e9
-    noise_var = float(np.var(np.diff(_evenly(encoder)[1], 4))) / FOURTH
+    noise_var = float(np.var(np.diff(_resample_evenly(encoder)[1], 4))) / FOURTH
     needed = (720 * noise_var / (step_s**4 * ENCODER_SHARE * max(accel_var, 1e-12))) ** 0.2
     most = max(LONGEST_S / step_s, SHORTEST)
     return float(np.clip(needed, SHORTEST, most)) * step_s
 
 
-def _evenly(encoder: Encoder) -> tuple[Floats, Floats]:
-    """Times in s from its first stamp, at its median step, and its angles there."""
+def _resample_evenly(encoder: Encoder) -> tuple[Floats, Floats]:
+    """Return times in s from the first stamp, at the median step, and the angles there."""
     t_s = (encoder.t_ns - encoder.t_ns[0]) / 1e9
     even_s = np.arange(0, t_s[-1], float(np.median(np.diff(t_s))))
     return even_s, np.interp(even_s, t_s, encoder.angle_rad)
 
 
-def _smoothed(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """As :func:`_of_encoder`, by parabolas through the angles of a window."""
-    even_s, angle = _evenly(encoder)
+def _smooth_encoder(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return what :func:`_read_encoder` does, by parabolas through the angles of a window."""
+    even_s, angle = _resample_evenly(encoder)
     step_s = float(even_s[1])
     length = 2 * min(round(window_s / step_s / 2), (len(angle) - 1) // 2) + 1
     rate, turning = (savgol_filter(angle, length, 2, deriv=order, delta=step_s) for order in (1, 2))
@@ -233,18 +233,18 @@ def _smoothed(spin: Spin, encoder: Encoder, window_s: float) -> tuple[Floats, Fl
     return np.interp(t_s, even_s, rate), np.interp(t_s, even_s, turning), inside
 
 
-def _residual(values: Floats, angle_rad: Floats) -> Residual:
+def _compute_residual(values: Floats, angle_rad: Floats) -> Residual:
     robust_sd = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(values - np.median(values))))
     return Residual(
         variance_m2ps4=float(np.var(values)),
         robust_m2ps4=robust_sd**2,
         glitches=int((np.abs(values - np.median(values)) > GLITCH_SDS * robust_sd).sum()),
         mean_mps2=float(values.mean()),
-        once_per_turn_mps2=float(np.sqrt(2) * np.std(values - _without_turns(values, angle_rad))),
+        once_per_turn_mps2=float(np.sqrt(2) * np.std(values - _remove_turns(values, angle_rad))),
     )
 
 
-def _without_turns(values: Floats, angle_rad: Floats) -> Floats:
-    """Values (N,) without their mean and what turns with the shaft once per turn."""
+def _remove_turns(values: Floats, angle_rad: Floats) -> Floats:
+    """Return values (N,) without their mean and without what turns with the shaft once per turn."""
     turns = np.column_stack([np.ones(len(values)), np.cos(angle_rad), np.sin(angle_rad)])
     return np.asarray(values - turns @ np.linalg.lstsq(turns, values, rcond=None)[0])

@@ -23,8 +23,13 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
+<<<<<<< HEAD
 from stillpoint.filters.table import Estimator, SpinEstimator
 from stillpoint.scripts.pages.settings_pages import refreshed
+=======
+from stillpoint.filters.table import Estimator, RollEstimator
+from stillpoint.scripts.pages.settings_pages import refresh_tables
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]
@@ -331,6 +336,6 @@ def test_quaternions_keep_length_1_over_a_million_samples() -> None:
 
 def test_the_page_about_estimators_is_up_to_date() -> None:
     text = (Path(__file__).parents[2] / "docs" / "estimators.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
+    assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
     for name in ESTIMATORS:
         assert f"\n## {name}\n" in text

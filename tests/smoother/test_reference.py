@@ -11,7 +11,7 @@ from stillpoint.datasets import BadParameter, Imu, Recording, read, write
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.settings import names_of
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.pages.settings_pages import refreshed
+from stillpoint.scripts.pages.settings_pages import refresh_tables
 from stillpoint.smoother import METHODS, reference
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.redistribution import RedistributionParams
@@ -193,7 +193,7 @@ def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, re
 
 def test_the_document_is_up_to_date():
     text = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
+    assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
     assert names_of(RedistributionParams())[0] in text
     for method in METHODS:
         assert f"| `{method}` |" in text

@@ -22,8 +22,12 @@ from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
+<<<<<<< HEAD
 from stillpoint.studies.one_file import write_one_file
 from stillpoint.studies.publish.page import page_html
+=======
+from stillpoint.studies.publish.page import make_page_html
+>>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
 
 def export(
@@ -90,7 +94,7 @@ def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
             continue
         board = Leaderboard.from_json(json_text.loads(item.source.read_bytes()))
         stem = item.path.removesuffix(".json")
-        files[f"{stem}.html"] = page_html(board).encode()
+        files[f"{stem}.html"] = make_page_html(board).encode()
         known = {each.name for each in fields(Study)}
         settings = {name: _as_tuple(value) for name, value in board.study.items() if name in known}
         paths = tuple(f"../../{recordings[one.sha256]}" for one in board.sources if one.sha256 in recordings)

@@ -38,7 +38,7 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     seas = SEAS if sea is None else (sea,)
     work = [_Job(kind, seed, online) for kind in seas for seed in trials.seeds]
     folder = output_dir(trials.out)
-    made = trials.run(_trial, work, "missions")
+    made = trials.run(_run_trial, work, "missions")
     by_sea = {kind: [one for one in made if one.sea == kind] for kind in seas}
     name = f"auv-dolphin{'-online' if online else ''}"
     page = folder / f"{name}.experiment.html"
@@ -46,16 +46,18 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     write_text(page, auv_page(by_sea, online, " ".join([*words, trials.words])))
     if trials.json != STDOUT:
         columns = ("sea", "method", *(f"{column.name}, {column.unit}" for column in COLUMNS))
-        print_table(f"{name}: {trials.trials} missions per sea", columns, [_rows(some) for some in by_sea.values()])
+        print_table(
+            f"{name}: {trials.trials} missions per sea", columns, [_make_rows(some) for some in by_sea.values()]
+        )
         print(page)
-    write_json(trials.json, [row for one in made for row in _facts(one)])
+    write_json(trials.json, [row for one in made for row in _list_facts(one)])
 
 
-def _trial(job: _Job) -> Trial:
+def _run_trial(job: _Job) -> Trial:
     return run_trial(job.sea, job.seed, job.online)
 
 
-def _rows(trials: list[Trial]) -> list[list[str]]:
+def _make_rows(trials: list[Trial]) -> list[list[str]]:
     return [
         [trials[0].sea, method.name]
         + [f"{summarise_trials(trials, method.name, column.key):.2g}" for column in COLUMNS]
@@ -63,7 +65,7 @@ def _rows(trials: list[Trial]) -> list[list[str]]:
     ]
 
 
-def _facts(one: Trial) -> list[dict[str, Any]]:
+def _list_facts(one: Trial) -> list[dict[str, Any]]:
     return [
         {"sea": one.sea, "seed": one.seed, "method": method, **asdict(figures)}
         for method, figures in one.figures.items()

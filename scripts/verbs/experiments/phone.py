@@ -73,7 +73,7 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> N
     hands = tuple(scenario.hands) if hand is None else (hand,)
     long_runs = time_long_run(minutes, hands[0], AGAINST_KALMAN) if minutes else []
     folder = output_dir(trials.out)
-    made = trials.run(_trial, [_Job(scenario, hand, seed) for hand in hands for seed in seeds], "trials")
+    made = trials.run(_run_trial, [_Job(scenario, hand, seed) for hand in hands for seed in seeds], "trials")
     by_hand = {hand: [one for one in made if one.hand == hand] for hand in hands}
     page = folder / f"{name}.experiment.html"
     words = [f"stillpoint experiment {name}", *([f"--hand {hand}"] if hand else []), trials.words]
@@ -82,11 +82,11 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> N
     if trials.json != STDOUT:
         _print(scenario, by_hand, long_runs, minutes)
         print(page)
-    rows = [row for one in made for row in _facts(one)]
+    rows = [row for one in made for row in _list_facts(one)]
     write_json(trials.json, rows + [{"minutes": minutes, **asdict(run)} for run in long_runs])
 
 
-def _trial(job: _Job) -> Trial:
+def _run_trial(job: _Job) -> Trial:
     return run_trial(job.scenario, job.hand, job.seed)
 
 
@@ -99,7 +99,7 @@ def _print(
     for row in rows:
         if row["first"]:
             sections.append([])
-        sections[-1].append(_cells(row))
+        sections[-1].append(_format_cells(row))
     print_table(f"{scenario.name}: mean of {trials} trials, RMSE / largest error", COLUMNS, sections, texts=3)
     for run in long_runs:
         print(
@@ -109,13 +109,13 @@ def _print(
         )
 
 
-def _cells(row: Mapping[str, Any]) -> list[str]:
+def _format_cells(row: Mapping[str, Any]) -> list[str]:
     pairs = zip(row["euler"][::2], row["euler"][1::2], strict=True)
     beside = ["-" if value is None else f"{value:.2f}" for value in row["beside"]]
     return [row["hand"], row["judge"], row["method"], *(f"{rmse:.2f} / {most:.1f}" for rmse, most in pairs), *beside]
 
 
-def _facts(one: Trial) -> list[dict[str, Any]]:
+def _list_facts(one: Trial) -> list[dict[str, Any]]:
     place = {"hand": one.hand, "seed": one.seed}
     scored = [
         {**score_row(score), **place, "method": method, "against": judge}

@@ -35,7 +35,7 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
         raise BadParameter(f"--minutes {minutes:g}: give {SHORTEST_MINUTES:g} or more, for swings at both rates")
     work = [_Job(seed, minutes) for seed in trials.seeds]
     folder = output_dir(trials.out)
-    made = trials.run(_trial, work, "benches")
+    made = trials.run(_run_trial, work, "benches")
     page = folder / "servo-bench.experiment.html"
     write_text(page, servo_page(made, f"stillpoint experiment servo-bench --minutes {minutes:g} {trials.words}"))
     if trials.json != STDOUT:
@@ -45,5 +45,5 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
     write_json(trials.json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
 
 
-def _trial(job: _Job) -> Trial:
+def _run_trial(job: _Job) -> Trial:
     return run_trial(job.seed, job.minutes)

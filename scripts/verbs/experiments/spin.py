@@ -56,7 +56,7 @@ class SpinTrials(Trials):
 
     @property
     def words(self) -> str:
-        """As they stand in a command that gives the same trials."""
+        """Return the options as words of a command that gives the same trials."""
         words = [*(["--online"] if self.online else []), *([f"--noise {self.noise}"] if self.noise else [])]
         return " ".join([*words, *([f"--reading {self.reading}"] if self.reading else []), super().words])
 
@@ -93,24 +93,24 @@ def _run(scenario: Scenario, wanted: SpinTrials) -> None:
     noises = NOISES if trials.noise is None else (trials.noise,)
     work = [_Job(scenario, kind, seed, trials.online, trials.reading) for kind in noises for seed in trials.seeds]
     folder = output_dir(trials.out)
-    made = trials.run(_trial, work, "trials")
+    made = trials.run(_run_trial, work, "trials")
     by_noise = {kind: [one for one in made if one.noise == kind] for kind in noises}
     name = f"{scenario.name}{'-online' if trials.online else ''}"
     page = folder / f"{name}.experiment.html"
     command = f"stillpoint experiment {scenario.name} {trials.words}"
     write_text(page, roll_page(scenario, by_noise, trials.online, command))
     if trials.json != STDOUT:
-        columns = [_rows(some) for some in by_noise.values()]
+        columns = [_make_rows(some) for some in by_noise.values()]
         print_table(f"{name}: the worst of {trials.trials} trials", COLUMNS, columns)
         print(page)
-    write_json(trials.json, [row for one in made for row in _facts(one)])
+    write_json(trials.json, [row for one in made for row in _list_facts(one)])
 
 
-def _trial(job: _Job) -> Trial:
+def _run_trial(job: _Job) -> Trial:
     return run_trial(job.scenario, job.noise, job.seed, job.online, job.reading)
 
 
-def _rows(trials: Sequence[Trial]) -> list[list[str]]:
+def _make_rows(trials: Sequence[Trial]) -> list[list[str]]:
     rows = []
     for method in trials[0].scores:
         figures = (find_worst(trials, method, metric) for metric in METRICS)
@@ -118,7 +118,7 @@ def _rows(trials: Sequence[Trial]) -> list[list[str]]:
     return rows
 
 
-def _facts(one: Trial) -> list[dict[str, Any]]:
+def _list_facts(one: Trial) -> list[dict[str, Any]]:
     place = {"noise": one.noise, "seed": one.seed}
     scored = [{**place, **roll_score_row(score), "method": method} for method, score in one.scores.items()]
     return scored + [{**place, "method": method, "error": error} for method, error in one.refused.items()]

@@ -1,4 +1,4 @@
-"""What the experiments of all four papers have alike: how many trials, of which seeds, and where they go."""
+"""Options and the loop over trials that all experiments share."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -43,18 +43,18 @@ class Trials:
 
     @property
     def seeds(self) -> range:
-        """Of all trials. Raises :class:`BadParameter` where there is none."""
+        """Return the seeds of all trials. Raises :class:`BadParameter` where there is none."""
         if self.trials < 1 or self.seed < 0:
             raise BadParameter(f"--trials {self.trials} --seed {self.seed}: give 1 trial or more, and a seed from 0 on")
         return range(self.seed, self.seed + self.trials)
 
     @property
     def words(self) -> str:
-        """As they stand in a command that gives the same trials."""
+        """Return the options as words of a command that gives the same trials."""
         return f"--trials {self.trials} --seed {self.seed}"
 
     def run(self, trial: Callable[[Job], Trial], work: Sequence[Job], what: str) -> list[Trial]:
-        """Every trial, in order. Raises :class:`StillpointError` of the first that cannot be made."""
+        """Run every trial, in order. Raises the :class:`StillpointError` of the first that fails."""
         outcomes = run_jobs(trial, work, self.jobs, what)
         failed = next((outcome.error for outcome in outcomes if outcome.value is None), None)
         if failed is not None:

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.complementary.gains import Gains
-from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
+from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, draw_line, get_colour
 from stillpoint.studies.papers.auv.study import Series, compute_difference_deg
 
 PARTS = ("roll", "pitch", "heading")
@@ -22,7 +22,7 @@ def draw_mission(axes: Sequence[Axes], series: Series) -> None:
     """Draw the path over the sea from above, then the depth over time."""
     east_m, north_m, up_m = series.place_n_m.T
     axes[0].plot(east_m, north_m, color=rcParams["text.color"], lw=1.2)
-    axes[0].plot([east_m[0], east_m[-1]], [north_m[0], north_m[-1]], color=colour_of(0), marker="o", lw=0)
+    axes[0].plot([east_m[0], east_m[-1]], [north_m[0], north_m[-1]], color=get_colour(0), marker="o", lw=0)
     axes[0].set_aspect("equal", adjustable="datalim")
     axes[0].set_xlabel("east (m)")
     axes[0].set_ylabel("north (m)")
@@ -42,7 +42,7 @@ def draw_angle(
             _line(ax, series, series.measured_deg[:, part], span, color=REST_GREY, lw=0.7, label="measured")
         for method, colour in methods.items():
             _line(
-                ax, series, series.estimated_deg[method][:, part], span, color=colour_of(colour), lw=1.0, label=method
+                ax, series, series.estimated_deg[method][:, part], span, color=get_colour(colour), lw=1.0, label=method
             )
         _line(ax, series, series.true_deg[:, part], span, color=rcParams["text.color"], lw=1.2, label="truth")
         if part == 2:
@@ -59,7 +59,7 @@ def draw_heading_errors(axes: Sequence[Axes], series: Series, methods: Mapping[s
         _fixes(ax, series, span, compute_difference_deg(series.course_deg, true))
         for method, colour in shown.items():
             error = compute_difference_deg(series.estimated_deg[method][:, 2], series.true_deg[:, 2])
-            _line(ax, series, error, span, color=colour_of(colour), lw=1.0, label=method)
+            _line(ax, series, error, span, color=get_colour(colour), lw=1.0, label=method)
         _finish(ax, series, span, "error (deg)")
     axes[1].set_ylim(-6, 6)
 
@@ -70,7 +70,7 @@ def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mappin
     for part, ax in enumerate(axes):
         for method, colour in methods.items():
             gain = get_gain(series.gains[method], which)[:, part]
-            _line(ax, series, np.maximum(gain, RANGE[which][0]), span, color=colour_of(colour), lw=1.0, label=method)
+            _line(ax, series, np.maximum(gain, RANGE[which][0]), span, color=get_colour(colour), lw=1.0, label=method)
         _finish(ax, series, span, f"{PARTS[part]} ({unit})")
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.auv.figures import draw_angle, draw_gains, draw_heading_errors, draw_mission, get_gain
@@ -129,7 +129,7 @@ def _pictures(one: Trial) -> list[Picture]:
     headings = {name: COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
     adapted = {name: COLOUR[name] for name in (PRINTED, ADAPTIVE)}
     return [
-        picture(
+        make_picture(
             f"The mission ({sea})",
             "As the paper's figures 4 and 5: from start to end, seen from above, and the depth. Grey: under water.",
             2,
@@ -137,7 +137,7 @@ def _pictures(one: Trial) -> list[Picture]:
             lambda axes: draw_mission(axes, series),
             time_axis=False,
         ),
-        picture(
+        make_picture(
             f"Roll ({sea})",
             "As the paper's figure 6: the mission, and 30 s on the surface. Grey: under water.",
             2,
@@ -145,7 +145,7 @@ def _pictures(one: Trial) -> list[Picture]:
             lambda axes: draw_angle(axes, series, 0, shown, (whole, surface)),
             time_axis=False,
         ),
-        picture(
+        make_picture(
             f"Pitch ({sea})",
             "As the paper's figure 7: the mission, the beginning of the dive, the end of the ascent.",
             3,
@@ -153,28 +153,28 @@ def _pictures(one: Trial) -> list[Picture]:
             lambda axes: draw_angle(axes, series, 1, shown, (whole, dive, ascent)),
             time_axis=False,
         ),
-        picture(
+        make_picture(
             f"Heading ({sea})",
             "As the paper's figure 8. There is no course under water.",
             1,
             260,
             lambda axes: draw_angle(axes, series, 2, headings, (whole,)),
         ),
-        picture(
+        make_picture(
             f"Heading less the true one ({sea})",
             "As the paper's figure 9; below, the same within 6 deg. The sway of waves turns the course.",
             2,
             180,
             lambda axes: draw_heading_errors(axes, series, headings),
         ),
-        picture(
+        make_picture(
             f"Gain kp ({sea})",
             "As the paper's figure 10: by eq (22) as printed, and by the prediction of the next measurement.",
             3,
             130,
             lambda axes: draw_gains(axes, series, "kp_per_s", adapted, "1/s"),
         ),
-        picture(
+        make_picture(
             f"Gain kI ({sea})",
             "As the paper's figure 11. Bounds: 1e-5, and kp²/4.",
             3,

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, colour_of, draw_line
+from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, draw_line, get_colour
 from stillpoint.studies.papers.phone.study import AXES, Series
 
 Span = tuple[float, float]
@@ -22,7 +22,7 @@ def draw_angles(
     for ax, part in zip(axes, parts, strict=True):
         k = AXES.index(part)
         for name, colour in methods.items():
-            _line(ax, series.t_s, series.angles_deg[name][:, k], span, color=colour_of(colour), lw=1.0, label=name)
+            _line(ax, series.t_s, series.angles_deg[name][:, k], span, color=get_colour(colour), lw=1.0, label=name)
         _line(
             ax,
             series.t_s,
@@ -42,7 +42,7 @@ def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for name, colour in references.items():
         t_s, error_deg = series.errors[name]
-        _line(ax, t_s, error_deg, span, color=colour_of(colour), lw=1.0, label=name)
+        _line(ax, t_s, error_deg, span, color=get_colour(colour), lw=1.0, label=name)
     ax.set_ylim(bottom=0)
     ax.set_ylabel("deg")
     _finish(ax, series, span)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.phone.figures import Span, draw_angles, draw_judges
@@ -177,7 +177,7 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     series = one.series
     whole = (0.0, float(series.t_s[-1]))
     drawn = [_picture(one, shown, whole) for shown in FIGURES[scenario.name]]
-    judges = picture(
+    judges = make_picture(
         f"The error of the benchmark ({one.hand})",
         "Total error of both references against the truth, which the paper could not draw. Rests are grey.",
         1,
@@ -188,7 +188,7 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
 
 
 def _picture(one: Trial, shown: Shown, whole: Span) -> Picture:
-    return picture(
+    return make_picture(
         f"{shown.title} ({one.hand})",
         f"As the paper's figure {shown.number}: trial {one.seed}, seconds from {LEAD_S:g} s before the first motion. "
         "Rests are grey.",

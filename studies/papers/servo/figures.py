@@ -6,7 +6,7 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Floats
-from stillpoint.scoring.report.figures import colour_of
+from stillpoint.scoring.report.figures import get_colour
 from stillpoint.studies.papers.servo.study import GYRO, Series, restart_at
 
 AXES = "xyz"
@@ -23,7 +23,7 @@ def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
     for ax, (t_s, columns, name) in zip(axes, shown, strict=True):
         rows = slice(*t_s.searchsorted(span))
         for k, axis in enumerate(AXES):
-            ax.plot(t_s[rows], columns[rows, k], color=colour_of(k), lw=0.8, label=axis)
+            ax.plot(t_s[rows], columns[rows, k], color=get_colour(k), lw=0.8, label=axis)
         ax.set_ylabel(name)
 
 
@@ -31,9 +31,9 @@ def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) ->
     """Draw figure 5: the gyro's roll from the start of the span on, and its error."""
     rows = _within(series, span)
     roll = restart_at(series, GYRO, span[0])
-    _line(axes[0], series, roll, rows, colour_of(colour), GYRO)
+    _line(axes[0], series, roll, rows, get_colour(colour), GYRO)
     _truth(axes[0], series, rows)
-    _line(axes[1], series, roll - series.true_roll_deg, rows, colour_of(colour), GYRO)
+    _line(axes[1], series, roll - series.true_roll_deg, rows, get_colour(colour), GYRO)
     axes[0].set_ylabel("roll (deg)")
     axes[1].set_ylabel("error (deg)")
 
@@ -44,7 +44,7 @@ def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int],
         rows = _within(series, span)
         for method, colour in methods.items():
             roll = restart_at(series, method, span[0]) if method == GYRO else series.roll_deg[method]
-            _line(ax, series, roll, rows, colour_of(colour), method)
+            _line(ax, series, roll, rows, get_colour(colour), method)
         _truth(ax, series, rows)
         ax.set_ylabel("roll (deg)")
     axes[-1].set_xlabel("time (s)")

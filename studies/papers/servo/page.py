@@ -7,7 +7,7 @@ import numpy as np
 
 from stillpoint.datasets.simulate.servo import BENCH
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import list_versions
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.servo.figures import draw_drift, draw_rolls, draw_sensors
@@ -66,21 +66,21 @@ def _pictures(one: Trial) -> list[Picture]:
     low, high = find_first_swing_s(series, BENCH.low_hz), find_first_swing_s(series, BENCH.high_hz)
     middles = [(sum(span) / 2 - SHOWN_S / 2, sum(span) / 2 + SHOWN_S / 2) for span in (low, high)]
     return [
-        picture(
+        make_picture(
             "Sensors at rest",
             "As the paper's figure 4: gyro, accelerometer and magnetometer for ten seconds of the first rest.",
             3,
             150,
             lambda axes: draw_sensors(axes, series, (20.0, 30.0)),
         ),
-        picture(
+        make_picture(
             "The gyro alone",
             "As the paper's figure 5: the trapezoidal integral (13) over the first minute of swings, and its error.",
             2,
             170,
             lambda axes: draw_drift(axes, series, low, COLOUR[GYRO]),
         ),
-        picture(
+        make_picture(
             "The accelerometer alone",
             f"As the paper's figure 6: (14) at {BENCH.low_hz:g} Hz and at {BENCH.high_hz:g} Hz.",
             2,
@@ -88,7 +88,7 @@ def _pictures(one: Trial) -> list[Picture]:
             lambda axes: draw_rolls(axes, series, {ACC: COLOUR[ACC]}, middles),
             time_axis=False,
         ),
-        picture(
+        make_picture(
             "The Kalman filter beside both",
             "As the paper's last figure: the gyro begins at the left edge with the true angle.",
             2,

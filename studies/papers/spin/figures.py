@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from stillpoint.scoring.report.figures import colour_of
+from stillpoint.scoring.report.figures import get_colour
 from stillpoint.studies.papers.spin.study import Trial
 
 MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
@@ -22,7 +22,7 @@ def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[s
     logarithmic = bool(high > LOGARITHMIC_FROM * low)
     for k, (method, colour) in enumerate(methods.items()):
         at = np.arange(len(trials)) + (k - (len(methods) - 1) / 2) * width
-        ax.bar(at, values[:, k], width * 0.92, color=colour_of(colour), label=method)
+        ax.bar(at, values[:, k], width * 0.92, color=get_colour(colour), label=method)
     if logarithmic:
         ax.set_yscale("log")
         ax.set_ylim(low / 2, high * 1.5)

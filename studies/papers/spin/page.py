@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
-from stillpoint.scoring.report.pictures import Picture, picture
+from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.spin_figures import draw_rates
 from stillpoint.scoring.report.templates import load_template
@@ -178,7 +178,7 @@ def _row(one: Trial, method: str) -> dict[str, Any]:
 
 
 def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: Metric, methods: Sequence[str], number: str) -> Picture:
-    return picture(
+    return make_picture(
         f"{metric.name[0].upper()}{metric.name[1:]} ({noise})",
         f"As the paper's figure {number}: one group of bars per trial.",
         1,
@@ -194,7 +194,7 @@ def _rates(noise: NoiseKind, one: Trial, scenario: Scenario, methods: Sequence[s
     series = one.series
     number = {"spin-constant": "9", "spin-variable": "18"}[scenario.name]
     shown = {method: COLOUR[method] for method in methods if method in series.rate_radps}
-    drawn = picture(
+    drawn = make_picture(
         f"Rate over time ({noise})",
         f"As the paper's figure {number}: trial {one.seed}. Errors are estimate minus truth.",
         1 + len(shown),

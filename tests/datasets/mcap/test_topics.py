@@ -16,7 +16,7 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 
 def test_the_page_is_made_from_the_table_as_it_is():
-    assert (DOCS / "topics.md").read_text(encoding="utf-8") == topics_page.page()
+    assert (DOCS / "topics.md").read_text(encoding="utf-8") == topics_page.make_page()
 
 
 def test_every_topic_is_there_once():

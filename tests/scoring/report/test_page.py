@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BasePoseReturn, Calibration, Estimate, Imu, Recording, Reference, Truth
 from stillpoint.datasets.frames import quaternion, rotation
-from stillpoint.scoring.report.figures import break_line, draw_angles, draw_errors, draw_scores, envelope, view_of
-from stillpoint.scoring.report.page import Material, judge, report_html
+from stillpoint.scoring.report.figures import break_line, draw_angles, draw_errors, draw_scores, make_view, thin_line
+from stillpoint.scoring.report.page import Material, judge, make_report_html
 
 BIASES = ("bias_x", "bias_y", "bias_z")
 
@@ -51,7 +51,7 @@ def material():
 
 @pytest.fixture(scope="module")
 def page(material):
-    return report_html(material, judge(material))
+    return make_report_html(material, judge(material))
 
 
 def test_everything_is_judged_by_reference_and_truth(material):
@@ -87,11 +87,14 @@ def test_page_says_what_the_reference_found_and_which_returns_it_used(material):
     (plain,) = material.references
     rich = replace(plain, returns=backs, calibration=calibration, diagnostics=said, heading_sd_rad=np.deg2rad(0.31))
     shown = replace(material, references=(rich,))
-    page = report_html(shown, judge(shown))
+    page = make_report_html(shown, judge(shown))
     for words in ("1 of 2 to the base pose used", "gravity is 11.5 deg off", "1.0123 ± 0.0042", "0.73", "true north"):
         assert words in page
     assert "0.31 deg, an error all samples share" in page
-    assert "±" not in report_html(material, judge(material)).partition("The reference (redistribution)</h2>")[2][:2000]
+    assert (
+        "±"
+        not in make_report_html(material, judge(material)).partition("The reference (redistribution)</h2>")[2][:2000]
+    )
 
 
 def test_further_references_are_judged_by_the_first(material):
@@ -117,7 +120,7 @@ def test_names_are_escaped(page):
 
 
 def test_same_material_same_bytes(material, page):
-    assert report_html(material, judge(material)) == page
+    assert make_report_html(material, judge(material)) == page
 
 
 def test_recording_without_truth_has_one_verdict(material):
@@ -186,7 +189,7 @@ def test_thinning_keeps_every_column_s_extremes(n, columns, seed):
     """Least and greatest of each stretch, both ends, the order, and no invented point."""
     rng = np.random.default_rng(seed)
     t, value = np.cumsum(rng.uniform(0.1, 1, n)), rng.normal(size=n)
-    kept_t, kept = envelope(t, value, columns)
+    kept_t, kept = thin_line(t, value, columns)
     rows = np.searchsorted(t, kept_t)
     assert (t[rows] == kept_t).all()
     assert (value[rows] == kept).all()
@@ -204,7 +207,7 @@ def test_lines_break_at_gaps_and_wraps_and_stay_broken_when_thinned():
     value = np.where(t < 2000, 170.0, -170.0)
     broken_t, broken = break_line(t, value, longest_step=5, largest_jump=180)
     assert np.flatnonzero(np.isnan(broken)).tolist() == [2000, 5001]
-    thin_t, thin = envelope(broken_t, broken, 50)
+    thin_t, thin = thin_line(broken_t, broken, 50)
     assert np.isnan(thin).sum() == 2
     assert thin_t[np.isnan(thin)].tolist() == [1999.5, 5049.5]
     assert np.nanmax(thin) == 170
@@ -216,7 +219,7 @@ def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
     drawn = {}
     for frame in ("nwu", "enu"):
         axes = Figure().subplots(3, 1)
-        draw_angles(axes, view_of(verdict.comparisons, verdict.truth, frame, 0))
+        draw_angles(axes, make_view(verdict.comparisons, verdict.truth, frame, 0))
         (line,) = [line for line in axes[2].lines if line.get_label() == "truth"]
         assert line.zorder == max(other.zorder for other in axes[2].lines)
         drawn[frame] = line.get_ydata()[0]
@@ -225,7 +228,7 @@ def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
 
 def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
     verdict = judge(material)[0]
-    view = view_of(verdict.comparisons, verdict.truth, "nwu", 0)
+    view = make_view(verdict.comparisons, verdict.truth, "nwu", 0)
     axes = Figure().subplots(2, 1)
     draw_errors(axes, view)
     for ax, s in zip(axes, verdict.scores, strict=True):
@@ -237,7 +240,7 @@ def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
 
 
 def test_busiest_stretch_is_where_the_truth_turns(material):
-    view = view_of(judge(material)[0].comparisons, judge(material)[0].truth, "nwu", 0).busiest(4.0)
+    view = make_view(judge(material)[0].comparisons, judge(material)[0].truth, "nwu", 0).find_busiest(4.0)
     first, last = (np.array(view.span_ns) - view.zero_ns) / 1e9
     assert last - first == pytest.approx(4.0, abs=0.011)
     assert 5 <= first <= 31

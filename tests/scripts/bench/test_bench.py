@@ -51,19 +51,19 @@ def test_bench_mcap_times_both_ways_and_measures_memory(monkeypatch, tmp_path, c
 
 
 def test_the_peer_writes_and_reads_the_same_numbers(tmp_path):
-    recording = bench_mcap.phone(50)
+    recording = bench_mcap.make_phone(50)
     peer = bench_mcap.Peer()
     peer.write(tmp_path / "peer.mcap", recording)
     found = peer.read(tmp_path / "peer.mcap")
     assert found["/imu/data_raw"][:, 1:4].tolist() == recording.imu.gyro_b_radps.tolist()
     assert found["/truth/pose"][:, 1:5].tolist() == recording.truth.q_nb.tolist()
-    assert bench_mcap._size(recording) == 50 * 8 * (1 + 6 + 1 + 3 + 1 + 4 + 3) + 50
+    assert bench_mcap._count_bytes(recording) == 50 * 8 * (1 + 6 + 1 + 3 + 1 + 4 + 3) + 50
 
 
 def test_the_measured_process_reads_what_was_written(tmp_path):
-    bench_mcap.write(tmp_path / "x.mcap", bench_mcap.phone(100_000))
+    bench_mcap.write(tmp_path / "x.mcap", bench_mcap.make_phone(100_000))
     measured = bench_mcap._measure(tmp_path / "x.mcap")
-    assert measured["bytes"] > 0.8 * bench_mcap._size(read(tmp_path / "x.mcap"))
+    assert measured["bytes"] > 0.8 * bench_mcap._count_bytes(read(tmp_path / "x.mcap"))
 
 
 def test_a_missing_peer_is_named_with_the_remedy(monkeypatch):

@@ -36,7 +36,7 @@ def test_the_rows_set_every_estimator_beside_vqf_and_its_kind(monkeypatch):
 
 def test_a_part_of_a_recording_has_the_fields_until_its_end():
     whole = simulate("phone-3", minutes=2.0)
-    part = bench_filters.first(whole, 1000)
+    part = bench_filters.take_first(whole, 1000)
     assert len(part.imu.t_ns) == 1000
     assert part.mag.t_ns[-1] <= part.imu.t_ns[-1] < whole.mag.t_ns[len(part.mag.t_ns)]
 

@@ -5,7 +5,7 @@ import pytest
 from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate
-from stillpoint.scripts.pages.ablation import VARIANTS, solved
+from stillpoint.scripts.pages.ablation import VARIANTS, solve_variant
 from stillpoint.smoother.attitude.params import HANDHELD
 
 BY_NAME = {variant.name: variant for variant in VARIANTS}
@@ -25,13 +25,13 @@ def test_every_variant_differs_from_the_whole_in_settings_that_are_there(variant
 
 def test_without_returns_the_heading_is_known_less(recording):
     """The returns of the recording are used by the whole graph, and by no means in the variant."""
-    whole, without = (solved(recording, BY_NAME[name]) for name in ("everything", "no returns"))
+    whole, without = (solve_variant(recording, BY_NAME[name]) for name in ("everything", "no returns"))
     assert any(back.accepted for back in whole.returns)
     assert not without.returns
     assert len(whole.diagnostics["closing_squares"]) > len(without.diagnostics["closing_squares"]) == 0
 
 
 def test_start_value_is_an_estimate_of_every_sample(recording):
-    begun = solved(recording, BY_NAME["the start value alone"])
+    begun = solve_variant(recording, BY_NAME["the start value alone"])
     assert isinstance(begun, Estimate)
     assert len(begun.q_nb) == len(recording.imu.t_ns)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from stillpoint.scripts.pages.disc_flight import DiscFlight, disc_flight
+from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 
 
 @pytest.fixture(scope="module")
 def flight(data_dir) -> DiscFlight:
-    return disc_flight(data_dir / "disc" / "2025-08-31-001-rb.csv")
+    return read_disc_flight(data_dir / "disc" / "2025-08-31-001-rb.csv")
 
 
 def amplitude_degps(flight, per_turn: float) -> float:

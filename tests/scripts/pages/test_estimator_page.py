@@ -7,8 +7,8 @@ import pytest
 
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
-from stillpoint.scripts.pages.accuracy_page import with_table
-from stillpoint.scripts.pages.settings_pages import refreshed
+from stillpoint.scripts.pages.accuracy_page import replace_table
+from stillpoint.scripts.pages.settings_pages import refresh_tables
 
 PAGE = (Path(__file__).parents[3] / "docs" / "estimators.md").read_text(encoding="utf-8")
 
@@ -20,7 +20,7 @@ def section(name: str) -> str:
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
-    assert refreshed(PAGE) == PAGE, "run python -m stillpoint.scripts.pages.settings_pages"
+    assert refresh_tables(PAGE) == PAGE, "run python -m stillpoint.scripts.pages.settings_pages"
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
@@ -53,7 +53,7 @@ def test_equations_are_such_that_github_renders_them() -> None:
 
 def test_an_entry_without_a_section_gets_one_from_its_module() -> None:
     without = re.sub(r"\n## kf-axis\n.*?(?=\n## )", "", PAGE, flags=re.DOTALL)
-    again = refreshed(without)
+    again = refresh_tables(without)
     assert again.count("\n## kf-axis\n") == 1
     assert "A = [[1, -dt], [0, 1]]" in again
     assert "| `tilt_sd_rad` |" in again
@@ -64,7 +64,7 @@ def test_the_table_of_accuracy_has_every_estimator_of_attitude_the_best_first() 
     class Trial:
         name = "02_slow"
 
-    made = with_table("<!-- accuracy -->\n<!-- end -->", [Trial()], {"cf": [3.0], "vqf": [1.0]})
+    made = replace_table("<!-- accuracy -->\n<!-- end -->", [Trial()], {"cf": [3.0], "vqf": [1.0]})
     assert made.splitlines()[1:5] == [
         "| estimator | mean | median | 02 |",
         "|---|---|---|---|",

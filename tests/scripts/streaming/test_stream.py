@@ -22,12 +22,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import Stream, estimate
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ESTIMATORS, Estimator
-from stillpoint.scripts.shared.estimator_choice import runs_of
+from stillpoint.scripts.shared.estimator_choice import choose_runs
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.latency import Latency
 from stillpoint.scripts.streaming.lines import Lines, Malformed
-from stillpoint.scripts.streaming.pipe import Passed, pipe
-from stillpoint.scripts.streaming.streams import attitude, keep, kind_of, live
+from stillpoint.scripts.streaming.pipe import Passed, run_pipe
+from stillpoint.scripts.streaming.streams import describe_run, make_attitude_stream, open_streams, save_streams
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 HEADER = "t_ns,gx,gy,gz,ax,ay,az,mx,my,mz"
@@ -53,7 +53,7 @@ def as_text(recording: Recording, form: str) -> bytes:
 
 def through(text: bytes, *names: str, **streams: Stream) -> tuple[Passed, list[dict]]:
     target = io.StringIO()
-    passed = pipe({name: Stream(name) for name in names} | streams, io.BytesIO(text), target)
+    passed = run_pipe({name: Stream(name) for name in names} | streams, io.BytesIO(text), target)
     return passed, [json.loads(line) for line in target.getvalue().splitlines()]
 
 
@@ -183,14 +183,14 @@ def test_a_heading_that_nothing_holds_is_said_once(course: str, capsys: pytest.C
     text += "".join(f"{k},0,0,0,0,0,9.81,{course or ','}\n" for k in range(20))
     for heading, n_said in (("mag", 1), ("gps-course", 0 if course else 1)):
         watch = HeadingWatch(["cf"], heading)
-        pipe({"cf": Stream("cf", heading=heading)}, io.BytesIO(text.encode()), io.StringIO(), see=watch.see)
+        run_pipe({"cf": Stream("cf", heading=heading)}, io.BytesIO(text.encode()), io.StringIO(), see=watch.see)
         watch.end()
         assert capsys.readouterr().err.count("the heading of cf is arbitrary and drifts") == n_said
 
 
 def test_a_field_holds_the_heading(capsys: pytest.CaptureFixture[str]) -> None:
     watch = HeadingWatch(["cf"], "mag")
-    pipe({"cf": Stream("cf")}, io.BytesIO(as_text(untidy(), "csv")), io.StringIO(), see=watch.see)
+    run_pipe({"cf": Stream("cf")}, io.BytesIO(as_text(untidy(), "csv")), io.StringIO(), see=watch.see)
     watch.end()
     assert capsys.readouterr().err == ""
 
@@ -216,15 +216,15 @@ def test_a_short_run_without_a_field_is_said_at_its_end(capsys: pytest.CaptureFi
     ],
 )
 def test_a_kept_file_that_lacks_something_is_refused(spoil: Callable[[dict], object], tmp_path: Path) -> None:
-    run = runs_of("cf", None, "double", "mag")
-    kind, makes = kind_of(run, None, None), {"cf": attitude(run[0], None)}
-    keep(tmp_path / "state.json", live(makes, None, kind), kind)
-    assert list(live(makes, tmp_path / "state.json", kind)) == ["cf"]
+    run = choose_runs("cf", None, "double", "mag")
+    kind, makes = describe_run(run, None, None), {"cf": make_attitude_stream(run[0], None)}
+    save_streams(tmp_path / "state.json", open_streams(makes, None, kind), kind)
+    assert list(open_streams(makes, tmp_path / "state.json", kind)) == ["cf"]
     kept = json.loads((tmp_path / "state.json").read_text())
     spoil(kept)
     (tmp_path / "spoilt.json").write_text(json.dumps(kept))
     with pytest.raises(BadParameter):
-        live(makes, tmp_path / "spoilt.json", kind)
+        open_streams(makes, tmp_path / "spoilt.json", kind)
 
 
 def test_quantiles_are_good_to_two_percent() -> None:
@@ -412,7 +412,7 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     import socket
 
-    from stillpoint.scripts.streaming.foxglove import replay
+    from stillpoint.scripts.streaming.foxglove import replay_live
 
     recording = simulate("phone-1", seed=3, minutes=0.6)
     file = tmp_path / "run.mcap"
@@ -421,4 +421,4 @@ def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(BadParameter, match=r"cannot listen on 127\.0\.0\.1"):
-            replay(file, recording, {}, "127.0.0.1", taken.getsockname()[1], 1.0)
+            replay_live(file, recording, {}, "127.0.0.1", taken.getsockname()[1], 1.0)

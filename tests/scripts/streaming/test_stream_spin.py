@@ -16,8 +16,8 @@ from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS
 from stillpoint.filters import SpinStream, Stream, estimate
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ROLLS
-from stillpoint.scripts.streaming.lines import Lines, spin_layout
-from stillpoint.scripts.streaming.pipe import Passed, pipe
+from stillpoint.scripts.streaming.lines import Lines, make_spin_layout
+from stillpoint.scripts.streaming.pipe import Passed, run_pipe
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 
@@ -35,7 +35,7 @@ def as_text(recording: Recording, form: str) -> bytes:
 
 def through(text: bytes, streams: dict[str, SpinStream]) -> tuple[Passed, list[dict]]:
     target = io.StringIO()
-    passed = pipe(streams, io.BytesIO(text), target, spin_layout(2, 0))
+    passed = run_pipe(streams, io.BytesIO(text), target, make_spin_layout(2, 0))
     return passed, [json.loads(line) for line in target.getvalue().splitlines()]
 
 
@@ -79,7 +79,7 @@ def test_bad_lines_are_left_out_and_lost_values_counted(capsys: pytest.CaptureFi
 
 
 def test_the_columns_are_those_of_the_geometry_in_its_order() -> None:
-    lines = Lines(spin_layout(len(FIVE_ACCELEROMETERS.accel_axis_b), len(FIVE_ACCELEROMETERS.gyro_axis_b)))
+    lines = Lines(make_spin_layout(len(FIVE_ACCELEROMETERS.accel_axis_b), len(FIVE_ACCELEROMETERS.gyro_axis_b)))
     with pytest.raises(BadParameter, match=r"not a5, g2; give t_ns or t_s, a1, .* a5 \(m/s\^2\), g1, g2 \(rad/s\)"):
         lines.read(b"t_s,a1,a2,a3,a4,g1\n")
     assert lines.read(b"g2,g1,t_s,a5,a4,a3,a2,a1,angle\n") is None

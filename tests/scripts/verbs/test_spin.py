@@ -10,8 +10,8 @@ import pytest
 from stillpoint.datasets import read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters.table import ROLLS
-from stillpoint.scoring.report.spin_figures import series_of
-from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, spin_report_html
+from stillpoint.scoring.report.spin_figures import make_rate_series
+from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
 from stillpoint.scoring.spin import compare_roll
 
 NAME = "spin-constant-glitch-seed0"
@@ -67,7 +67,7 @@ def test_an_encoder_judges_where_there_is_no_truth(material):
 
 def test_the_page_shows_the_scores_and_asks_nothing_of_the_network(material):
     verdicts = judge_spin(material)
-    page = spin_report_html(material, verdicts)
+    page = make_spin_report_html(material, verdicts)
     for verdict in verdicts:
         for s in verdict.scores:
             assert f">{s.rate_rmse_degps:.2f}<" in page
@@ -77,13 +77,13 @@ def test_the_page_shows_the_scores_and_asks_nothing_of_the_network(material):
     assert page.count("<svg") == 2 * (1 + 5 + 1)  # rates, a band for each, accelerometers; two widths
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", page)
     assert "<script" not in page
-    assert spin_report_html(material, verdicts) == page
+    assert make_spin_report_html(material, verdicts) == page
 
 
 def test_rates_are_drawn_at_the_stamps_that_all_share(material):
     (truth, estimates) = (material.recording.roll_truth, material.estimates)
     compared = [compare_roll(one, truth) for one in estimates]
-    series = series_of(truth, compared, 0)
+    series = make_rate_series(truth, compared, 0)
     t_ns = np.round(series.t_s * 1e9).astype(np.int64)
     assert len(t_ns) == min(len(c.t_ns) for c in compared)
     for one in estimates:

@@ -12,7 +12,7 @@ from spins import RIG, X, Y, tilted
 from stillpoint.datasets import Spin, SpinGeometry, Unobservable, read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
-from stillpoint.scripts.pages.settings_pages import refreshed
+from stillpoint.scripts.pages.settings_pages import refresh_tables
 from stillpoint.smoother import reference
 from stillpoint.smoother.spin.params import SpinGraphParams, SpinNoise
 from stillpoint.smoother.spin.samples import measure_samples
@@ -149,4 +149,4 @@ def test_the_verb_writes_what_reference_gives(call, tmp_path, capsys):
 
 def test_the_page_has_the_settings_as_they_are():
     text = (Path(__file__).parents[3] / "docs" / "roll.md").read_text(encoding="utf-8")
-    assert refreshed(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
+    assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"

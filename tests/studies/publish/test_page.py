@@ -9,7 +9,7 @@ import pytest
 from boards import HOSTILE, make_board, make_entries
 from browser import open_page
 
-from stillpoint.studies.publish.page import page_html
+from stillpoint.studies.publish.page import make_page_html
 
 READY = "window.stillpointPlots"
 FIRST_COLUMN = "[...document.querySelectorAll('#ranking-1 tbody tr')].map((row) => row.cells[1].textContent)"
@@ -23,7 +23,7 @@ def board():
 @pytest.fixture(scope="module")
 def page_file(board, tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("page") / "index.html"
-    file.write_text(page_html(board, make_entries(board)), encoding="utf-8")
+    file.write_text(make_page_html(board, make_entries(board)), encoding="utf-8")
     return file
 
 
@@ -37,22 +37,22 @@ def shown(page_file, tmp_path_factory):
 
 def test_fifty_recordings_and_fifteen_estimators_fit_into_5_mb() -> None:
     large = make_board(recordings=50, estimators=15)
-    assert len(page_html(large, make_entries(large)).encode()) < 5e6
+    assert len(make_page_html(large, make_entries(large)).encode()) < 5e6
 
 
 def test_the_page_names_no_network_address_of_its_own(board) -> None:
     """Bokeh's own text holds addresses of its documentation; outside the scripts there is none."""
-    text = re.sub(r"<script>.*?</script>", "", page_html(board, make_entries(board)), flags=re.DOTALL)
+    text = re.sub(r"<script>.*?</script>", "", make_page_html(board, make_entries(board)), flags=re.DOTALL)
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", text)
     assert "://" not in text
 
 
 def test_the_same_board_gives_the_same_bytes(board) -> None:
-    assert page_html(board, make_entries(board)) == page_html(board, make_entries(board))
+    assert make_page_html(board, make_entries(board)) == make_page_html(board, make_entries(board))
 
 
 def test_failures_stand_before_the_ranking_with_their_reason(board) -> None:
-    text = page_html(board)
+    text = make_page_html(board)
     assert "2 of 24 runs failed" in text
     assert text.index("ValueError: no &lt;b&gt;field") < text.index('id="ranking-1"')
 
@@ -199,6 +199,6 @@ def test_the_page_fits_its_window_and_follows_the_colour_scheme(shown, width_px:
 
 
 def test_a_board_without_curves_has_no_plots_over_time(board) -> None:
-    text = page_html(board)
+    text = make_page_html(board)
     assert 'id="time-plots"' not in text
     assert 'id="run-table"' in text

@@ -10,12 +10,12 @@ from boards import HOSTILE, make_board
 
 from stillpoint.studies.publish.paper import write_paper
 from stillpoint.studies.publish.tables import (
-    csv_table,
-    html_table,
-    latex_table,
-    markdown_table,
-    ranking_rows,
-    text_table,
+    format_csv,
+    format_html,
+    format_latex,
+    format_markdown,
+    format_text,
+    list_rows,
 )
 
 
@@ -25,7 +25,7 @@ def board():
 
 
 def test_csv_holds_every_figure_in_full(board) -> None:
-    rows = list(csv.DictReader(io.StringIO(csv_table(board))))
+    rows = list(csv.DictReader(io.StringIO(format_csv(board))))
     first = board.tables[0].rows[0]
     assert [row["label"] for row in rows] == [row.label for row in board.tables[0].rows]
     assert float(rows[0]["total_rmse_typical_deg"]) == first.total_rmse_deg.typical
@@ -36,14 +36,14 @@ def test_csv_holds_every_figure_in_full(board) -> None:
 def test_every_character_that_latex_reads_is_escaped(board) -> None:
     awkward = r"50% a_b & $x$ #1 {~^\}"
     rows = tuple(replace(row, label=awkward) for row in board.tables[0].rows[:1])
-    table = latex_table(replace(board, tables=(replace(board.tables[0], rows=rows),)))
+    table = format_latex(replace(board, tables=(replace(board.tables[0], rows=rows),)))
     line = next(line for line in table.splitlines() if "50" in line)
     assert r"50\% a\_b \& \$x\$ \#1 \{\textasciitilde{}\textasciicircum{}\textbackslash{}\}" in line
     assert len(re.findall(r"(?<!\\)&", line)) == 8
 
 
 def test_latex_has_a_column_per_heading(board) -> None:
-    table = latex_table(board)
+    table = format_latex(board)
     columns = re.search(r"tabular\}\{(\w+)\}", table)[1]
     body = table.split(r"\midrule")[1].split(r"\bottomrule")[0].strip().splitlines()
     assert len(body) == len(board.tables[0].rows)
@@ -52,19 +52,19 @@ def test_latex_has_a_column_per_heading(board) -> None:
 
 def test_markdown_keeps_its_columns_when_a_name_has_a_bar(board) -> None:
     rows = tuple(replace(row, label="a|b") for row in board.tables[0].rows)
-    text = markdown_table(replace(board, tables=(replace(board.tables[0], rows=rows),)))
+    text = format_markdown(replace(board, tables=(replace(board.tables[0], rows=rows),)))
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {10}
 
 
 def test_html_escapes_names_and_text_is_aligned(board) -> None:
-    assert HOSTILE not in html_table(board)
-    lines = text_table(board).splitlines()[1:-1]
+    assert HOSTILE not in format_html(board)
+    lines = format_text(board).splitlines()[1:-1]
     assert len({line.index("estimator") if "estimator" in line else 6 for line in lines}) == 1
 
 
 def test_rows_that_failed_keep_their_row(board) -> None:
-    rows = ranking_rows(board)
+    rows = list_rows(board)
     assert rows[-1]["failed"] == 2
     assert rows[-1]["rank_best"] is None
 
@@ -90,8 +90,8 @@ def test_the_same_board_gives_the_same_figures(board, tmp_path) -> None:
 
 
 def test_a_leaderboard_prints_and_shows_itself(board) -> None:
-    assert str(board) == text_table(board)
-    assert board._repr_html_() == html_table(board)
+    assert str(board) == format_text(board)
+    assert board._repr_html_() == format_html(board)
 
 
 def test_a_frame_has_every_row(board) -> None:

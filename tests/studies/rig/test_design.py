@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from stillpoint.datasets import BadParameter
-from stillpoint.studies.rig.design import Rig, limits_m, longest, place, steady_variance
+from stillpoint.studies.rig.design import Rig, compute_steady_variance, evaluate_placement, find_longest_arms, limits_m
 from stillpoint.studies.rig.figures import draw_both, draw_radial, draw_tangential
 
 PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
@@ -17,7 +17,7 @@ PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
 def test_the_papers_limits_and_its_choice():
     """Section 3.2: F4 reads 16 g at 13 cm and sits at 10; F5 could sit at 0.9 m and has room for 0.5."""
     assert limits_m(PAPER) == (pytest.approx(0.13, abs=0.002), pytest.approx(0.90, abs=0.002))
-    chosen = longest(PAPER)
+    chosen = find_longest_arms(PAPER)
     assert (chosen.d1_m, chosen.d2_m, chosen.fits) == (0.10, 0.50, True)
     assert (chosen.r_rad2ps4, chosen.q_rad2ps4) == (pytest.approx(80), pytest.approx(0.48))
 
@@ -26,24 +26,24 @@ def test_variances_fall_with_the_square_of_the_arm():
     """Eq (27) through (25), for both geometries; in the five the centre's noise counts too."""
     for geometry in ("bench", "five"):
         rig = replace(PAPER, geometry=geometry)
-        short, long = place(rig, 0.05, 0.2), place(rig, 0.10, 0.5)
+        short, long = evaluate_placement(rig, 0.05, 0.2), evaluate_placement(rig, 0.10, 0.5)
         assert short.r_rad2ps4 / long.r_rad2ps4 == pytest.approx(4)
         assert short.q_rad2ps4 / long.q_rad2ps4 == pytest.approx(6.25)
-    assert place(replace(PAPER, geometry="five"), 0.1, 0.5).r_rad2ps4 == pytest.approx((0.8 + 0.12) / 0.01)
+    assert evaluate_placement(replace(PAPER, geometry="five"), 0.1, 0.5).r_rad2ps4 == pytest.approx((0.8 + 0.12) / 0.01)
 
 
 def test_no_longer_arm_fits_and_no_shorter_one_is_better():
-    chosen = longest(PAPER)
+    chosen = find_longest_arms(PAPER)
     for d1, d2 in ((0.11, 0.5), (0.1, 0.51)):
-        assert not place(PAPER, d1, d2).fits
+        assert not evaluate_placement(PAPER, d1, d2).fits
     for d1, d2 in ((0.09, 0.5), (0.1, 0.49), (0.05, 0.2)):
-        assert place(PAPER, d1, d2).filtered_rate_sd_radps > chosen.filtered_rate_sd_radps
+        assert evaluate_placement(PAPER, d1, d2).filtered_rate_sd_radps > chosen.filtered_rate_sd_radps
 
 
 def test_the_rate_errors_are_the_differences_they_stand_for():
     """sqrt(-F4/d1) with F4 changed by a little bias, and with d1 changed by a little."""
     rate, d1, small = PAPER.fastest_radps, 0.1, 1e-6
-    found = place(PAPER, d1, 0.5)
+    found = evaluate_placement(PAPER, d1, 0.5)
     force = -d1 * rate**2
     assert (np.sqrt(-(force - small) / d1) - rate) / small == pytest.approx(found.rate_per_bias, rel=1e-3)
     assert (np.sqrt(-force / (d1 - small)) - rate) / small == pytest.approx(found.rate_per_arm, rel=1e-3)
@@ -56,12 +56,12 @@ def test_the_steady_state_is_where_the_filter_settles(step, observation):
         p, before = 1 / (1 / (p + step) + 1 / observation), p
         if p == before:
             break
-    assert steady_variance(step, observation) == pytest.approx(p, rel=1e-9)
+    assert compute_steady_variance(step, observation) == pytest.approx(p, rel=1e-9)
 
 
 def test_the_filtered_error_is_that_of_the_ekf_on_white_noise():
     """A-1 of the acceptance figures: 1.06 +- 0.05 deg/s at 2020 deg/s."""
-    found = place(replace(PAPER, fastest_radps=float(np.deg2rad(2020))), 0.1, 0.5)
+    found = evaluate_placement(replace(PAPER, fastest_radps=float(np.deg2rad(2020))), 0.1, 0.5)
     assert np.rad2deg(found.filtered_rate_sd_radps) == pytest.approx(1.06, abs=0.05)
     assert np.rad2deg(found.raw_rate_sd_radps) == pytest.approx(7.25, abs=0.1)
 
@@ -79,7 +79,7 @@ def test_the_filtered_error_is_that_of_the_ekf_on_white_noise():
 )
 def test_what_cannot_be_is_refused(change, said):
     with pytest.raises(BadParameter, match=said):
-        longest(replace(PAPER, **change))
+        find_longest_arms(replace(PAPER, **change))
 
 
 def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
@@ -98,7 +98,7 @@ def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
 @pytest.mark.parametrize("room_m", [0.01, 0.03, 0.5])
 def test_the_placement_lies_on_its_curves_and_within_its_map(room_m):
     rig = replace(PAPER, room_m=room_m)
-    chosen = longest(rig)
+    chosen = find_longest_arms(rig)
     for draw, x, y in (
         (draw_radial, chosen.d1_m, None),
         (draw_tangential, chosen.d2_m, None),
