@@ -46,15 +46,9 @@ def _list_estimators() -> str:
     return "\n".join(lines) + "\n"
 
 
-<<<<<<< HEAD
-def _section(name: str) -> str:
-    """What its module says, as Markdown, and a place for its settings."""
-    said = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
-=======
 def _make_section(name: str) -> str:
     """Return the module docstring of an estimator as Markdown, and a place for its settings."""
-    said = sys.modules[find(name).params.__module__].__doc__ or ""
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    said = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
     said = re.sub(r":\w+:`([^`]*)`", r"`\1`", said.replace("``", "`"))
     return f"## {name}\n\n{re.sub(r' ?::$', ':', said, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
 

@@ -30,13 +30,8 @@ class Run:
 
 def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
     """One run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
-<<<<<<< HEAD
-    names = _names(estimators)
-    entries = {name: find_estimator(name) for name in names}
-=======
     names = _parse_names(estimators)
-    entries = {name: find(name) for name in names}
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    entries = {name: find_estimator(name) for name in names}
     peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
     if precision == "single" and peers:
         raise BadParameter(
@@ -48,13 +43,8 @@ def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precisio
         raise BadParameter(
             f"--heading {heading}: {', '.join(spins)} follows a spin, which has no heading; leave it out"
         )
-<<<<<<< HEAD
-    settings = _settings(set_, names)
-    make_front(heading, settings[HEADING], settings[RANGE], None)
-=======
     settings = _parse_settings(set_, names)
-    front_of(heading, settings[HEADING], settings[RANGE], None)
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    make_front(heading, settings[HEADING], settings[RANGE], None)
     for name, entry in entries.items():
         choose_settings(entry.params(), settings[name], name)
     return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]

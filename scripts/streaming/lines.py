@@ -28,11 +28,7 @@ class Arrival(NamedTuple):
 
 
 class SpinArrival(NamedTuple):
-<<<<<<< HEAD
-    """One line: what :meth:`stillpoint.filters.SpinStream.update` takes."""
-=======
-    """The sample of one line, as :meth:`stillpoint.filters.RollStream.update` takes it."""
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    """The sample of one line, as :meth:`stillpoint.filters.SpinStream.update` takes it."""
 
     t_ns: int
     accel_mps2: Vector

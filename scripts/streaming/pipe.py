@@ -84,13 +84,8 @@ def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: 
     return "".join(format_estimate(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
 
 
-<<<<<<< HEAD
-def line(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
-    """One estimate as NDJSON; a number that is not finite is null, what is not estimated is not there."""
-=======
-def format_estimate(t_ns: int, name: str, output: Output | RollAnswer) -> str:
+def format_estimate(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
     """Return one estimate as NDJSON; a number that is not finite is null, and what is not estimated is left out."""
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
     facts: dict[str, Any] = {"t_ns": t_ns, "estimator": name}
     for field_name, value in output._asdict().items():
         if isinstance(value, tuple):

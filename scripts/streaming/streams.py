@@ -32,15 +32,9 @@ def make_attitude_stream(run: Run, declination_deg: float | None) -> Callable[..
     )
 
 
-<<<<<<< HEAD
-def roll(run: Run, geometry: SpinGeometry) -> Callable[..., SpinStream]:
-    """What makes a stream of roll, of a saved state or anew."""
-    return partial(SpinStream, run.estimator, geometry, run.params, run.precision)
-=======
-def make_spin_stream(run: Run, geometry: SpinGeometry) -> Callable[..., RollStream]:
+def make_spin_stream(run: Run, geometry: SpinGeometry) -> Callable[..., SpinStream]:
     """Return a function that makes a spin stream, new or from a saved state."""
-    return partial(RollStream, run.estimator, geometry, run.params, run.precision)
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    return partial(SpinStream, run.estimator, geometry, run.params, run.precision)
 
 
 def describe_run(runs: Sequence[Run], declination_deg: float | None, geometry: SpinGeometry | None) -> dict[str, Any]:
@@ -65,17 +59,10 @@ def open_streams(makes: Mapping[str, Make], resume: Path | None, kind: Mapping[s
         raise BadParameter(f"--resume {resume}: holds a number that no state has ({error}); start without it") from None
 
 
-<<<<<<< HEAD
-def keep(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
-    """Write the file that :func:`live` goes on from."""
-    states: dict[str, Saved | SavedSpin] = {name: one.save() for name, one in streams.items()}
-    kept = {name: to_plain(state) for name, state in states.items()}
-=======
 def save_streams(save: Path, streams: Mapping[str, Live], kind: Mapping[str, Any]) -> None:
     """Write the file from which :func:`open_streams` continues."""
-    states: dict[str, Saved | SavedRoll] = {name: one.save() for name, one in streams.items()}
-    kept = {name: plain(state) for name, state in states.items()}
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    states: dict[str, Saved | SavedSpin] = {name: one.save() for name, one in streams.items()}
+    kept = {name: to_plain(state) for name, state in states.items()}
     write_text(save, json.dumps({"kind": kind, "states": kept}) + "\n")
 
 

@@ -15,19 +15,14 @@ from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
-<<<<<<< HEAD
 from stillpoint.filters.table import ROLLS, Peer, find_estimator
-from stillpoint.scripts.shared.estimator_choice import Run, runs_of
-=======
-from stillpoint.filters.table import ROLLS, Peer, find
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 from stillpoint.scripts.shared.flags import SetFlag, Whole
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, writable, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.lines import ATTITUDE, make_spin_layout
-from stillpoint.scripts.streaming.pipe import Passed, quit_at_interrupt, run_pipe
+from stillpoint.scripts.streaming.pipe import Counts, quit_at_interrupt, run_pipe
 from stillpoint.scripts.streaming.streams import (
     Live,
     Make,
@@ -54,7 +49,7 @@ def stream(
     precision: Precision = "double",
     heading: Heading = "mag",
     resume: Annotated[Path | None, Parameter(negative=())] = None,
-    save: Annotated[Path | None, Parameter(negative=(), validator=writable)] = None,
+    save: Annotated[Path | None, Parameter(negative=(), validator=check_writable)] = None,
     foxglove: Annotated[Whole | None, Parameter(negative=())] = None,
     host: Annotated[str | None, Parameter(negative=())] = None,
     speed: Annotated[float | None, Parameter(negative=())] = None,
@@ -112,13 +107,8 @@ def stream(
     _require_useful_options(
         foxglove is not None, {"--resume": resume, "--save": save, "--json": json}, {"--host": host, "--speed": speed}
     )
-<<<<<<< HEAD
-    runs = runs_of(estimators, set_, precision, heading)
-    peers = [run.estimator for run in runs if isinstance(find_estimator(run.estimator), Peer)]
-=======
     runs = choose_runs(estimators, set_, precision, heading)
-    peers = [run.estimator for run in runs if isinstance(find(run.estimator), Peer)]
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
+    peers = [run.estimator for run in runs if isinstance(find_estimator(run.estimator), Peer)]
     if peers:
         names, take = ",".join(peers), "takes" if len(peers) == 1 else "take"
         raise BadParameter(f"{names}: {take} whole recordings only; use stillpoint estimate -e {names}")
@@ -203,7 +193,7 @@ def _read_geometry(runs: Sequence[Run], options: SpinOptions, declination_deg: f
     return find_geometry(options)
 
 
-def _print_summary(passed: Passed, streams: Mapping[str, Live]) -> None:
+def _print_summary(passed: Counts, streams: Mapping[str, Live]) -> None:
     """Print the summary to stderr."""
     said = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
     for what, latency in (("estimators", passed.update), ("line to line", passed.whole)):
@@ -218,7 +208,7 @@ def _print_summary(passed: Passed, streams: Mapping[str, Live]) -> None:
         print(f"stillpoint: {text}", file=sys.stderr)
 
 
-def _list_facts(passed: Passed, name: str, one: Live) -> dict[str, Any]:
+def _list_facts(passed: Counts, name: str, one: Live) -> dict[str, Any]:
     return {
         "estimator": name,
         "n_samples": passed.n_samples,

@@ -23,13 +23,8 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
-<<<<<<< HEAD
 from stillpoint.filters.table import Estimator, SpinEstimator
-from stillpoint.scripts.pages.settings_pages import refreshed
-=======
-from stillpoint.filters.table import Estimator, RollEstimator
 from stillpoint.scripts.pages.settings_pages import refresh_tables
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]

@@ -22,12 +22,8 @@ from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
-<<<<<<< HEAD
 from stillpoint.studies.one_file import write_one_file
-from stillpoint.studies.publish.page import page_html
-=======
 from stillpoint.studies.publish.page import make_page_html
->>>>>>> 69771e1 (Scripts, report and rig: functions named by verb and object, docstrings in plain English)
 
 
 def export(

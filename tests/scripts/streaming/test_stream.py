@@ -26,7 +26,7 @@ from stillpoint.scripts.shared.estimator_choice import choose_runs
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.latency import Latency
 from stillpoint.scripts.streaming.lines import Lines, Malformed
-from stillpoint.scripts.streaming.pipe import Passed, run_pipe
+from stillpoint.scripts.streaming.pipe import Counts, run_pipe
 from stillpoint.scripts.streaming.streams import describe_run, make_attitude_stream, open_streams, save_streams
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
@@ -51,7 +51,7 @@ def as_text(recording: Recording, form: str) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def through(text: bytes, *names: str, **streams: Stream) -> tuple[Passed, list[dict]]:
+def through(text: bytes, *names: str, **streams: Stream) -> tuple[Counts, list[dict]]:
     target = io.StringIO()
     passed = run_pipe({name: Stream(name) for name in names} | streams, io.BytesIO(text), target)
     return passed, [json.loads(line) for line in target.getvalue().splitlines()]

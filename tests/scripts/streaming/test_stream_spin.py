@@ -17,7 +17,7 @@ from stillpoint.filters import SpinStream, Stream, estimate
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.streaming.lines import Lines, make_spin_layout
-from stillpoint.scripts.streaming.pipe import Passed, run_pipe
+from stillpoint.scripts.streaming.pipe import Counts, run_pipe
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 
@@ -33,7 +33,7 @@ def as_text(recording: Recording, form: str) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def through(text: bytes, streams: dict[str, SpinStream]) -> tuple[Passed, list[dict]]:
+def through(text: bytes, streams: dict[str, SpinStream]) -> tuple[Counts, list[dict]]:
     target = io.StringIO()
     passed = run_pipe(streams, io.BytesIO(text), target, make_spin_layout(2, 0))
     return passed, [json.loads(line) for line in target.getvalue().splitlines()]
