@@ -1,6 +1,11 @@
 """What a paper takes from a leaderboard: the table as LaTeX, CSV and Markdown, and figures as PDF and SVG."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
 
 from stillpoint.scoring.report.printed import write_figure
 from stillpoint.studies.leaderboard import Leaderboard
@@ -20,11 +25,13 @@ def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
     for ending in (".pdf", ".svg"):
         for k, table in enumerate(board.tables):
             target = folder / f"ranking{'' if k == 0 else f'-{k + 1}'}{ending}"
-            write_figure(
-                target, 1, get_ranking_height_in(table), lambda axes, table=table: draw_ranking(axes[0], table)
-            )
+            write_figure(target, 1, get_ranking_height_in(table), partial(_draw_first, draw=draw_ranking, what=table))
             written.append(target)
         target = folder / f"map{ending}"
-        write_figure(target, 1, get_map_height_in(board), lambda axes: draw_map(axes[0], board))
+        write_figure(target, 1, get_map_height_in(board), partial(_draw_first, draw=draw_map, what=board))
         written.append(target)
     return written
+
+
+def _draw_first(axes: Sequence[Axes], draw: Callable[[Axes, Any], None], what: Any) -> None:
+    draw(axes[0], what)

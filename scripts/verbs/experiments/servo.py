@@ -7,7 +7,7 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
-from stillpoint.studies.papers.servo.page import rows, servo_page
+from stillpoint.studies.papers.servo.page import make_rows, servo_page
 from stillpoint.studies.papers.servo.study import Trial, run_trial
 
 COLUMNS = ("angle", "by", "rms at rest, deg", "low rate", "high rate")
@@ -39,7 +39,7 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
     page = folder / "servo-bench.experiment.html"
     write_text(page, servo_page(made, f"stillpoint experiment servo-bench --minutes {minutes:g} {trials.words}"))
     if trials.json != STDOUT:
-        table = [[row["angle"], row["method"], *row["cells"]] for row in rows(made)]
+        table = [[row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
         print_table(f"servo-bench: {trials.trials} benches", COLUMNS, [table], texts=2)
         print(page)
     write_json(trials.json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
