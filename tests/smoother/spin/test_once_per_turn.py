@@ -16,7 +16,7 @@ from stillpoint.smoother.spin.once_per_turn import judge_line
 from stillpoint.smoother.spin.params import HarmonicParams, SpinCalibration, SpinGraphParams
 from stillpoint.studies.papers.spin.study import CONSTANT as CONSTANT_SPEED
 from stillpoint.studies.papers.spin.study import VARIABLE as VARIABLE_SPEED
-from stillpoint.studies.papers.spin.study import settings_of
+from stillpoint.studies.papers.spin.study import make_settings
 
 KNOWN = SpinGraphParams(
     calibration=SpinCalibration(accel_bias_sd_mps2=1e-6, accel_bias_walk=1e-7, lever_arm_sd=1e-7)
@@ -67,7 +67,7 @@ def test_vibration_of_one_accelerometer_is_not_taken_for_gravity(scenario):
         drift = made.angle_rad - recording.roll_truth.angle_rad
         assert abs(drift[-1]) < 4 * made.angle_sd_rad[-1]
         errors.append(rate_errors(made, recording))
-        filtered = estimate(recording, "roll-ekf", settings_of(scenario, "EKF", printed=False), "double")
+        filtered = estimate(recording, "roll-ekf", make_settings(scenario, "EKF", printed=False), "double")
         ekf.append(np.rad2deg(np.sqrt(np.mean((filtered.rate_radps - recording.roll_truth.rate_radps) ** 2))))
     rmse, nees = np.mean(errors, axis=0)
     assert rmse < 0.8 * np.mean(ekf)
