@@ -27,21 +27,30 @@ def cut_recording(recording: Recording, first_ns: int, last_ns: int, name: str) 
     start_ns = find_start_ns(recording)
     span = f"{(first_ns - start_ns) / 1e9:.3f} s to {(last_ns - start_ns) / 1e9:.3f} s"
     kept: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
     empty = []
     for stream, t_ns in recording.streams():
         first, last = np.searchsorted(t_ns, first_ns), np.searchsorted(t_ns, last_ns, side="right")
-        kept[stream] = _slice(getattr(recording, stream), int(first), int(last))
-        if kept[stream] is None:
+        is_extra = stream.startswith("extra ")
+        whole = recording.extra[stream.removeprefix("extra ")] if is_extra else getattr(recording, stream)
+        part = slice_stream(whole, int(first), int(last))
+        if part is None:
             empty.append(stream)
+        if is_extra:
+            extra |= {} if part is None else {stream.removeprefix("extra "): part}
+        else:
+            kept[stream] = part
     main = "imu" if recording.imu is not None else "spin"
     if kept[main] is None:
         raise BadRecording(f"{recording.name}: no sample of {main} from {span}; it lasts {recording.duration_s:.3f} s")
     notes = [f"cut from {recording.name}: {span}"]
     notes += [f"cut: no sample of {', '.join(empty)} is left"] if empty else []
-    return replace(recording, name=name, info=replace(recording.info, notes=(*recording.info.notes, *notes)), **kept)
+    return replace(
+        recording, name=name, info=replace(recording.info, notes=(*recording.info.notes, *notes)), extra=extra, **kept
+    )
 
 
-def _slice(stream: Any, first: int, last: int) -> Any:
+def slice_stream(stream: Any, first: int, last: int) -> Any:
     """Return rows of every array of a stream that has one row a stamp; None without a row."""
     if last <= first:
         return None

@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo:demo", "Simulate a phone in the hand and follow it the whole way to a report."),
     "import": ("import_:app", "Turn recordings of other formats into MCAP files."),
+    "join": ("join:join", "Make one recording of the parts that import --split wrote."),
     "cut": ("cut:cut", "Write a part of a recording as a recording of its own."),
     "simulate": ("simulate:simulate", "Make recordings whose truth is known by construction."),
     "info": ("info:info", "Say what is in a file: streams, rates, gaps, rests, provenance."),

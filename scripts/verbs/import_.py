@@ -1,7 +1,8 @@
 """``stillpoint import``: turn recordings of other formats into MCAP files."""
 
+import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -15,9 +16,10 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.store import sha256, write
 from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.parts import split_recording
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.main import make_printable
-from stillpoint.scripts.shared.flags import OutDir
+from stillpoint.scripts.shared.flags import OutDir, read_span
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
@@ -44,6 +46,7 @@ def import_(
     out: OutDir,
     repair: Annotated[bool, Parameter(negative="")] = False,
     skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
+    split: str | None = None,
     json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
 ) -> None:
@@ -64,6 +67,9 @@ def import_(
         Apply the doctor's remedies; each is recorded in the file.
     skip
         Code of a finding whose remedy --repair leaves out; may be given several times.
+    split
+        Write recordings in parts of this length, for example 1h or 600s: NAME-001.mcap, NAME-002.mcap and so on;
+        stillpoint join makes one of them again.
     json
         Also write what was imported as JSON to this file; - is the standard output.
     flags
@@ -75,9 +81,10 @@ def import_(
         raise BadParameter("--skip: leaves remedies out of --repair; give that too")
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
+    span_s = None if split is None else read_span(split, "--split").total_seconds()
     kept: dict[Path, Kept] = {}
     with Console(stderr=True).status("import") as status:
-        for source, imported in _read_sources(importer, options, sources, repair, skip):
+        for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip), span_s):
             recording = imported.recording
             status.update(f"import {recording.name}")
             file = output_dir(out) / f"{recording.name}.mcap"
@@ -94,6 +101,18 @@ def import_(
     if json != STDOUT:
         _show(list(kept.values()))
     write_json(json, [_facts(one) for one in kept.values()])
+
+
+def _split_all(all_imported: Iterable[tuple[Path, Imported]], span_s: float | None) -> Iterator[tuple[Path, Imported]]:
+    """Yield each recording, or its parts where a length is given."""
+    for source, imported in all_imported:
+        if span_s is None:
+            yield source, imported
+            continue
+        if imported.estimates:
+            print(f"stillpoint: {source}: --split leaves out the attitude of the device itself", file=sys.stderr)
+        for part in split_recording(imported.recording, span_s):
+            yield source, replace(imported, recording=part, estimates=())
 
 
 def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:

@@ -5,6 +5,7 @@ import pytest
 
 from stillpoint.datasets import BadRecording, Gps, Imu, Info, Mag, Recording, Truth
 from stillpoint.datasets.cut import cut_recording, find_stretches
+from stillpoint.datasets.recording import Series
 
 START_NS = 5_000_000_000
 
@@ -46,3 +47,11 @@ def test_stretches_end_at_gaps(recording):
 def test_a_span_without_a_sample_of_the_imu_is_refused(recording):
     with pytest.raises(BadRecording, match="no sample of imu from 46"):
         cut_recording(recording, START_NS + 45_000_000_000, START_NS + 55_000_000_000, "part")
+
+
+def test_other_sensors_are_cut_with_the_rest():
+    t_ns = np.arange(100, dtype=np.int64) * 10_000_000
+    imu = Imu(t_ns, np.zeros((100, 3)), np.tile([0, 0, 9.81], (100, 1)))
+    wheel = Series(t_ns[::2], np.arange(50.0), ("speed_mps",))
+    part = cut_recording(Recording("run", imu, extra={"wheel": wheel}), 200_000_000, 400_000_000, "part")
+    assert part.extra["wheel"].column("speed_mps").tolist() == list(range(10, 21))

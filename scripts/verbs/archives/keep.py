@@ -1,10 +1,8 @@
 """``stillpoint archive init``, ``add``, ``tag``, ``remove`` and ``gc``: what changes an archive."""
 
-import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,14 +12,12 @@ from stillpoint.datasets.archive import create_archive
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.remote import is_url
 from stillpoint.scripts.shared.batch import assignments
-from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.flags import Inputs, read_span
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named, print_entries, read_ids
 
 Ids = Annotated[list[str], Parameter(negative=(), allow_leading_hyphen=True)]
 Tags = Annotated[list[str] | None, Parameter(negative=())]
-_SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w|y)")
-_SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400, "y": 365.25 * 86400}
 
 
 def init(directory: str, /) -> None:
@@ -159,7 +155,7 @@ def gc(
     yes
         Delete; without it the list is all that happens.
     """
-    age = _read_span(older_than)
+    age = read_span(older_than, "--older-than")
     with open_named(archive) as opened:
         entries = opened.removable(age)
         print_entries(opened, f"removed more than {older_than} ago", entries)
@@ -183,10 +179,3 @@ def _expand(paths: Sequence[Path]) -> Iterator[Path]:
             yield from (file for file in inside if not any(p.startswith(".") for p in file.relative_to(path).parts))
         else:
             raise BadParameter(f"{path}: there is no such file or folder")
-
-
-def _read_span(text: str) -> timedelta:
-    match = _SPAN.fullmatch(text.strip())
-    if match is None:
-        raise BadParameter(f"--older-than {text}: write a number and s, min, h, d, w or y, for example 30d")
-    return timedelta(seconds=float(match[1]) * _SECONDS[match[2]])
