@@ -5,6 +5,7 @@ import sys
 import traceback
 import tracemalloc
 import zipfile
+import zlib
 from collections import Counter
 
 import h5py
@@ -16,6 +17,7 @@ from fuzz_seeds import list_seeds
 
 from stillpoint.datasets import BadSource
 from stillpoint.datasets.importers import files as importer_files
+from stillpoint.datasets.importers.arrays import load_mat
 from stillpoint.datasets.importers.csv_log import CsvOptions
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.limits import LARGE, LARGEST_MEMBER, largest_chunk
@@ -138,3 +140,24 @@ def test_a_list_of_trials_that_is_none(tmp_path, text):
     scipy.io.savemat(tmp_path / "x.mat", {**arrays, "movement": np.ones(50), "sampling_rate": 100.0})
     (tmp_path / "trials.json").write_bytes(text.encode("latin-1"))
     refuse("broad", tmp_path / "x.mat", "trials.json", "BROAD's list of trials")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_struct_that_claims_millions_of_elements_is_not_made(tmp_path, compressed):
+    """The loader would make room for them one by one, for minutes."""
+    file = tmp_path / "x.mat"
+    scipy.io.savemat(file, {"outer": {"inner": {"a": np.ones(3), "b": "text", "c": [1.0, {"d": 2.0}]}}})
+    assert load_mat(file)["outer"]["inner"][0, 0]["a"][0, 0].tolist() == [[1, 1, 1]]
+    data = bytearray(file.read_bytes())
+    dims = struct.pack("<IIii", 5, 8, 1, 1)
+    places = [k for k in range(len(data)) if data[k : k + 16] == dims]
+    assert len(places) > 4
+    for place in places[:2]:  # the outer struct, the inner one
+        changed = bytearray(data)
+        changed[place + 8 : place + 16] = struct.pack("<ii", 700_000_000, 1)
+        if compressed:
+            packed = zlib.compress(bytes(changed[128:]))
+            changed = changed[:128] + struct.pack("<II", 15, len(packed)) + packed
+        file.write_bytes(changed)
+        with pytest.raises(ValueError, match="claims 700000000 elements"):
+            load_mat(file)
