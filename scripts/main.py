@@ -131,11 +131,8 @@ def _discard_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def make_printable(text: str) -> str:
-    """Return text on one line whose control characters are escaped: names of files and columns are data."""
-    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
-
-
 def _stop(message: str) -> NoReturn:
+    from stillpoint.scripts.shared.names import make_printable
+
     print(f"stillpoint: {make_printable(message)}", file=sys.stderr)
     sys.exit(2)

@@ -1,4 +1,4 @@
-"""Clocks: rate, gaps, lost samples, bursts and jitter of each stream, and whether the streams overlap."""
+"""Clocks: rate, gaps, lost samples, bursts and jitter of each stream, overlaps, and files that were cut short."""
 
 import numpy as np
 
@@ -11,8 +11,26 @@ GAP_S = 0.05  # a shorter step is no gap, whatever the median
 BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
 JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
 LOST_SHARE = 0.01  # of the samples
+CUT = ("the file is cut short", "the end of the file is cut off")  # how the notes begin that a reader leaves
+PLAUSIBLE_HZ, USUAL_HZ = (2.0, 50_000.0), (10.0, 10_000.0)
+UNITS_OF_TIME = {  # what a rate is multiplied by when the unit of the stamps is put right
+    1e3: "are ms that were read as s (or us as ms, ns as us)",
+    1e6: "are us that were read as s (or ns as ms)",
+    1e9: "are ns that were read as s",
+    1e-3: "are s that were read as ms (or ms as us, us as ns)",
+}
 OVERLAP_SHARE = 0.9  # of the IMU's time that a magnetometer should cover
 SAMPLED = ("imu", "mag", "spin")  # evenly sampled sensors; truth, gps and encoder may pause
+
+
+def list_losses(recording: Recording) -> list[str]:
+    """Return what was lost when the recording's file was cut, in words."""
+    return [note for note in recording.info.notes if note.startswith(CUT)]
+
+
+def check_losses(recording: Recording) -> list[Finding]:
+    """Return one finding per loss of a file that was cut."""
+    return [Finding("file-cut", "warning", f"{note}; copy it again where you can") for note in list_losses(recording)]
 
 
 def check_clocks(recording: Recording) -> list[Finding]:
@@ -35,7 +53,7 @@ def _check_stream(name: str, t_ns: Times) -> list[Finding]:
     bursts = name in SAMPLED and median < BURST_SHARE * mean
     limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, GAP_S)
     gaps = steps_s > limit
-    findings = [_rate(name, t_ns, mean if bursts else median)]
+    findings = [_rate(name, t_ns, mean if bursts else median), *_check_unit(name, mean if bursts else median)]
     if gaps.any():
         findings.append(_gaps(name, t_ns, steps_s, gaps))
     if bursts:
@@ -49,6 +67,21 @@ def _rate(name: str, t_ns: Times, step_s: float) -> Finding:
     seconds = float(t_ns[-1] - t_ns[0]) / 1e9
     message = f"{name}: {1 / step_s:.2f} Hz, {len(t_ns)} samples in {seconds:.1f} s"
     return Finding(f"{name}-rate", "fact", message, values={"rate_hz": 1 / step_s, "duration_s": seconds})
+
+
+def _check_unit(name: str, step_s: float) -> list[Finding]:
+    """Report stamps of an IMU whose unit is wrong: no IMU samples so slowly or so fast."""
+    rate = 1 / step_s
+    if name != "imu" or PLAUSIBLE_HZ[0] <= rate <= PLAUSIBLE_HZ[1]:
+        return []
+    message = f"imu: {rate:.4g} Hz is no rate of an IMU"
+    for factor, advice in UNITS_OF_TIME.items():
+        if USUAL_HZ[0] <= rate * factor <= USUAL_HZ[1]:
+            message += f"; {rate * factor:.4g} Hz is, if the stamps {advice}: import again with that unit of time"
+            break
+    else:
+        message += "; find out the unit of its stamps, and import again"
+    return [Finding("imu-clock-units", "error", message, values={"rate_hz": rate})]
 
 
 def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:

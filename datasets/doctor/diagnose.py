@@ -1,23 +1,28 @@
-"""The tests in their order. What a test finds is put right before the next one, so that one fault gives one finding."""
+"""Run the tests in order. What a test finds is put right before the next one, so that one fault gives one finding."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from stillpoint.datasets.doctor.axes import find_axes_fault, find_scale_fault, find_truth_fault, report_axes
-from stillpoint.datasets.doctor.clocks import check_clocks
-from stillpoint.datasets.doctor.field import check_field, check_gravity_sign
+from stillpoint.datasets.doctor.clocks import check_clocks, check_losses
+from stillpoint.datasets.doctor.conventions import TruthFits, check_truth_mismatch, turn_truth
+from stillpoint.datasets.doctor.field import check_base_pose, check_field, cosine_to_base_pose, find_dips
 from stillpoint.datasets.doctor.finding import Diagnosis, Finding
-from stillpoint.datasets.doctor.lag import Lag
-from stillpoint.datasets.doctor.lags import check_lags
+from stillpoint.datasets.doctor.hypotheses import (
+    Verdict,
+    compare_hypotheses,
+    find_scale_fault,
+    report_axes_faults,
+    report_tested_axes,
+)
+from stillpoint.datasets.doctor.lag import Lag, check_lags
 from stillpoint.datasets.doctor.noise import check_noise
 from stillpoint.datasets.doctor.remedy import apply
-from stillpoint.datasets.doctor.sizes import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.spin import check_spin
-from stillpoint.datasets.doctor.truth import accel_against_truth, ask_truth
+from stillpoint.datasets.doctor.truth import ask_truth, check_slips, check_truth_values, find_accel_lag
+from stillpoint.datasets.doctor.units import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.values import check_steps, check_values
-from stillpoint.datasets.doctor.whole import check_whole
 from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 
@@ -32,7 +37,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     opened with ``units_unchecked``. The recording is not changed: see :func:`~stillpoint.datasets.doctor.apply`.
     """
     case = _Case(recording, np.asarray(rests_ns, dtype=np.int64).reshape(-1, 2))
-    case.run(check_whole)
+    case.run(check_losses)
     case.run(check_clocks)
     case.run(check_values)
     case.run(check_spin)
@@ -41,21 +46,23 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     if any(finding.code in UNUSABLE for finding in case.findings):
         case.found([Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")])
         return case.diagnosis()
+    case.run(check_truth_values)
     case.run(check_gyro_size)
     case.run(lambda now: check_gravity(now, case.rests_ns))
-    witnesses, by_truth = _settle_axes(case)
+    witnesses, lag_by_truth = _settle_axes(case)
     mag = next((one for one in witnesses if one.name == "mag" and one.choice is not None), None)
     if case.now.mag is not None:
         iron = mag.hard_iron_b_ut if mag is not None and mag.choice is not None and all(mag.choice.tested) else None
         unit = check_field_unit(case.now, iron)
         case.found(unit)
-        mag = _in_new_unit(mag, unit)
-    case.found(report_axes(witnesses))
-    by_gravity = None if by_truth is not None else _accel_lag(case, witnesses)
-    case.found(check_lags(case.now, witnesses, by_truth, by_gravity))
-    case.run(lambda now: check_gravity_sign(now, case.rests_ns))
+        mag = _convert_iron(mag, unit)
+    case.found(report_tested_axes(witnesses))
+    lag_by_gravity = None if lag_by_truth is not None else _accel_lag(case, witnesses)
+    lags = {one.name: one.lag for one in witnesses if one.choice is not None}
+    case.found(check_lags(case.now, lags.get("truth"), lag_by_truth, lag_by_gravity, lags.get("mag")))
+    case.run(lambda now: check_base_pose(now, case.rests_ns))
     if case.now.mag is not None:
-        case.run(lambda now: check_field(now, mag))
+        case.run(lambda now: check_field(now, mag, case.rests_ns))
     case.run(check_steps)
     case.run(lambda now: check_noise(now, case.rests_ns, witnesses))
     return case.diagnosis()
@@ -82,37 +89,55 @@ class _Case:
 
 
 def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
-    """Ask the witnesses, put the first fault right, and ask again until there is none."""
+    """Compare the hypotheses, put the faults of the best one right, and compare again until there is none.
+
+    Returns what the sensors say of the gyro, and the lag of the accelerometer by the positions of the truth.
+    """
     for _ in range(MOST_FAULTS):
-        witnesses, accel_by_truth, lag_by_truth = _ask(case.now, case.rests_ns)
-        truth = next((one for one in witnesses if one.name == "truth"), None)
-        fault = None if truth is None else find_truth_fault(case.now, truth)
-        fault = fault or find_scale_fault(witnesses) or find_axes_fault(witnesses, accel_by_truth)
-        if fault is None:
+        imu = case.now.require_imu()
+        witnesses = [] if case.now.mag is None else [ask_mag(imu, case.now.mag)]
+        witnesses.insert(0, ask_accel(imu, _bias(imu, case.rests_ns, witnesses)))
+        fits = None if case.now.truth is None else TruthFits(imu, case.now.truth)
+        mag = next((one for one in witnesses if one.name == "mag"), None)
+        dips = find_dips(case.now, case.rests_ns, mag)
+        verdict = compare_hypotheses(witnesses, dips, cosine_to_base_pose(case.now, case.rests_ns), fits)
+        if case.now.truth is not None and fits is not None:
+            view = verdict.best.view
+            truth = case.now.truth if view is None else view.correct(case.now.truth)
+            witnesses.append(ask_truth(imu, truth) if view is not None else Witness("truth", None))
+        scale = find_scale_fault(witnesses)
+        faults = [] if scale is None else [scale]
+        if scale is None or scale.remedy is None:
+            faults += report_axes_faults(verdict, witnesses)
+        if scale is None and fits is not None and case.now.truth is not None and not fits.informative:
+            confirmed = verdict.best.changes_nothing and any(one.choice is not None for one in witnesses)
+            faults = check_truth_mismatch(fits, case.now.truth, confirmed) + faults
+        mended = [one for one in faults if one.remedy is not None]
+        case.found(mended or faults)  # what cannot be mended is reported last, when nothing else is wrong any more
+        if not mended:
             break
-        case.found([fault])
-        if fault.remedy is None:
-            break
-    return witnesses, lag_by_truth
+    return witnesses, _compare_truth(case, verdict, witnesses)
 
 
-def _in_new_unit(mag: Witness | None, findings: list[Finding]) -> Witness | None:
-    """The hard iron was found in the unit before the remedy."""
+def _compare_truth(case: _Case, verdict: Verdict, witnesses: list[Witness]) -> Lag | None:
+    """Look for slips, and return the lag of the accelerometer; the truth is turned to the IMU's body for the tests."""
+    view, truth = verdict.best.view, case.now.truth
+    if truth is None or view is None:
+        return None
+    imu, turned = case.now.require_imu(), turn_truth(truth, view)
+    gyro = next(one for one in witnesses if one.name == "truth")
+    if gyro.choice is not None:
+        case.found(check_slips(imu, turned, gyro.lag.lag_s if gyro.lag is not None else 0.0))
+    return None if view.wrong or verdict.best.fault.corrections() else find_accel_lag(imu, turned)
+
+
+def _convert_iron(mag: Witness | None, findings: list[Finding]) -> Witness | None:
+    """Convert the hard iron, which was found in the unit before the remedy."""
     for finding in findings:
         scaled = finding.remedy is not None and finding.remedy.kind == "matrix"
         if scaled and finding.remedy is not None and mag is not None and mag.hard_iron_b_ut is not None:
             mag = replace(mag, hard_iron_b_ut=finding.remedy.values[0] * mag.hard_iron_b_ut)
     return mag
-
-
-def _ask(recording: Recording, rests_ns: Times) -> tuple[list[Witness], Floats | None, Lag | None]:
-    imu = recording.require_imu()
-    witnesses = [] if recording.mag is None else [ask_mag(imu, recording.mag)]
-    witnesses.insert(0, ask_accel(imu, _bias(imu, rests_ns, witnesses)))
-    if recording.truth is None:
-        return witnesses, None, None
-    witnesses.append(ask_truth(imu, recording.truth))
-    return witnesses, *accel_against_truth(imu, recording.truth)
 
 
 def _accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:

@@ -1,11 +1,15 @@
-"""The magnetic field: hard iron, size, disturbances, and its dip, which shows whether gravity is inverted."""
+"""The magnetic field: hard iron, size, disturbances, and its dip, whose sign shows whether gravity is inverted."""
+
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stillpoint.datasets.doctor.axes import inverted
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.witness import Witness
-from stillpoint.datasets.frames import rotation, slerp
+from stillpoint.datasets.earth import FIELD_YEARS, decimal_year, magnetic_field_n_ut
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Recording, Times
 
@@ -13,14 +17,94 @@ IRON_SHARE = 0.3  # of the field: more turns the heading by up to 17 deg
 DISTURBED, DISTURBED_SHARE = 0.2, 0.25  # a field off by so much, for so much of the time
 DIP_SIDE = 0.17  # sine of the dip (10 deg) beyond which the field clearly points down or up
 NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size say where down is
-EQUATOR_DEG = 15.0  # within, the dip may have either sign
+FEWEST_SAMPLES, FEWEST_AT_REST = 50, 5
+MOST_SAMPLES = 3000
+EVEN_DIP_DEG = 30.0  # dips of rests that differ by more are of different fields, or of wrong axes
+# Nats against a sign of the dip: where the place is known, where it is not and most users live in the north, and where
+# the rests contradict each other, so that no sign is right.
+WRONG_SIGN, SOUTHERN, UNEVEN = 20.0, 5.0, 8.0
 
 
-def check_field(recording: Recording, witness: Witness | None) -> list[Finding]:
-    """Facts about the field as far as the motion shows them."""
+@dataclass(frozen=True, eq=False)
+class Dips:
+    """Directions of specific force and field, in groups: one per rest, or one of all calm samples."""
+
+    force: Floats  # (n, 3) unit vectors, as measured
+    field: Floats  # (n, 3) unit vectors, as measured, less the hard iron
+    group: NDArray[np.intp]  # (n,)
+    expected_rad: float | None  # of the World Magnetic Model at the place of the recording; None where unknown
+
+    def sines(self, accel: Floats, mag: Floats) -> Floats:
+        """Return the sine of the field's elevation in each group when the sensors measure in these wrong axes."""
+        up = ((self.force @ accel) * (self.field @ mag)).sum(axis=1)
+        return np.array([np.median(up[self.group == each]) for each in np.unique(self.group)])
+
+    def dips_deg(self) -> Floats:
+        """Return the dip below the horizon in each group, as measured."""
+        return np.asarray(-np.rad2deg(np.arcsin(np.clip(self.sines(np.eye(3), np.eye(3)), -1, 1))))
+
+    def penalty(self, accel: Floats, mag: Floats) -> float:
+        """Return the nats against these wrong axes by the sign of the dip, judged in each rest."""
+        sines = self.sines(accel, mag)
+        up, down = bool((sines > DIP_SIDE).any()), bool((sines < -DIP_SIDE).any())
+        if up and down:
+            return UNEVEN
+        if self.expected_rad is None:
+            return SOUTHERN if up else 0.0
+        expected = -np.sin(self.expected_rad)
+        if abs(expected) < DIP_SIDE:
+            return 0.0
+        return WRONG_SIGN if (up and expected < 0) or (down and expected > 0) else 0.0
+
+
+def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) -> Dips | None:
+    """Return where force and field point in each rest, else in all calm samples; None where nothing can be told."""
+    iron = _known_iron(witness)
+    mag, imu = recording.mag, recording.require_imu()
+    if mag is None or (iron is None and recording.info.mag_uncalibrated):
+        return None
+    field = mag.mag_b_ut - (0.0 if iron is None else iron)
+    t_s, at_s = (imu.t_ns - imu.t_ns[0]) / 1e9, (mag.t_ns - imu.t_ns[0]) / 1e9
+    force = np.stack([np.interp(at_s, t_s, column) for column in imu.accel_b_mps2.T], axis=1)
+    size, length = np.linalg.norm(force, axis=1), np.linalg.norm(field, axis=1)
+    calm = (np.abs(size / (np.median(size) + 1e-300) - 1) < NEAR_GRAVITY) & (at_s >= 0) & (at_s <= t_s[-1])
+    calm &= (length > 0) & (size > 0)
+    group = np.full(len(at_s), -1)
+    for place, (first, last) in enumerate(rests_ns):
+        group[(mag.t_ns >= first) & (mag.t_ns <= last)] = place
+    resting = calm & (group >= 0)
+    kept = resting if resting.sum() >= FEWEST_AT_REST else calm
+    if kept.sum() < FEWEST_AT_REST or (kept is calm and kept.sum() < FEWEST_SAMPLES):
+        return None
+    rows = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_SAMPLES)]
+    force, field = force[rows] / size[rows, None], field[rows] / length[rows, None]
+    return Dips(force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), expected_dip(recording))
+
+
+def expected_dip(recording: Recording) -> float | None:
+    """Return the dip in rad of the World Magnetic Model at the recording's place, or its first fix; None without.
+
+    A date outside the model, or none, is replaced by the nearest year of it: the dip moves by less than 0.2 deg a year.
+    """
+    place = recording.info.place_lat_lon_alt
+    if place is None and recording.gps is not None and recording.gps.valid.any():
+        first = int(np.flatnonzero(recording.gps.valid)[0])
+        place = (float(recording.gps.lat_deg[first]), float(recording.gps.lon_deg[first]), 0.0)
+    if place is None:
+        return None
+    try:
+        year = decimal_year(recording.info.date) if recording.info.date else FIELD_YEARS[1]
+        year = min(max(year, FIELD_YEARS[0]), FIELD_YEARS[1] - 0.1)
+        east, north, up = magnetic_field_n_ut(place, f"{int(year)}-06-15")
+    except BadParameter:
+        return None
+    return float(np.arctan2(-up, np.hypot(east, north)))
+
+
+def check_field(recording: Recording, witness: Witness | None, rests_ns: Times) -> list[Finding]:
+    """Return facts about the field as far as the motion shows them."""
     assert recording.mag is not None
-    known = witness is not None and witness.choice is not None and all(witness.choice.tested)
-    iron = witness.hard_iron_b_ut if known and witness is not None else None
+    iron = _known_iron(witness)
     if iron is None and recording.info.mag_uncalibrated:
         message = "mag: not calibrated, and turned too little to find its hard iron: size and dip not tested"
         return [Finding("field-not-tested", "fact", message)]
@@ -28,21 +112,52 @@ def check_field(recording: Recording, witness: Witness | None) -> list[Finding]:
     size = float(np.median(np.linalg.norm(field, axis=1)))
     findings = [] if iron is None else [_hard_iron(iron, size)]
     findings.append(_size(field, size))
-    return findings + _dip(recording, field)
+    return findings + _report_dip(find_dips(recording, rests_ns, witness))
 
 
-def check_gravity_sign(recording: Recording, rests_ns: Times) -> list[Finding]:
-    """The specific force in a known base pose must point up."""
-    if recording.base_pose is None or len(rests_ns) == 0:
+def _known_iron(witness: Witness | None) -> Floats | None:
+    """Return the hard iron where the sensor turned about all axes."""
+    known = witness is not None and witness.choice is not None and all(witness.choice.tested)
+    return witness.hard_iron_b_ut if known and witness is not None else None
+
+
+def _report_dip(dips: Dips | None) -> list[Finding]:
+    """Return the dip of the field, and a warning where it differs between rests."""
+    if dips is None:
         return []
+    each = dips.dips_deg()
+    dip_deg, spread_deg = float(np.median(each)), float(np.ptp(each))
+    values = {"dip_deg": dip_deg, "spread_deg": spread_deg}
+    if spread_deg > EVEN_DIP_DEG:
+        message = (
+            f"mag: the field dips by {each.min():.0f} to {each.max():.0f} deg below the horizon from rest to rest: "
+            "iron or currents nearby, or wrong axes that no sign mends; do not trust the heading from it"
+        )
+        return [Finding("field-dip", "warning", message, values=values)]
+    message = f"mag: the field dips by {dip_deg:.0f} deg below the horizon that gravity gives"
+    if dips.expected_rad is not None:
+        values["expected_deg"] = float(np.rad2deg(dips.expected_rad))
+        message += f" (World Magnetic Model: {values['expected_deg']:.0f} deg)"
+    return [Finding("field-dip", "fact", message, values=values)]
+
+
+def cosine_to_base_pose(recording: Recording, rests_ns: Times) -> float | None:
+    """Return the cosine between the force at the first rest and up in the known base pose; None without either."""
+    if recording.base_pose is None or len(rests_ns) == 0:
+        return None
     imu = recording.require_imu()
     first, last = np.searchsorted(imu.t_ns, rests_ns[0])
     force = imu.accel_b_mps2[first : last + 1].mean(axis=0)
     up_b = rotation(recording.base_pose).inv().apply([0.0, 0.0, 1.0])
-    cosine = float(force @ up_b / (np.linalg.norm(force) + 1e-300))
+    return float(force @ up_b / (np.linalg.norm(force) + 1e-300))
+
+
+def check_base_pose(recording: Recording, rests_ns: Times) -> list[Finding]:
+    """Return how far gravity at the first rest is from a known base pose."""
+    cosine = cosine_to_base_pose(recording, rests_ns)
+    if cosine is None:
+        return []
     angle_deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
-    if angle_deg > 150:
-        return [inverted("accel", "gravity is inverted by the known base pose", True, "gravity-inverted")]
     if angle_deg > 15:
         message = (
             f"base pose: gravity at the first rest is {angle_deg:.0f} deg off the known base pose; "
@@ -78,60 +193,3 @@ def _size(field: Floats, size: float) -> Finding:
         advice = "; iron or currents nearby: do not trust the heading from it"
         return Finding("field-disturbed", "warning", message + advice, values=values)
     return Finding("field-size", "fact", message, values=values)
-
-
-def _dip(recording: Recording, field: Floats) -> list[Finding]:
-    """The field dips down in the north and rises in the south; gravity's sign decides which way is down."""
-    upward = _upward_by_force(recording, field)
-    if upward is None:
-        return []
-    dip_deg = float(-np.rad2deg(np.arcsin(upward)))
-    values = {"dip_deg": dip_deg}
-    message = f"mag: the field dips by {dip_deg:.0f} deg below the horizon that gravity gives"
-    place = recording.info.place_lat_lon_alt
-    lat_deg = None if place is None else place[0]
-    expected = 0.0 if lat_deg is None else float(np.sign(lat_deg)) * (abs(lat_deg) > EQUATOR_DEG)
-    if abs(upward) < DIP_SIDE or (lat_deg is None and upward < 0) or (lat_deg is not None and expected * upward <= 0):
-        return [Finding("field-dip", "fact", message, values=values)]
-    sure = _accel_is_right(recording, field)
-    if lat_deg is None and sure is None:
-        why = (
-            f"the field points {-dip_deg:.0f} deg up from the horizon that gravity gives: either gravity is inverted "
-            "(or all axes of the magnetometer), or the recording is from the southern hemisphere: give its place"
-        )
-        return [inverted("accel", why, False, "gravity-inverted")]
-    where = "" if lat_deg is None else f" at latitude {lat_deg:.0f} deg"
-    why = f"the field dips by {dip_deg:.0f} deg{where} and should have the other sign"
-    if sure:
-        return [inverted("mag", why + ": all axes of the magnetometer are inverted", True, "mag-inverted")]
-    return [inverted("accel", why + ": gravity is inverted", True, "gravity-inverted")]
-
-
-def _upward_by_force(recording: Recording, field: Floats) -> float | None:
-    """Median sine of the field's elevation where the force is about gravity."""
-    assert recording.mag is not None
-    imu = recording.require_imu()
-    t_s, at_s = (imu.t_ns - imu.t_ns[0]) / 1e9, (recording.mag.t_ns - imu.t_ns[0]) / 1e9
-    force = np.stack([np.interp(at_s, t_s, column) for column in imu.accel_b_mps2.T], axis=1)
-    norm = np.linalg.norm(force, axis=1)
-    calm = (np.abs(norm / np.median(norm) - 1) < NEAR_GRAVITY) & (at_s >= 0) & (at_s <= t_s[-1])
-    length = np.linalg.norm(field, axis=1)
-    calm &= length > 0
-    if calm.sum() < 50:
-        return None
-    return float(np.median((force * field).sum(axis=1)[calm] / (norm * length)[calm]))
-
-
-def _accel_is_right(recording: Recording, field: Floats) -> bool | None:
-    """Does the truth or the base pose show that the accelerometer's sign is right? None when neither is there."""
-    assert recording.mag is not None
-    truth = recording.truth
-    if truth is not None:
-        inside = (recording.mag.t_ns >= truth.t_ns[0]) & (recording.mag.t_ns <= truth.t_ns[-1])
-        if inside.sum() >= 50:
-            field_n = rotation(slerp(truth.t_ns, truth.q_nb, recording.mag.t_ns[inside])).apply(field[inside])
-            upward = float(np.median(field_n[:, 2] / np.linalg.norm(field_n, axis=1)))
-            by_force = _upward_by_force(recording, field)
-            if by_force is not None and min(abs(upward), abs(by_force)) > DIP_SIDE:
-                return bool(upward * by_force > 0)
-    return True if recording.base_pose is not None else None

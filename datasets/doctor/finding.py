@@ -20,12 +20,15 @@ class Remedy:
     ``offset``              gyro, accel, mag           3 numbers in the stream's unit: corrected = measured - offset
     ``shift``               gyro, accel, mag, truth    1 number, s: what was stamped t belongs at t + shift
     ``line``                imu, mag                   none: stamps become evenly spaced between gaps
-    ``drop``                imu, mag                   pairs of first and last stamp, ns, of what goes
+    ``drop``                imu, mag, truth            pairs of first and last stamp, ns, of what goes
     ``drop-repeats``        imu, mag                   none: of equal neighbouring samples the first stays
     ``interpolate``         gyro, accel                none: held values become lines between their changes
     ``drop-stream``         mag, truth                 none
     ``conjugate``           truth                      none: q becomes its inverse
     ``reorder``             truth                      none: x, y, z, w was read as w, x, y, z
+    ``reorder-back``        truth                      none: w, x, y, z was read as x, y, z, w
+    ``world``               truth                      9 numbers: corrected = matrix * q_nb, positions alike
+    ``mirror``              truth                      1 number: the axis (0, 1, 2) that is mirrored
     ======================  =========================  ==========================================================
 
     For the truth a ``matrix`` is a rotation that turns the axes of its body: corrected = q_nb * matrix^T.

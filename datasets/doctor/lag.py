@@ -1,11 +1,12 @@
-"""Find the time shift at which a loss over windows is smallest, and how well the data fixes it."""
+"""Lags between the clocks: find the shift at which a loss over windows is smallest, and report what it means."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from stillpoint.datasets.recording import Floats, Times
+from stillpoint.datasets.doctor.finding import Finding, Remedy
+from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
 
 REACH_S = 0.25  # lags up to this are looked for
 COARSE_S = 0.025
@@ -14,6 +15,10 @@ SEARCHES = 3
 BLOCKS = 10  # the recording is cut into so many parts, for the standard error
 SIGMAS = 5.0  # a lag is told from zero from so many standard errors on
 MIN_CONTRAST = 0.1  # share of the loss that the best lag takes away from the worst; below, nothing is said
+# What a lag may be off by beside its standard error, measured where the lag is known (docs/doctor.md).
+TRUTH_S = 0.001
+ACCEL_S = 0.015  # translation that goes with turning looks like a lag of gravity
+MAG_S = 0.020  # so does a field that changes with the place
 
 
 @dataclass(frozen=True)
@@ -95,3 +100,54 @@ def _bottom(grid: Floats, total: Floats) -> float:
         return float(grid[int(total.argmin())])
     shift = np.clip(-slope / (2 * curvature), grid[0] - grid[-1], grid[-1] - grid[0])
     return float(grid[int(total.argmin())] + shift)
+
+
+def check_lags(
+    recording: Recording, gyro: Lag | None, accel_by_truth: Lag | None, accel_by_gravity: Lag | None, mag: Lag | None
+) -> list[Finding]:
+    """Return one finding per pair of clocks that the motion lets compare; positive lags are late.
+
+    ``gyro`` and ``accel_by_truth`` are against the truth, the others against the gyro.
+    """
+    findings = [] if gyro is None else [_gyro_against_truth(recording, gyro)]
+    if accel_by_truth is not None and gyro is not None:
+        both = Lag(accel_by_truth.lag_s - gyro.lag_s, (accel_by_truth.sd_s**2 + gyro.sd_s**2) ** 0.5)
+        findings.append(_against_gyro("accel", "accelerometer", both, 2 * TRUTH_S, "by way of the truth"))
+    elif accel_by_gravity is not None:
+        findings.append(_against_gyro("accel", "accelerometer", accel_by_gravity, ACCEL_S, "by gravity"))
+    if mag is not None:
+        findings.append(_against_gyro("mag", "magnetometer", mag, MAG_S, "by the field"))
+    return findings
+
+
+def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
+    """The rate at a stamp is late by half a step more than the attitude, as a sample describes the step before."""
+    half_s = 0.5 / rate_hz(recording.require_imu().t_ns)
+    values = {"lag_s": lag.lag_s + half_s, "sd_s": lag.sd_s, "half_step_s": half_s, "shift_s": lag.lag_s}
+    message = (
+        f"gyro: stamps are {_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; "
+        f"half a step ({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
+    )
+    if abs(lag.lag_s) < TRUTH_S + SIGMAS * lag.sd_s:
+        return Finding("gyro-truth-lag", "fact", message + ", which leaves nothing to mend", None, values)
+    remedy = Remedy("shift", "truth", f"truth shifted by {_ms(lag.lag_s)}", (lag.lag_s,))
+    advice = f"; {_ms(lag.lag_s)} remain: shift the truth by them"
+    return Finding("gyro-truth-lag", "warning", message + advice, remedy, values)
+
+
+def _against_gyro(sensor: str, name: str, lag: Lag, systematic_s: float, how: str) -> Finding:
+    values = {"lag_s": lag.lag_s, "sd_s": lag.sd_s, "systematic_s": systematic_s}
+    message = (
+        f"{sensor}: the {name}'s stamps are {_ms(lag.lag_s)} late (+) against the gyro's {how}, "
+        f"+-{1e3 * lag.sd_s:.1f} ms (and up to {1e3 * systematic_s:.0f} ms from motion and surroundings)"
+    )
+    code = f"{sensor}-gyro-lag"
+    doubtful = abs(lag.lag_s) > 0.9 * REACH_S
+    if doubtful or abs(lag.lag_s) < systematic_s + SIGMAS * lag.sd_s:
+        return Finding(code, "fact", message, None, values)
+    remedy = Remedy("shift", sensor, f"{sensor} shifted by {_ms(-lag.lag_s)}", (-lag.lag_s,))
+    return Finding(code, "warning", message + f"; shift it by {_ms(-lag.lag_s)}", remedy, values)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:+.1f} ms"

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.still import calm_seconds
 from stillpoint.datasets.doctor.witness import Witness
-from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
+from stillpoint.datasets.recording import Floats, Imu, Recording, Times, rate_hz
 from stillpoint.datasets.times import is_inside
 
 BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
@@ -17,6 +17,8 @@ NOISE = {"gyro": np.deg2rad(0.1), "accel": 0.02, "mag": 1.0}
 UNITS = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
 MAG_BIAS_RADPS, MAG_GAIN = np.deg2rad(3.0), 1.5  # by the magnetometer alone only above these is a warning given
 FEWEST_SAMPLES = 50
+CALM_SPREAD = 0.01  # of the force's size: the smoothed force of a calm second varies by less
+SMOOTH_S = 0.1
 
 
 def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
@@ -92,3 +94,28 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
         return [Finding("gyro-bias", "warning", message + advice, values=values)]
     remedy = Remedy("offset", "gyro", f"gyro less bias ({shown}) deg/s", tuple(float(b) for b in bias))
     return [Finding("gyro-bias", "warning", message + "; subtract it", remedy, values)]
+
+
+def calm_seconds(imu: Imu) -> Times:
+    """First and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
+    tenth = _bins(imu.t_ns, SMOOTH_S)
+    first, mean = _means(tenth, imu.accel_b_mps2)
+    second = tenth[first] // round(1 / SMOOTH_S)
+    starts, middle = _means(second, mean)
+    _, square = _means(second, mean**2)
+    spread = np.sqrt(np.maximum((square - middle**2).sum(axis=1), 0.0))
+    whole = np.diff(starts, append=len(second)) == round(1 / SMOOTH_S)
+    calm = np.flatnonzero(whole & (spread < CALM_SPREAD * np.linalg.norm(middle, axis=1)))
+    ends = np.append(first[starts[1:]], len(imu.t_ns)) - 1
+    return np.stack([imu.t_ns[first[starts[calm]]], imu.t_ns[ends[calm]]], axis=1)
+
+
+def _bins(t_ns: Times, width_s: float) -> Times:
+    return np.asarray((t_ns - t_ns[0]) // int(width_s * 1e9))
+
+
+def _means(bins: Times, values: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Start of each run of equal bins, and the mean over it."""
+    starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+    counts = np.diff(starts, append=len(bins))
+    return starts, np.add.reduceat(values, starts, axis=0) / counts[:, None]

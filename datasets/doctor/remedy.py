@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.doctor.finding import Remedy
 from stillpoint.datasets.errors import BadParameter, BadRecording
-from stillpoint.datasets.frames import from_xyzw, quaternion, rotation
+from stillpoint.datasets.frames import from_xyzw, quaternion, rotation, to_xyzw
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
 
 SENSORS = {"gyro": "gyro_b_radps", "accel": "accel_b_mps2"}
@@ -189,6 +189,30 @@ def _reorder(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     return replace(recording, truth=replace(recording.truth, q_nb=from_xyzw(recording.truth.q_nb))), ""
 
 
+def _reorder_back(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    assert recording.truth is not None
+    return replace(recording, truth=replace(recording.truth, q_nb=to_xyzw(recording.truth.q_nb))), ""
+
+
+def _turn_world(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    truth = recording.truth
+    assert truth is not None
+    turn = Rotation.from_matrix(np.reshape(remedy.values, (3, 3)))
+    position = None if truth.position_n_m is None else truth.position_n_m @ turn.as_matrix().T
+    changed = replace(truth, q_nb=quaternion(turn * rotation(truth.q_nb)), position_n_m=position)
+    return replace(recording, truth=changed), ""
+
+
+def _mirror(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
+    truth = recording.truth
+    assert truth is not None
+    signs = np.ones(3)
+    signs[int(remedy.values[0])] = -1.0
+    position = None if truth.position_n_m is None else truth.position_n_m * signs
+    changed = replace(truth, q_nb=truth.q_nb * np.concatenate([[1.0], -signs]), position_n_m=position)
+    return replace(recording, truth=changed), ""
+
+
 _KINDS: dict[str, Callable[[Recording, Remedy], tuple[Recording, str]]] = {
     "matrix": _matrix,
     "offset": _offset,
@@ -200,4 +224,7 @@ _KINDS: dict[str, Callable[[Recording, Remedy], tuple[Recording, str]]] = {
     "drop-stream": _drop_stream,
     "conjugate": _conjugate,
     "reorder": _reorder,
+    "reorder-back": _reorder_back,
+    "world": _turn_world,
+    "mirror": _mirror,
 }

@@ -1,19 +1,24 @@
-"""The truth as a witness: its rate in body axes beside the gyro's, and its gravity beside the accelerometer's."""
+"""The truth beside the sensors: its rate against the gyro's, its positions against the force, and its own defects."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.doctor.candidates import CANDIDATES, choose, index_of
+from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
+from stillpoint.datasets.doctor.remedy import repeats
 from stillpoint.datasets.doctor.turning import gyro_series, solve, stands_out, vector_series
-from stillpoint.datasets.doctor.witness import Witness
+from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, choose, index_of
 from stillpoint.datasets.frames import rotation
-from stillpoint.datasets.recording import Floats, Imu, Truth
+from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
 
 RATE_WINDOW_S = 0.04
 FORCE_WINDOW_S = 0.06  # half of the span of the second difference of the positions
 FEWEST = 50
-ACCEL_GAP = 0.05  # nats a sample by which one candidate must fit better than the next
+HELD_RADPS = np.deg2rad(5.0)  # faster than any bias leaves the median
+FROZEN_S, FEWEST_HELD = 0.3, 5
+SLIP_WINDOW_S = 1.0
+SLIP_RAD, SLIP_RATIO, MOST_SLIPS = np.deg2rad(5.0), 10.0, 0.3
 
 
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
@@ -71,11 +76,10 @@ def truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     return t_s[first], t_s[first + pair], turn / (t_s[first + pair] - t_s[first])[:, None]
 
 
-def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | None]:
-    """The signed permutation that turns the accelerometer's axes into the truth's, and its lag against the truth.
-
-    Uses the acceleration from the truth's positions where it has them, gravity alone otherwise (no lag then).
-    """
+def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
+    """Return how late the accelerometer is against the positions of the truth, in the same body; None without any."""
+    if truth.position_n_m is None:
+        return None
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     at_s, expected, swing = truth_forces(truth, origin)
@@ -84,7 +88,7 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
     inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
     at_s, expected, swing = at_s[inside], expected[inside], swing[inside]
     if len(at_s) < FEWEST:
-        return None, None
+        return None
 
     def measured(lag_s: float) -> Floats:
         return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
@@ -103,22 +107,7 @@ def accel_against_truth(imu: Imu, truth: Truth) -> tuple[Floats | None, Lag | No
             weight = 1 / (1 + (residual / usual) ** 2) ** 2
         return np.asarray(np.log1p((residual / usual) ** 2))
 
-    lag = find_lag(loss) if truth.position_n_m is not None else None
-    return _accel_axes(expected, measured(lag.lag_s if lag else 0.0)), lag
-
-
-def _accel_axes(expected: Floats, felt: Floats) -> Floats | None:
-    """The signed permutation that takes the felt forces (n, 3) closest to the expected ones; None when several do.
-
-    Without turning several fit the one direction of gravity; the identity is then taken where it is one of them.
-    """
-    felt = felt * np.median(np.linalg.norm(expected, axis=1)) / (np.median(np.linalg.norm(felt, axis=1)) + 1e-300)
-    floor = (0.1 * STANDARD_GRAVITY_MPS2) ** 2
-    mean = np.array([np.log(((expected - felt @ m.T) ** 2).sum(axis=1) + floor).mean() for m in CANDIDATES])
-    best = int(mean.argmin())
-    if np.sort(mean)[1] - mean[best] >= ACCEL_GAP:
-        return np.asarray(CANDIDATES[best])
-    return np.asarray(CANDIDATES[0]) if mean[0] - mean[best] < ACCEL_GAP else None
+    return find_lag(loss)
 
 
 def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
@@ -143,3 +132,77 @@ def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     before, now, after = (rotation(truth.q_nb[middle + k * reach]).as_matrix() for k in (-1, 0, 1))
     swing = np.einsum("nji,njk->nik", now, (after - 2 * now + before) / squared)
     return t_s[middle], np.einsum("nji,nj->ni", now, force_n), swing
+
+
+def mean_per_bin(bins: NDArray[np.int64], values: Floats) -> Floats:
+    """Return the mean of rows (n, k) over each run of equal bins (n,)."""
+    starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+    counts = np.diff(starts, append=len(bins))
+    return np.asarray(np.add.reduceat(values, starts, axis=0) / counts[:, None])
+
+
+def check_truth_values(recording: Recording) -> list[Finding]:
+    """Report a truth that is held while the gyro turns, and one that is odometry."""
+    truth, imu = recording.truth, recording.imu
+    if truth is None or imu is None or len(truth.t_ns) < FEWEST or len(imu.t_ns) < FEWEST:
+        return []
+    return [*_check_frozen(imu, truth), *_check_odometry(recording, truth)]
+
+
+def _check_frozen(imu: Imu, truth: Truth) -> list[Finding]:
+    away = np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1)
+    turning = np.concatenate([[0], np.cumsum(away > HELD_RADPS)])
+    same = repeats(truth.q_nb)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+    first, last = np.maximum(edges[::2] - 1, 0), edges[1::2] - 1  # the sample that is held, and its last repeat
+    begin, end = np.searchsorted(imu.t_ns, truth.t_ns[first]), np.searchsorted(imu.t_ns, truth.t_ns[last])
+    share = (turning[end] - turning[begin]) / np.maximum(end - begin, 1)
+    seconds = (truth.t_ns[last] - truth.t_ns[first]) / 1e9
+    held = (seconds >= FROZEN_S) & (last - first >= FEWEST_HELD) & (share > 0.5)
+    if not held.any():
+        return []
+    first, last, seconds = first[held], last[held], seconds[held]
+    spans = tuple(int(t) for pair in zip(truth.t_ns[first], truth.t_ns[last], strict=True) for t in pair)
+    at_s = float(truth.t_ns[first[0]] - truth.t_ns[0]) / 1e9
+    message = (
+        f"truth: held for {seconds.sum():.2f} s in {len(first)} stretches while the gyro turns, the first {at_s:.2f} s "
+        "after its start: the tracking was lost; drop these samples"
+    )
+    remedy = Remedy("drop", "truth", "truth: held samples dropped", spans)
+    return [Finding("truth-frozen", "error", message, remedy, {"frozen_s": float(seconds.sum()), "at_s": at_s})]
+
+
+def _check_odometry(recording: Recording, truth: Truth) -> list[Finding]:
+    noted = any("is odometry" in note and "not taken" not in note for note in recording.info.notes)
+    planar = bool((np.abs(truth.q_nb[:, 1:3]) < 1e-9).all()) and bool(np.ptp(truth.q_nb[:, 3]) > 0)
+    if not noted and not planar:
+        return []
+    why = "the source says so" if noted else "its roll and pitch are exactly zero throughout, its heading is not"
+    message = f"truth: is odometry ({why}): it slips and drifts, and its errors count as errors of what is scored"
+    return [Finding("truth-is-odometry", "warning", message + "; score against a reference instead")]
+
+
+def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
+    """Report seconds in which a truth, which else fits the gyro, turns otherwise: wheels that slip, lost markers."""
+    origin = int(imu.t_ns[0])
+    gyro = gyro_series(imu, origin)
+    start, end, rate = truth_rates(truth, origin)
+    inside = (start + lag_s > gyro.t_s[0]) & (end + lag_s < gyro.t_s[-1])
+    inside &= ~gyro.touches_gap(start + lag_s, end + lag_s)
+    start, end, rate = start[inside], end[inside], rate[inside]
+    if len(start) < FEWEST:
+        return []
+    off = rate - gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
+    bins = np.floor(start / SLIP_WINDOW_S).astype(np.int64)
+    parted = SLIP_WINDOW_S * np.linalg.norm(mean_per_bin(bins, off - np.median(off, axis=0)), axis=1)
+    slipped = parted > max(SLIP_RATIO * float(np.median(parted)), SLIP_RAD)
+    if not 0 < slipped.mean() < MOST_SLIPS:
+        return []
+    at_s = float(start[np.searchsorted(bins, np.unique(bins)[int(np.argmax(parted))])])
+    worst_deg, total_deg = float(np.rad2deg(parted.max())), float(np.rad2deg(parted[slipped].sum()))
+    message = (
+        f"truth: parts from the gyro in {int(slipped.sum())} single seconds, by {worst_deg:.0f} deg in the worst, "
+        f"{at_s:.1f} s after the start, and fits it in all others: odometry that slips, or markers that were mixed up"
+    )
+    values = {"seconds": float(slipped.sum()), "worst_deg": worst_deg, "total_deg": total_deg, "at_s": at_s}
+    return [Finding("truth-is-odometry", "warning", message + "; do not score over them", values=values)]

@@ -5,19 +5,21 @@ vector, or the attitude, with what the gyro's turning predicts. Every fault of a
 permutations; a witness that saw too little motion says nothing.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from stillpoint.datasets.doctor.candidates import CANDIDATES, Choice, choose
-from stillpoint.datasets.doctor.coherence import Swings, displacement, displacement_about_pivot
 from stillpoint.datasets.doctor.lag import REACH_S, Lag, find_lag
 from stillpoint.datasets.doctor.turning import (
     FEWEST_WINDOWS,
     LEVI_CIVITA,
     Grid,
+    Swings,
     Windows,
+    displacement,
+    displacement_about_pivot,
     gyro_series,
     robust_solve,
     solve,
@@ -25,11 +27,102 @@ from stillpoint.datasets.doctor.turning import (
 )
 from stillpoint.datasets.recording import Floats, Imu, Mag
 
+# Log-likelihoods, in nats. Measured on 22 real recordings: see docs/doctor.md.
+MIN_GAIN = 0.3  # per window, over "the gyro has nothing to do with it": below, nothing is said
+MIN_FAULT_GAIN = 0.6  # ... and below this no fault is claimed
+MIN_ADVANTAGE = 0.15  # per window, of another candidate over the identity: below, the axes are right
+TIE_NATS, TIE_SIGMA = 5.0, 4.0  # closer to the best than either: as good, and the simplest of them is taken
 OVERLAP = 3.0  # windows start every third of their length
 STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
 FEWEST_SWINGS = 6
 HAND_TREMOR_M = 0.02  # displacements below this tell nothing
 CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
+
+
+def _signed_permutations() -> Floats:
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            found.append(matrix)
+    return np.array(sorted(found, key=complexity))
+
+
+def complexity(matrix: Floats) -> tuple[int, int]:
+    """How much a signed permutation changes: moved axes and flipped signs together, then the moved axes alone."""
+    moved = int((np.abs(np.diag(matrix)) < 0.5).sum())
+    flipped = int((matrix < -0.5).sum())
+    return moved + flipped, moved
+
+
+CANDIDATES: Floats = _signed_permutations()  # (48, 3, 3), the identity first, then by complexity
+IDENTITY = 0
+
+
+def index_of(matrix: Floats) -> int:
+    """Return the place of a signed permutation among the candidates."""
+    return int(np.abs(CANDIDATES - matrix).sum(axis=(1, 2)).argmin())
+
+
+def describe(sensor: str, matrix: Floats) -> str:
+    """``gyro x -> -x`` for each component that changes: the corrected x is minus the measured x."""
+    parts = []
+    for axis, row in zip("xyz", matrix, strict=True):
+        source = int(np.abs(row).argmax())
+        name = ("-" if row[source] < 0 else "") + "xyz"[source]
+        if name != axis:
+            parts.append(f"{sensor} {axis} -> {name}")
+    return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The simplest candidate that fits as well as the best one."""
+
+    matrix: Floats  # (3, 3) signed permutation: true = matrix @ measured, up to a factor
+    gain: float  # mean log-likelihood per window over the null
+    tested: tuple[bool, bool, bool]  # would a flip of this measured axis have been seen?
+    excess: Floats  # (48,) nats by which a candidate fits clearly worse than the best; 0 where it does not
+
+
+def choose(loss: Floats, null: Floats, overlap: float) -> Choice | None:
+    """Choose from the losses (48, n) of the candidates over n windows; None when no candidate explains the data.
+
+    ``null`` (n,) is the loss without the gyro. ``overlap``: how many windows share the same data.
+    """
+    mean = loss.mean(axis=1)
+    best = int(mean.argmin())
+    gain = float(null.mean() - mean[best])
+    if gain < MIN_GAIN or not _is_worse(null - loss[best], overlap):
+        return None
+    chosen = next(k for k in range(len(loss)) if k == best or not _is_worse(loss[k] - loss[best], overlap))
+    if mean[IDENTITY] - mean[best] < MIN_ADVANTAGE:
+        chosen = IDENTITY
+    if chosen != IDENTITY and gain < MIN_FAULT_GAIN:
+        return None
+    flips = [index_of(CANDIDATES[chosen] @ np.diag(sign)) for sign in 1 - 2 * np.eye(3)]
+    tested = [_is_worse(loss[k] - loss[chosen], overlap) for k in flips]
+    excess = excess_over_best(loss, overlap)
+    if chosen == IDENTITY:
+        excess[IDENTITY] = 0.0
+    return Choice(CANDIDATES[chosen], gain, (tested[0], tested[1], tested[2]), excess)
+
+
+def excess_over_best(loss: Floats, overlap: float) -> Floats:
+    """Return the nats (K,) by which each of K candidates is clearly worse than the best, from losses (K, n).
+
+    0 for a candidate that the data cannot tell from the best.
+    """
+    best = loss[int(loss.mean(axis=1).argmin())]
+    return np.array([(one - best).sum() / overlap if _is_worse(one - best, overlap) else 0.0 for one in loss])
+
+
+def _is_worse(difference: Floats, overlap: float) -> bool:
+    """Is the first of two candidates clearly worse, by the differences of their losses over the windows?"""
+    error = difference.std() * np.sqrt(overlap / len(difference))
+    nats = difference.sum() / overlap
+    return bool(difference.mean() > TIE_SIGMA * error or nats > TIE_NATS)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ the outcome of the input concerned, and the batch goes on.
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import traceback
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.progress import show_progress
 
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
@@ -92,7 +94,7 @@ def _print_defect(item: object, outcome: Outcome[Result]) -> Outcome[Result]:
     if not outcome.defect or outcome.error is None or "\n" not in outcome.error:
         return outcome
     line, trace = outcome.error.split("\n", 1)
-    print(f"stillpoint: {item}: {line}\n{trace}", file=sys.stderr)
+    print(f"stillpoint: {make_printable(item)}: {make_printable(line)}\n{trace}", file=sys.stderr)
     return Outcome(error=line, defect=True)
 
 
@@ -134,7 +136,7 @@ def _run_in_processes(
 def _start(context: SpawnContext, function: Callable[[Item], Result], items: Sequence[Item], place: int) -> _Worker:
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs, function))
-    with _block_interrupt():
+    with _block_interrupt(), _hide_main(function, items[place]):
         process.start()
     theirs.close()
     ours.send(items[place])
@@ -185,6 +187,26 @@ def _block_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _hide_main(*work: object) -> Iterator[None]:
+    """Keep a new process from running the main script again, unless its work is defined there.
+
+    Without this, a script that calls us must guard its own lines by ``if __name__ == "__main__"``.
+    """
+    main = sys.modules["__main__"]
+    hidden = [name for name in ("__file__", "__spec__") if getattr(main, name, None) is not None]
+    if b"__main__" in pickle.dumps(work):
+        hidden = []
+    saved = {name: getattr(main, name) for name in hidden}
+    for name in hidden:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            setattr(main, name, value)
 
 
 def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:

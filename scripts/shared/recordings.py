@@ -4,7 +4,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from stillpoint.datasets.doctor.whole import losses
+from stillpoint.datasets.doctor.clocks import list_losses
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording, Times
 
@@ -12,7 +12,7 @@ from stillpoint.datasets.recording import Recording, Times
 def open_recording(path: Path) -> Recording:
     """Read a recording, and print to stderr what is lost of a file that was cut short."""
     recording = read_recording(path)
-    for loss in losses(recording):
+    for loss in list_losses(recording):
         _print_once(f"stillpoint: {path}: {loss}")
     return recording
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.shared.names import make_printable
 
 ALL = "all"
 BORDER = 3  # characters that a column takes besides its text, and one more for the table
@@ -28,7 +29,8 @@ def print_table(
     ``wanted`` is the value of --columns: "all", or names of columns with commas between. Raises :class:`BadParameter`
     for a name that no column has.
     """
-    rows = [[list(map(str, row)) for row in section] for section in sections]
+    rows = [[list(map(make_printable, row)) for row in section] for section in sections]
+    title = make_printable(title)
     chosen = range(len(columns)) if wanted in (None, ALL) else choose_columns(columns, str(wanted))
     console = Console()
     if not console.is_terminal:
@@ -81,7 +83,7 @@ def print_refusals(what: str, refusals: Iterable[tuple[str, str]]) -> None:
     for message, name in refusals:
         names.setdefault(message, []).append(name)
     for message, refused in names.items():
-        print(f"{what} ({', '.join(dict.fromkeys(refused))}): {message}")
+        print(make_printable(f"{what} ({', '.join(dict.fromkeys(refused))}): {message}"))
 
 
 def _print_lines(

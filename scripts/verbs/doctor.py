@@ -1,8 +1,9 @@
 """``stillpoint doctor``: test recordings by physics and say what to do."""
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,34 +11,63 @@ import numpy as np
 from cyclopts import Parameter
 from rich.console import Console
 
-from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, apply, diagnose
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, Severity, apply, diagnose
+from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.importers.options import parse_date, parse_place
 from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.flags import Inputs
-from stillpoint.scripts.shared.inputs import each_read, output_dir, recordings
+from stillpoint.scripts.shared.flags import Inputs, Jobs
+from stillpoint.scripts.shared.inputs import output_dir, recordings
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
+from stillpoint.scripts.shared.tables import print_table
 
 UNREADABLE = "unreadable"  # the code of a file that could not be opened
 COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
+MOST_NAMED = 3  # recordings that a row of the summary names
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One file: what is known of it, where the repaired recording goes, and what is left out of the repair."""
+
+    source: Path
+    place: tuple[float, float, float] | None
+    date: str
+    target: Path | None
+    skip: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Examined:
+    """The diagnosis of one file, and how many of its remedies were applied."""
+
+    diagnosis: Diagnosis
+    applied: int
 
 
 def doctor(
     paths: Inputs,
     /,
     *,
-    repair: Annotated[bool, Parameter(name="--apply", negative="")] = False,
+    repair: Annotated[bool, Parameter(name=["--repair", "--apply"], negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
+    place: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    date: str | None = None,
+    errors: Annotated[bool, Parameter(negative="")] = False,
     strict: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:
     """Test recordings by physics and say what to do.
 
-    Axes, signs, units, clocks, lags, clipping, the field, noise and bias. Findings do not change the exit code;
-    a file that cannot be read makes it 2, and the others are tested.
+    Axes, signs, units, clocks, lags, clipping, the field, noise, bias, and the truth. Findings do not change the exit
+    code; a file that cannot be read makes it 2, and the others are tested. Several files end in a summary, and their
+    facts stand in the JSON only.
 
     Parameters
     ----------
@@ -48,41 +78,98 @@ def doctor(
     out
         Folder for the repaired recordings; must not be the one they come from.
     skip
-        Code of a finding whose remedy --apply leaves out; may be given several times.
+        Code of a finding whose remedy --repair leaves out; may be given several times.
+    place
+        Where the recordings were made: LAT,LON or LAT,LON,ALT in deg and m. It tells the dip of the Earth's field.
+    date
+        When they were made, for example 2025-08-31.
+    errors
+        Print errors only.
     strict
         Exit with 2 when a recording has an error or a warning.
+    jobs
+        Processes; by default one per core, fewer for few recordings.
     json
         Also write the findings as JSON to this file; - is the standard output.
     """
     if repair != (out is not None):
-        raise BadParameter("doctor: --apply and --out DIR belong together; give both or neither")
+        raise BadParameter("doctor: --repair and --out DIR belong together; give both or neither")
+    where = None if place is None else parse_place(place)
+    when = "" if date is None else parse_date(date)
     sources = recordings(paths)
     targets = {} if out is None else _targets(sources, output_dir(out))
+    work = [_Job(source, where, when, targets.get(source), skip) for source in sources]
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
+    shown = _shown_severities(errors, single=len(sources) == 1)
+    outcomes = run_jobs(_examine_file, work, jobs, "doctor")
     made: list[Diagnosis] = []
-    for path, recording, error in each_read(sources, partial(read_recording, units_unchecked=True)):
-        if recording is None:
-            made.append(Diagnosis(path.stem, (Finding(UNREADABLE, "error", error),)))
+    for job, outcome in zip(work, outcomes, strict=True):
+        if outcome.value is None:
+            if len(work) == 1 and not outcome.defect:
+                raise StillpointError(str(outcome.error))
+            print(f"stillpoint: {make_printable(outcome.error)}", file=sys.stderr)
+            made.append(Diagnosis(job.source.stem, (Finding(UNREADABLE, "error", str(outcome.error)),)))
             continue
-        diagnosis = examine(recording)
+        diagnosis = outcome.value.diagnosis
         made.append(diagnosis)
-        _show(console, path, diagnosis)
-        if targets:
-            remedies = chosen(diagnosis, skip)
-            write(targets[path], apply(recording, remedies))
-            console.print(f"  {len(remedies)} of {len(diagnosis.remedies)} remedies applied: {targets[path]}")
+        _show(console, job.source, diagnosis, shown)
+        if job.target is not None:
+            count = f"{outcome.value.applied} of {len(diagnosis.remedies)} remedies applied"
+            console.print(make_printable(f"  {count}: {job.target}"))
     codes = {code for diagnosis in made for code in diagnosis.codes()}
     for code in sorted(set(skip) - codes):
         console.print(f"--skip {code}: nothing of this name was found")
+    if len(made) > 1 and json != STDOUT:
+        _print_summary(made, ("error",) if errors else ("error", "warning"))
     write_json(json, [row for diagnosis in made for row in diagnosis.rows()])
-    if strict and not all(diagnosis.clean for diagnosis in made):
+    failed = exit_code(outcomes)
+    if failed == 0 and strict and not all(diagnosis.clean for diagnosis in made):
         print("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
         return 2
-    return 2 if UNREADABLE in codes else 0
+    return failed
+
+
+def _shown_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
+    if errors:
+        return ("error",)
+    return SEVERITIES if single else ("error", "warning")
+
+
+def _examine_file(job: _Job) -> _Examined:
+    """Diagnose one file and write the repaired recording where that is asked for."""
+    recording = read_recording(job.source, units_unchecked=True)
+    info = recording.info
+    if job.place is not None or job.date:
+        place = info.place_lat_lon_alt if job.place is None else job.place
+        recording = replace(recording, info=replace(info, place_lat_lon_alt=place, date=job.date or info.date))
+    diagnosis = examine(recording)
+    if job.target is None:
+        return _Examined(diagnosis, 0)
+    remedies = select_remedies(diagnosis, job.skip)
+    write(job.target, apply(recording, remedies))
+    return _Examined(diagnosis, len(remedies))
+
+
+def _print_summary(made: Sequence[Diagnosis], severities: tuple[Severity, ...]) -> None:
+    """Print one row per code: how many recordings have it, and the first of them."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for diagnosis in made:
+        for finding in diagnosis.findings:
+            if finding.severity in severities:
+                names = found.setdefault((finding.severity, finding.code), [])
+                if diagnosis.recording not in names:
+                    names.append(diagnosis.recording)
+    clean = sum(diagnosis.clean for diagnosis in made)
+    ordered = sorted(found.items(), key=lambda item: (item[0][0], -len(item[1]), item[0][1]))
+    rows = [
+        [severity, code, str(len(names)), ", ".join(names[:MOST_NAMED]) + (" …" if len(names) > MOST_NAMED else "")]
+        for (severity, code), names in ordered
+    ]
+    print_table(f"{len(made)} recordings, {clean} clean", ["severity", "finding", "recordings", "of them"], [rows])
 
 
 def examine(recording: Recording) -> Diagnosis:
-    """Find the rests and diagnose; once more when remedies were needed before rests could be seen."""
+    """Find the rests and diagnose; repeat it when units had to be put right before rests could be seen."""
     if recording.imu is None:
         return diagnose(recording, np.empty((0, 2), dtype=np.int64))
     diagnosis = diagnose(recording, find_rests_at_default(recording))
@@ -94,13 +181,13 @@ def examine(recording: Recording) -> Diagnosis:
     return diagnose(recording, find_rests_at_default(apply(recording, units)))
 
 
-def chosen(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
-    """The remedies of all findings but those whose codes are to be skipped."""
+def select_remedies(diagnosis: Diagnosis, skip: tuple[str, ...]) -> list[Remedy]:
+    """Return the remedies of all findings except those whose codes are to be skipped."""
     return [one.remedy for one in diagnosis.findings if one.remedy is not None and one.code not in skip]
 
 
 def _targets(sources: Sequence[Path], folder: Path) -> dict[Path, Path]:
-    """Where the repaired recordings go: never over those that were read, nor over each other."""
+    """Return where the repaired recordings go: never over those that were read, nor over each other."""
     targets = {source: folder / source.name for source in sources}
     for source, target in targets.items():
         if target.resolve() == source.resolve():
@@ -109,11 +196,13 @@ def _targets(sources: Sequence[Path], folder: Path) -> dict[Path, Path]:
     return targets
 
 
-def _show(console: Console, path: Path, diagnosis: Diagnosis) -> None:
-    sizes = [(len(diagnosis.codes(kind)), kind) for kind in SEVERITIES]
-    counts = [f"{count} {kind}{'' if count == 1 else 's'}" for count, kind in sizes]
-    console.print(f"{path}: {', '.join(counts)}{': clean' if diagnosis.clean else ''}")
-    for kind in SEVERITIES:
+def _show(console: Console, path: Path, diagnosis: Diagnosis, shown: Sequence[Severity]) -> None:
+    """Print the findings of these severities, the worst first."""
+    counts = Counter(finding.severity for finding in diagnosis.findings)
+    words = [f"{counts[kind]} {kind}{'' if counts[kind] == 1 else 's'}" for kind in SEVERITIES]
+    console.print(make_printable(f"{path}: {', '.join(words)}{': clean' if diagnosis.clean else ''}"))
+    for kind in shown:
         for finding in diagnosis.findings:
             if finding.severity == kind:
-                console.print(f"  {kind:7} {finding.code:18} {finding.message}", style=COLOURS[kind])
+                line = make_printable(f"  {kind:7} {finding.code:18} {finding.message}")
+                console.print(line, style=COLOURS[kind])

@@ -18,9 +18,9 @@ from stillpoint.datasets.mcap.store import sha256, write
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.parts import split_recording
 from stillpoint.datasets.recording import Recording, rate_hz
-from stillpoint.scripts.main import make_printable
 from stillpoint.scripts.shared.flags import OutDir, read_span
 from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.import_flags import Flags
@@ -154,9 +154,9 @@ def _read_sources(
 
 def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
     from stillpoint.datasets.doctor import apply
-    from stillpoint.scripts.verbs.doctor import chosen, examine
+    from stillpoint.scripts.verbs.doctor import examine, select_remedies
 
-    mended = apply(recording, chosen(examine(recording), skip))
+    mended = apply(recording, select_remedies(examine(recording), skip))
     try:
         return replace(mended, info=replace(mended.info, units_unchecked=units_unchecked))
     except BadRecording as error:

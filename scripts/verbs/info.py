@@ -15,6 +15,7 @@ from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Columns, Inputs
 from stillpoint.scripts.shared.inputs import each_read, mcap_files
+from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
@@ -168,7 +169,7 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
         ]
         for one in facts["streams"]
     ]
-    print(f"{facts['file']}: {facts['kind']} {facts['name']}")
+    print(make_printable(f"{facts['file']}: {facts['kind']} {facts['name']}"))
     print_table("streams", COLUMNS, [rows], texts=1, wanted=wanted)
     if "rests" in facts:
         print(f"  {'rests':17} {_describe_rests(facts['rests'])}")

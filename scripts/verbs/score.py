@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from stillpoint.scoring.spin import RollScore, roll_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.shared.flags import Columns, Inputs
+from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_one
+from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.progress import track
 from stillpoint.scripts.shared.tables import print_table
@@ -94,13 +97,15 @@ def score(
     work = [(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
     scores: list[Score | RollScore] = []
+    outcomes: list[Outcome[Score | RollScore]] = []
     for file, judge in track(work, "score"):
-        try:
-            found = _score_file(file, judge, asked)
-        except StillpointError as error:
-            if len(work) == 1:
-                raise
-            rows.append({"recording": recording_name(file), "file": str(file), "error": str(error)})
+        outcome = run_one(partial(_score_file, against=judge, asked=asked), file)
+        outcomes.append(outcome)
+        found = outcome.value
+        if found is None:
+            if len(work) == 1 and not outcome.defect:
+                raise StillpointError(str(outcome.error))
+            rows.append({"recording": recording_name(file), "file": str(file), "error": outcome.error})
             continue
         scores.append(found)
         row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
@@ -114,9 +119,9 @@ def score(
         print_roll_scores([s for s in scores if isinstance(s, RollScore)])
         for row in rows:
             if row["error"] is not None:
-                print(f"not scored: {row['error']}")
+                print(make_printable(f"not scored: {row['error']}"))
     write_json(json, rows)
-    return 2 if len(scores) < len(work) else 0
+    return exit_code(outcomes)
 
 
 def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
@@ -141,11 +146,11 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
         )
         print(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
         for note in _notes(judged):
-            print(note)
+            print(make_printable(note))
 
 
 def print_turns(scores: Sequence[Score]) -> None:
-    """The table of turns over given times: RMSE and largest error, a section per recording, best first."""
+    """Print the errors of turns over given times: RMSE and largest, a section per recording, best first."""
     named = [f"over {turn.over_s:g} s" for turn in scores[0].turns]
     ordered = sorted(scores, key=lambda s: (s.recording, s.against, s.turns[0].rmse_deg))
     sections = [[_turn_cells(s) for s in rows] for _, rows in groupby(ordered, key=lambda s: (s.recording, s.against))]
@@ -222,7 +227,7 @@ def is_trajectory(path: Path) -> bool:
 
 
 def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
-    """A trajectory of another program; it cannot say which recording it was made from."""
+    """Score a trajectory of another program; it cannot say which recording it was made from."""
     if against is None:
         raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")
     poses, judge = read_poses(file), judge_of(against)

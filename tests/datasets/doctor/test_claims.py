@@ -7,10 +7,9 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from stillpoint.datasets import Recording, write
-from stillpoint.datasets.doctor.axes import find_scale_fault
-from stillpoint.datasets.doctor.candidates import choose
+from stillpoint.datasets.doctor.hypotheses import find_scale_fault
 from stillpoint.datasets.doctor.lag import find_lag
-from stillpoint.datasets.doctor.witness import Witness, ask_mag
+from stillpoint.datasets.doctor.witness import Witness, ask_mag, choose
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.verbs.doctor import examine

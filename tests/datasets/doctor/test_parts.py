@@ -10,12 +10,10 @@ from resting import RNG, stamps
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
-from stillpoint.datasets.doctor.candidates import CANDIDATES, choose, describe
-from stillpoint.datasets.doctor.coherence import MODES, displacement_modes
 from stillpoint.datasets.doctor.lag import find_lag
-from stillpoint.datasets.doctor.noise import white_noise
-from stillpoint.datasets.doctor.still import calm_seconds
-from stillpoint.datasets.doctor.turning import Grid, gyro_series, vector_series
+from stillpoint.datasets.doctor.noise import calm_seconds, white_noise
+from stillpoint.datasets.doctor.turning import MODES, Grid, displacement_modes, gyro_series, vector_series
+from stillpoint.datasets.doctor.witness import CANDIDATES, choose, describe
 from stillpoint.datasets.simulate import simulate
 
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, Mag
 from stillpoint.datasets.doctor import Remedy, apply, diagnose
-from stillpoint.datasets.doctor.candidates import CANDIDATES
 from stillpoint.datasets.doctor.remedy import line_through
+from stillpoint.datasets.doctor.witness import CANDIDATES
 from stillpoint.datasets.simulate import simulate
 
 

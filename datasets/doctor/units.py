@@ -4,7 +4,7 @@ import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.doctor.finding import Finding, Remedy
-from stillpoint.datasets.doctor.still import calm_seconds
+from stillpoint.datasets.doctor.noise import calm_seconds
 from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
