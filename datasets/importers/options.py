@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 from typing import Any, Literal
 
+import numpy as np
+
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.clock import UNIX_FROM_NS
 from stillpoint.datasets.importers.series import Log
-from stillpoint.datasets.recording import Info, Times
+from stillpoint.datasets.recording import Info, Recording, Times
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,18 @@ def parse_date(text: str) -> str:
         raise BadParameter(f"--date {text!r}: is not a date; write it as 2025-08-31") from None
 
 
-def apply_place_and_date(info: Info, options: Options) -> Info:
-    """Return the facts of a recording with the place and the date that the user gave."""
+def apply_place_and_date(recording: Recording, options: Options) -> Info:
+    """Return the facts of a recording with the place and the date that the user gave, else the place of its fixes."""
+    info = recording.info
     if options.place is not None:
         info = replace(info, place_lat_lon_alt=parse_place(options.place))
+    elif info.place_lat_lon_alt is None and recording.gps is not None and recording.gps.valid.any():
+        gps, valid = recording.gps, recording.gps.valid
+        height_m = gps.alt_m[valid][np.isfinite(gps.alt_m[valid])]
+        place = (float(np.median(gps.lat_deg[valid])), float(np.median(gps.lon_deg[valid])))
+        line = f"place from the median of {int(valid.sum())} fixes: {place[0]:.4f}, {place[1]:.4f} deg"
+        height = float(np.median(height_m)) if len(height_m) else 0.0
+        info = replace(info, place_lat_lon_alt=(*place, height), conversions=(*info.conversions, line))
     return info if options.date is None else replace(info, date=parse_date(options.date))
 
 

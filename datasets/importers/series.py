@@ -149,7 +149,10 @@ def make_gps(series: Series, log: Log) -> Gps:
     outside = (np.abs(lat) > 90) | (np.abs(lon) > 360)
     if outside.any():
         log.noted(f"gps: {int(outside.sum())} fixes outside +-90, +-360 deg; marked as no fix")
-    valid = np.isfinite(lat) & np.isfinite(lon) & ~outside
+    unset = (lat == 0) & (lon == 0)  # receivers without a fix write zeros
+    if unset.any():
+        log.noted(f"gps: {int(unset.sum())} fixes at 0, 0 deg; marked as no fix")
+    valid = np.isfinite(lat) & np.isfinite(lon) & ~outside & ~unset
     course_rad = np.where(course >= 0, np.deg2rad(np.maximum(course, 0.0)), np.nan)
     speed_mps = np.where(speed >= 0, speed, np.nan)
     log.converted("gps course deg -> rad, clockwise from true north")

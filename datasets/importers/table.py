@@ -62,7 +62,7 @@ class Importer:
                     recording = note_disjoint_clocks(imported.recording)
                     if not options.units_unchecked:
                         check_clock(recording)
-                    info = apply_place_and_date(recording.info, options)
+                    info = apply_place_and_date(recording, options)
                     known = recording if info is recording.info else replace(recording, info=info)
                     yield replace(imported, recording=known)
             except BadRecording as error:

@@ -16,7 +16,7 @@ from stillpoint.datasets.importers.clock import (
 )
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, parse_unit
 from stillpoint.datasets.importers.delimited import parse
-from stillpoint.datasets.importers.series import Log, Series, fit_even_times, merge_imu, sort_by_time
+from stillpoint.datasets.importers.series import Log, Series, fit_even_times, make_gps, merge_imu, sort_by_time
 
 GRAVITY = np.array([0, 0, 9.8])
 
@@ -258,3 +258,13 @@ def test_the_time_of_day_goes_on_after_midnight():
 def test_a_date_in_another_form_says_how_to_write_it():
     with pytest.raises(BadSource, match=r"'12/06/2021 08:00' is not a time in iso; write 2021-06-12T08:00:00"):
         parse_times(["12/06/2021 08:00"], "iso", "f", [1])
+
+
+def test_fixes_at_zero_and_outside_the_globe_are_no_fixes():
+    log = Log()
+    values = np.array([[52.5, 13.3, 80, -1, -1], [0, 0, 0, 0, 0], [np.nan, 13.3, 80, 90, 2], [95, 13.3, 80, 90, 2]])
+    gps = make_gps(series([1, 2, 3, 4], values), log)
+    assert gps.valid.tolist() == [True, False, False, False]
+    assert np.isnan(gps.course_rad[0])
+    np.testing.assert_allclose(gps.course_rad[2], np.pi / 2)
+    assert len([note for note in log.notes if "marked as no fix" in note]) == 2

@@ -182,6 +182,7 @@ def test_fixes_are_taken_once_where_rows_repeat_them(known, tmp_path):
     np.testing.assert_allclose(recording.gps.course_rad, np.deg2rad(np.arange(6) * 10))
     np.testing.assert_allclose(recording.gps.speed_mps, 5.0)
     np.testing.assert_allclose(recording.gps.alt_m, 80.0)
+    np.testing.assert_allclose(recording.info.place_lat_lon_alt, (52.50025, 13.30025, 80.0))
 
 
 @pytest.mark.parametrize("order", ["ZYX", "xyz", "XZY"])
