@@ -77,7 +77,8 @@ class _RoundConstants(FunctionPass):
     """Give the float constants of a function single precision when it is compiled for float32 arguments.
 
     numba takes 0.5 for a double, and a product with a double is a double. With this pass an equation reads the same in
-    both precisions. Whole numbers stay integers, which numba promotes to double too: write 2.0, not 2.
+    both precisions. Whole numbers stay integers, which numba promotes to double too: write 2.0, not 2. A constant that
+    has to stay a double is an ``np.float64``.
     """
 
     _name = "stillpoint_round_constants"
@@ -110,7 +111,7 @@ class _Compiler(CompilerBase):
 
 def _round_to_single(value: Any) -> Any:
     """Return a float, or a tuple that holds floats, in single precision; anything else as it is."""
-    if isinstance(value, float):
+    if type(value) is float:
         return np.float32(value)
     if type(value) is tuple:
         return tuple(_round_to_single(part) for part in value)

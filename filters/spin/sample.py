@@ -16,6 +16,7 @@ from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import Floats
 
 TURN_RAD = 2.0 * pi
+DOUBLE_TURN_RAD = np.float64(TURN_RAD)  # also in single precision
 
 
 class SpinSample(NamedTuple):
@@ -107,7 +108,7 @@ def read_spin_sample(log: SpinLog, k: int) -> SpinSample:
 @compiled
 def unwrap_angle(roll: SpinMotion) -> float:
     """Return the unwrapped angle in rad, in double precision."""
-    return roll.turns * TURN_RAD + roll.rest_rad
+    return roll.turns * DOUBLE_TURN_RAD + roll.rest_rad
 
 
 @compiled
