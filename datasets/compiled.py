@@ -123,7 +123,8 @@ def _has_single(kind: Any) -> bool:
     if isinstance(kind, types.Float):
         return bool(kind == types.float32)
     if isinstance(kind, types.BaseTuple):
-        return any(_has_single(part) for part in kind.types)
+        parts: Any = kind
+        return any(_has_single(part) for part in parts)
     return isinstance(kind, types.Array | types.ListType) and _has_single(kind.dtype)
 
 

@@ -10,7 +10,7 @@ from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.filters import peers
 from stillpoint.filters.complementary import complementary, fixed_gain, gyro, least_squares, moving_average, tilt
-from stillpoint.filters.kalman import aekf, ekf, iekf, kf_axis
+from stillpoint.filters.kalman import aekf, ekf, kf_axis
 from stillpoint.filters.loop import make_run, make_spin_run
 from stillpoint.filters.sample import Log, Output, Sample, Track
 from stillpoint.filters.spin import aekf as spin_aekf
@@ -160,21 +160,21 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
     ),
     "ekf": _describe(
         ekf,
-        "error-state (multiplicative) extended Kalman filter of attitude and gyro bias",
+        "extended Kalman filter of attitude and gyro bias, right-invariant error",
         gives_bias=True,
         gives_cov=True,
         innovations=3,
     ),
     "aekf": _describe(
         aekf,
-        "ekf with innovation-based adaptation of its trust in sensors and model (Asghari et al. 2018)",
+        "ekf that adapts to accelerations, magnets, bias steps and vibration (after Asghari et al. 2018)",
         gives_bias=True,
         gives_cov=True,
         innovations=3,
     ),
     "iekf": _describe(
-        iekf,
-        "right-invariant extended Kalman filter on SO(3) with gyro bias",
+        ekf,
+        "ekf by the name of its form: the same filter",
         gives_bias=True,
         gives_cov=True,
         innovations=3,

@@ -1,41 +1,52 @@
-"""``aekf``: ``ekf`` with innovation-based adaptation (Asghari et al. 2018, eqs (15)-(23), for vectors).
+"""``aekf``: ``ekf`` that adapts to what its innovations show (Asghari et al. 2018, eqs (15)-(23), for vectors).
 
-The paper compares the last M innovations of one scalar with the variance C that the filter expects of them. Here there
-are two sensors, which are disturbed at different times, so each has its own: the accelerometer's m = 2 innovations of
-the velocity, and the heading's m = 1. With C = H P H' + R and eta the innovation::
+The paper compares the last M innovations of one scalar with the variance C = H P H' + R that the filter expects of
+them, and lets the user say whether larger ones are the fault of the observation (R) or of the system (P). Here the
+innovations say it themselves, per sensor and per axis.
 
-    (16), (17)  alpha = max(1, mean over M of eta' C^-1 eta / m)
-    observation-uncertain:  lambda = 1, K = P H' / (alpha C)                    the measurement is trusted less
-    system-uncertain:  lambda = tr(alpha H P H' + (alpha - 1) R) / tr(H P H')   (23): the prediction is trusted less
+**The observation.** An accelerated body makes innovations of the velocity that are large and change their sign. With
+eta the whitened innovation, east and north each with its own::
 
-Readings. tr(C_bar C^-1) with each innovation weighed by its own C, which is eta' C^-1 eta. 1/M, not 1/(M - 1): no mean
-is taken off. alpha is 1 until M innovations exist. lambda enters P once, not again in the gain (as printed, (19) and
-(20) make P negative). It fades the errors that the sensor sees, tilt and velocity or the heading: fading the bias too
-would let it wander with every shake (fading per state: D. Zhou, P. M. Frank, Int. J. Control 65(2), 1996).
+    (16), (17)  alpha = mean over M of eta^2, where that is at least ``least_alpha``, else 1
+    (19)        K = P H' / (alpha C)                                    the measurement is trusted less
 
-Guards. Without them a wrong model makes alpha grow, the gain fall, the error grow, and alpha grow again: in the
-observation-uncertain mode the paper's filter then leaves for good. Here alpha and lambda end at ``largest_alpha`` and
-``largest_lambda``, and an alpha that stays there counts as doubt: after the patience of ``ekf`` tilt or heading begin
-again. Innovations are given as the model expects them (alpha = 1), so NIS shows what the adaptation answers to. It
-leaves the chi-square band by design: alpha >= 1 never trusts more than the model, and on noise that is as the
-parameters say alpha is still above 1 half of the time (mean 1.1 to 1.2 for M = 10), so the covariance is pessimistic
-(mode observation) and the estimate noisier than that of ``ekf`` (mode system).
+**The system.** A gyro's bias that has stepped makes corrections of one sign. With dx the correction of a state in one
+update, and P- and P+ its variance before and after, dx has the variance P- - P+ if the model is right (Mohamed and
+Schwarz, J. Geodesy 73, 1999). Over a memory of ``memory_s``::
+
+    S = sum of dx     V = sum of (P- - P+)     lambda = S^2 / (gate^2 V), from 1 to ``largest_lambda``
+
+and the variance of that state, the heading or a component of the bias, grows by lambda (fading per state: D. Zhou,
+P. M. Frank, Int. J. Control 65(2), 1996). Tilt and velocity are never faded: a sustained acceleration would then pass
+for tilt. The correction by a disturbed field does not count.
+
+**A passing magnet** disturbs the field for some seconds with the same sign, so its windows are one measurement and not
+many. For the first ``passing_s`` seconds of a disturbance (seen by size and dip) the variance of the heading's
+measurement grows by ``passing_factor``. What lasts longer is fixed to the body or stays in the room; waiting would not
+help.
+
+**Vibration** shifts the mean of a MEMS gyro. The second differences of the rate show it, as motion is smooth: white
+noise of sd s gives them a mean square of 6 s^2. P of the attitude grows as by a rate error of ``vibration`` s that
+lasts 1 s.
+
+**Guards.** alpha and lambda are limited, and no variance grows beyond that of the start. An alpha at its limit counts
+as doubt: after the patience of ``ekf`` tilt or heading start again. Innovations are given as the model expects them
+(alpha = 1), so NIS shows what the adaptation answers to.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from stillpoint.datasets.compiled import compiled_apart, compiled_entry, compiled_inside, like
-from stillpoint.datasets.settings import choice, number
-from stillpoint.filters.kalman import model as error_model
-from stillpoint.filters.kalman import predict as error_state
+from stillpoint.datasets.compiled import compiled_apart, compiled_entry, compiled_inside
+from stillpoint.datasets.settings import number
+from stillpoint.filters.kalman import model, predict
 from stillpoint.filters.kalman.covariance import Matrix, scale_variance
-from stillpoint.filters.kalman.model import HEADING, VELOCITY, ErrorStateParams, FilterState, Measurement
-from stillpoint.filters.kalman.predict import add_sample, finish_window, is_due, make_output, rotate_errors
+from stillpoint.filters.kalman.known_field import is_alike, measure_looks
+from stillpoint.filters.kalman.model import BIAS, HEADING, ErrorStateParams, FilterState, Measurement
+from stillpoint.filters.kalman.predict import add_sample, finish_window, is_due, make_output
 from stillpoint.filters.kalman.update import (
-    measure_innovation,
     no_innovations,
     predict_window,
     update_bias,
@@ -44,136 +55,191 @@ from stillpoint.filters.kalman.update import (
     whiten_heading,
     whiten_velocity,
 )
+from stillpoint.filters.rotation import Vector, scale
 from stillpoint.filters.sample import Output, Sample
+
+# The states that fade: the heading and the three components of the bias.
+FADING = BIAS - HEADING + 3
+# Of the second difference of white noise: 1 + 4 + 1, in each of three axes.
+SECOND_DIFFERENCE = 18.0
 
 
 @dataclass(frozen=True)
 class Params(ErrorStateParams):
     """Parameters of ``aekf``."""
 
-    mode: Literal["observation", "system"] = choice(
-        "observation", "what is not known exactly: the observation (lambda = 1) or the system (lambda of (23))"
-    )
-    innovations: float = number(10, 1, 1000, "how many innovations M are averaged; alpha is 1 until there are as many")
-    largest_alpha: float = number(10.0, 1.0, 1e6, "alpha ends here")
-    largest_lambda: float = number(10.0, 1.0, 1e6, "lambda ends here")
+    innovations: float = number(10, 1, 1000, "how many innovations M are averaged for alpha")
+    least_alpha: float = number(2.0, 1.0, 1e6, "a mean square of innovations below this is chance: alpha is 1")
+    largest_alpha: float = number(10.0, 1.0, 1e6, "most that the variance of an innovation is multiplied by")
+    memory_s: float = number(5.0, 0.1, 1e4, "memory of the sums of corrections, s")
+    largest_lambda: float = number(1.5, 1.0, 1e6, "most that a variance is multiplied by at the end of a window")
+    passing_s: float = number(10.0, 0.0, 1e4, "a disturbance of the field may pass within so long, s")
+    passing_factor: float = number(16.0, 1.0, 1e6, "the variance of the heading's measurement meanwhile, times")
+    vibration: float = number(0.15, 0.0, 10.0, "error of the mean rate by vibration (sd), as a share of its sd")
 
 
 class Coefficients(NamedTuple):
     """Constants derived once from the parameters."""
 
-    ekf: error_model.Coefficients
-    innovations: int
-    fades: bool  # True: lambda by (23)
+    ekf: model.Coefficients
+    newest: float  # share of the newest innovation in the mean
+    least_alpha: float
     largest_alpha: float
+    memory_s: float
     largest_lambda: float
+    passing_s: float
+    passing_factor: float
+    vibration: float  # a square
 
 
-class Memory(NamedTuple):
-    """The last M innovations of a sensor."""
+class Vibration(NamedTuple):
+    """The last two rates, and the integral of the squared second difference over the window."""
 
-    nis: Matrix  # (M,) eta' C^-1 eta / m, a ring that is written into
-    seen: int
+    last_b_radps: Vector
+    before_b_radps: Vector
+    square: float
 
 
 class State(NamedTuple):
     """What the filter keeps from one sample to the next."""
 
     body: FilterState
-    velocity: Memory
-    heading: Memory
-
-
-class Trust(NamedTuple):
-    """What an update is weighed with."""
-
-    alpha: float  # times the variance of the innovation
-    fade: float  # lambda: times the variances of the errors that are seen
-    at_limit: bool
+    mean_squares: Vector  # of the whitened innovations: east, north, heading
+    corrections: Matrix  # (2, 4) S and V of heading and bias; written in place
+    disturbed_s: float  # how long the field has been disturbed, less how long it has not
+    vibration: Vibration
 
 
 def coefficients(params: Params, declination_rad: float) -> Coefficients:
     """Precompute the filter's constants from its parameters and the local declination (east of true north)."""
     return Coefficients(
-        error_model.coefficients(params, declination_rad),
-        round(params.innovations),
-        params.mode == "system",
-        params.largest_alpha,
-        params.largest_lambda,
+        ekf=model.coefficients(params, declination_rad),
+        newest=1 / params.innovations,
+        least_alpha=params.least_alpha,
+        largest_alpha=params.largest_alpha,
+        memory_s=params.memory_s,
+        largest_lambda=params.largest_lambda,
+        passing_s=params.passing_s,
+        passing_factor=params.passing_factor,
+        vibration=params.vibration**2,
     )
 
 
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Return the state before the first sample."""
-    velocity, heading = np.full(c.innovations, 0.0), np.full(c.innovations, 0.0)
-    return State(error_state.start(c.ekf), Memory(velocity, 0), Memory(heading, 0))
+    none = (0.0, 0.0, 0.0)
+    return State(predict.start(c.ekf), (1.0, 1.0, 1.0), np.full((2, FADING), 0.0), 0.0, Vibration(none, none, 0.0))
+
+
+@compiled_inside
+def add_vibration(vibration: Vibration, sample: Sample) -> Vibration:
+    """Add the second difference of the rate that ends with this sample."""
+    (x1, y1, z1), (x2, y2, z2), square = vibration
+    x, y, z = sample.gyro_b_radps
+    dx, dy, dz = x - x1 - x1 + x2, y - y1 - y1 + y2, z - z1 - z1 + z2
+    square += (dx * dx + dy * dy + dz * dz) * sample.dt_s
+    return Vibration(sample.gyro_b_radps, (x1, y1, z1), square)
+
+
+@compiled_inside
+def choose_alpha(mean_square: float, c: Coefficients) -> float:
+    """Return alpha by (17), limited."""
+    return min(mean_square, c.largest_alpha) if mean_square > c.least_alpha else 1.0
+
+
+@compiled_inside
+def watch_field(state: State, heading: Measurement, c: Coefficients) -> tuple[Measurement, bool, float]:
+    """Return the heading's measurement (trusted less while a magnet may pass), if the field is known, disturbed_s."""
+    window, disturbed_s = state.body.window, state.disturbed_s
+    length_s = window.turning.length_s
+    if not heading.is_there:
+        return heading, False, disturbed_s
+    field_n = scale(window.fields.sum_n_ut, 1.0 / window.fields.how_many)
+    if is_alike(state.body.field.known, measure_looks(field_n, length_s), c.ekf.tolerance):
+        return heading, True, max(disturbed_s - length_s, 0.0)
+    disturbed_s = min(disturbed_s + length_s, c.passing_s + c.passing_s)
+    is_passing = state.body.field.known.seen_s > 0 and disturbed_s < c.passing_s
+    variance = heading.variance * c.passing_factor if is_passing else heading.variance
+    return Measurement(True, heading.row, heading.seen, variance), False, disturbed_s
 
 
 @compiled_apart
-def adapted(memory: Memory, nis: float, explained: float, noise: float, c: Coefficients) -> tuple[Memory, Trust]:
-    """alpha by (17) and lambda by (23) with this innovation; ``explained`` and ``noise`` are tr(H P H') and tr(R)."""
-    memory.nis[memory.seen % c.innovations] = nis
-    seen = memory.seen + 1 if memory.seen < 2 * c.innovations - 1 else c.innovations  # stays right modulo M
-    total = 0.0
-    for each in memory.nis:
-        total += each
-    full = seen >= c.innovations
-    raw = max(1.0, total / like(nis, c.innovations)) if full else 1.0
-    alpha = min(raw, c.largest_alpha)
-    at_limit = raw >= c.largest_alpha and full
-    memory = Memory(memory.nis, seen)
-    if not c.fades:
-        return memory, Trust(alpha, 1.0, at_limit)
-    fade = alpha + (alpha - 1.0) * noise / explained
-    return memory, Trust(1.0, min(fade, c.largest_lambda), at_limit)
+def add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: Matrix) -> None:
+    """Add to S what an update has corrected since ``before`` (x and P's diagonal), and to V its expected variance."""
+    for i in range(FADING):
+        sums[0, i] += x[HEADING + i] - before[0][i]
+        sums[1, i] += before[1][i] - p[HEADING + i, HEADING + i]
 
 
-@compiled_inside
-def trust_velocity(
-    memory: Memory, p: Matrix, innovations: tuple[float, float], variance: float, c: Coefficients
-) -> tuple[Memory, Trust]:
-    """By both innovations of the velocity."""
-    east, north = innovations
-    explained = p[VELOCITY, VELOCITY] + p[VELOCITY + 1, VELOCITY + 1]
-    memory, trust = adapted(memory, (east * east + north * north) * 0.5, explained, 2.0 * variance, c)
-    if trust.fade > 1:
-        for i in range(HEADING):
-            scale_variance(p, i, trust.fade)
-            scale_variance(p, VELOCITY + i, trust.fade)
-    return memory, trust
+@compiled_apart
+def copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
+    """Return heading and bias, and their variances."""
+    values, variances = np.zeros(FADING, x.dtype), np.zeros(FADING, x.dtype)
+    for i in range(FADING):
+        values[i], variances[i] = x[HEADING + i], p[HEADING + i, HEADING + i]
+    return values, variances
 
 
-@compiled_inside
-def trust_heading(
-    memory: Memory, x: Matrix, p: Matrix, m: Measurement, nu: float, c: Coefficients
-) -> tuple[Memory, Trust]:
-    """By the innovation of the heading; as it was where there is none."""
-    if not m.is_there:
-        return memory, Trust(1.0, 1.0, False)
-    explained = measure_innovation(x, p, m)[1] - m.variance
-    memory, trust = adapted(memory, nu * nu, explained, m.variance, c)
-    if trust.fade > 1:
-        scale_variance(p, HEADING, trust.fade)
-    return memory, trust
+@compiled_apart
+def fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
+    """Multiply the variances of heading and bias by lambda, up to those of the start."""
+    for i in range(FADING):
+        raw = sums[0, i] * sums[0, i] / (c.ekf.gate * sums[1, i])  # not a number before the first correction
+        largest = c.ekf.heading_variance if i == 0 else c.ekf.bias_variance
+        if raw > 1 and p[HEADING + i, HEADING + i] < largest:
+            scale_variance(p, HEADING + i, min(raw, c.largest_lambda))
+
+
+@compiled_apart
+def add_rate_error(p: Matrix, vibration: Vibration, c: Coefficients) -> None:
+    """Add to P of the attitude the error of the rate by the window's vibration."""
+    for i in range(HEADING + 1):
+        p[i, i] += c.vibration * vibration.square / SECOND_DIFFERENCE
+
+
+@compiled_apart
+def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
+    """Update at the end of a window; return the state at the beginning of the next, and the innovations."""
+    body, sums = state.body, state.corrections
+    x, p, is_headed, turning = body.x, body.p, body.status.is_headed, body.window.turning
+    kept = max(1.0 - turning.length_s / c.memory_s, 0.0)
+    sums[0] *= kept
+    sums[1] *= kept * kept
+    at = predict_window(body, c.ekf)
+    add_rate_error(p, state.vibration, c)
+
+    east, north = whiten_velocity(x, p, at.velocity_variance)
+    of_east, of_north, of_heading = state.mean_squares
+    of_east += (east * east - of_east) * c.newest
+    of_north += (north * north - of_north) * c.newest
+    before, alphas = copy_fading(x, p), (choose_alpha(of_east, c), choose_alpha(of_north, c))
+    beyond = update_velocity(x, p, at.velocity_variance, alphas, is_headed, c.ekf.gate)
+    velocity_beyond = beyond or max(alphas[0], alphas[1]) >= c.largest_alpha
+    update_bias(x, p, turning, at, is_headed, c.ekf)
+    add_corrections(sums, before, x, p)
+
+    heading, is_known, disturbed_s = watch_field(state, at.heading, c)
+    nu = whiten_heading(x, p, heading)
+    if heading.is_there:
+        of_heading += (nu * nu - of_heading) * c.newest
+    before, alpha = copy_fading(x, p), choose_alpha(of_heading, c)
+    heading_beyond = update_heading(x, p, heading, alpha, body.status, c.ekf) or alpha >= c.largest_alpha
+    if is_known:
+        add_corrections(sums, before, x, p)
+
+    fade(p, sums, c)
+    body = finish_window(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
+    vibration = Vibration(state.vibration.last_b_radps, state.vibration.before_b_radps, 0.0)
+    return State(body, (of_east, of_north, of_heading), sums, disturbed_s, vibration), (east, north, nu)
 
 
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
-    """As that of ``ekf``, with trust in each sensor as its innovations were."""
-    body, velocity, heading = add_sample(state.body, sample, c.ekf), state.velocity, state.heading
+    """Turn by the rate; at the end of a window predict the errors and update them, with trust as the evidence says."""
+    body, vibration = add_sample(state.body, sample, c.ekf), add_vibration(state.vibration, sample)
+    state = State(body, state.mean_squares, state.corrections, state.disturbed_s, vibration)
     innovations = no_innovations(c.ekf)
     if is_due(body.window.turning, c.ekf):
-        x, p = body.x, body.p
-        at = predict_window(body, c.ekf)
-        east, north = whiten_velocity(x, p, at.velocity_variance)
-        velocity, trust = trust_velocity(velocity, p, (east, north), at.velocity_variance, c)
-        velocity_beyond = update_velocity(x, p, at.velocity_variance, trust.alpha, c.ekf.gate) or trust.at_limit
-        update_bias(x, p, body.window.turning, at, c.ekf)
-        nu = whiten_heading(x, p, at.heading)
-        innovations = (east, north, nu)
-        heading, trust = trust_heading(heading, x, p, at.heading, nu, c)
-        heading_beyond = update_heading(x, p, at.heading, trust.alpha, body.status, c.ekf) or trust.at_limit
-        rotate_errors(x, p)
-        body = finish_window(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
-    return State(body, velocity, heading), make_output(body, innovations, c.ekf)
+        state, innovations = update_window(state, c)
+    return state, make_output(state.body, innovations, c.ekf)

@@ -12,7 +12,6 @@ from stillpoint.filters.kalman.covariance import (
     Matrix,
     add_sd_along,
     apply_congruence,
-    body_axes_in_n,
     covariance_in_body,
     forget_state,
     identity_like,
@@ -190,16 +189,6 @@ def is_oblique(forces: Forces) -> bool:
     """Return whether the mean specific force points where it cannot for long if the estimate is right."""
     up, size = forces.push_n_mps[2], norm(forces.push_n_mps)
     return up < size * OBLIQUE and size > forces.time_s * LEAST_FORCE_MPS2
-
-
-@compiled_apart
-def rotate_errors(x: Matrix, p: Matrix) -> None:
-    """Rotate P so that the attitude's covariance stays as it is in body axes, which x is about to move in n."""
-    a, axes = identity_like(p), body_axes_in_n(rotation.exp((x[0], x[1], x[2])))
-    for j in range(3):
-        axis = axes[j]
-        a[0, j], a[1, j], a[2, j] = axis[0], axis[1], axis[2]
-    apply_congruence(a, p)
 
 
 @compiled_apart
