@@ -10,7 +10,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.simulate import auv, car, phone, servo, spin, spin_sensor
+from stillpoint.datasets.simulate import auv, car, phone, scenes, servo, spin, spin_sensor
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor
 
 __all__ = ["PERFECT", "PHONE", "SENSORS", "SIMULATIONS", "Sensor", "Simulation", "simulate"]
@@ -26,6 +26,8 @@ class Simulation:
     build: Callable[[Any, int, float, float], Recording]  # sensor, seed, minutes, rate_hz
     rate_hz: float = 100.0  # unless another is asked for
 
+
+HAND_SENSORS = {sensor.name: sensor for sensor in (scenes.CALIBRATED, PHONE, PERFECT)}
 
 SIMULATIONS: dict[str, Simulation] = {
     "phone-1": Simulation(
@@ -63,6 +65,36 @@ SIMULATIONS: dict[str, Simulation] = {
         4.0,
         SENSORS,
         partial(phone.simulate_experiment, "phone-3-level", phone.LEVEL),
+    ),
+    "hand-calm": Simulation(
+        "calibrated phone carried about, without disturbance: what the other hand-… are compared with",
+        3.0,
+        HAND_SENSORS,
+        partial(scenes.simulate_scene, "hand-calm", scenes.CARRIED, None),
+    ),
+    "hand-magnet": Simulation(
+        "the same, passing magnets of 30 uT, four in a minute of motion",
+        3.0,
+        HAND_SENSORS,
+        partial(scenes.simulate_scene, "hand-magnet", scenes.CARRIED, scenes.Magnets()),
+    ),
+    "hand-vibration": Simulation(
+        "the same, with bursts of vibration that shift the mean of gyro and accelerometer",
+        3.0,
+        HAND_SENSORS,
+        partial(scenes.simulate_scene, "hand-vibration", scenes.CARRIED, scenes.Vibration()),
+    ),
+    "hand-bias-steps": Simulation(
+        "the same, with a gyro whose bias steps by 0.5 deg/s",
+        3.0,
+        HAND_SENSORS,
+        partial(scenes.simulate_scene, "hand-bias-steps", scenes.CARRIED, scenes.BiasSteps()),
+    ),
+    "hand-translation": Simulation(
+        "the same phone moved over metres with accelerations of up to 1 g",
+        3.0,
+        HAND_SENSORS,
+        partial(scenes.simulate_scene, "hand-translation", scenes.FLUNG, None),
     ),
     "auv-dolphin": Simulation(
         "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (paper 003)",
