@@ -26,8 +26,8 @@ measurement grows by ``passing_factor``. What lasts longer is fixed to the body 
 help.
 
 **Vibration** shifts the mean of a MEMS gyro. The second differences of the rate show it, as motion is smooth: white
-noise of sd s gives them a mean square of 6 s^2. P of the attitude grows as by a rate error of ``vibration`` s that
-lasts 1 s.
+noise of sd s gives them a mean square of 6 s^2. Beyond the gyro's own noise, P of the attitude grows as by a rate
+error of ``vibration`` s that lasts 1 s.
 
 **Guards.** alpha and lambda are limited, and no variance grows beyond that of the start. An alpha at its limit counts
 as doubt: after the patience of ``ekf`` tilt or heading start again. Innovations are given as the model expects them
@@ -93,7 +93,7 @@ class Coefficients(NamedTuple):
 
 
 class Vibration(NamedTuple):
-    """The last two rates, and the integral of the squared second difference over the window."""
+    """The last two rates, and the integral over the window of their squared second difference, less that of noise."""
 
     last_b_radps: Vector
     before_b_radps: Vector
@@ -133,12 +133,12 @@ def start(c: Coefficients) -> State:
 
 
 @compiled_inside
-def add_vibration(vibration: Vibration, sample: Sample) -> Vibration:
-    """Add the second difference of the rate that ends with this sample."""
+def add_vibration(vibration: Vibration, sample: Sample, c: Coefficients) -> Vibration:
+    """Add the second difference of the rate that ends with this sample, less what the gyro's noise makes of it."""
     (x1, y1, z1), (x2, y2, z2), square = vibration
     x, y, z = sample.gyro_b_radps
     dx, dy, dz = x - x1 - x1 + x2, y - y1 - y1 + y2, z - z1 - z1 + z2
-    square += (dx * dx + dy * dy + dz * dz) * sample.dt_s
+    square += (dx * dx + dy * dy + dz * dz) * sample.dt_s - SECOND_DIFFERENCE * c.ekf.gyro_noise
     return Vibration(sample.gyro_b_radps, (x1, y1, z1), square)
 
 
@@ -195,14 +195,14 @@ def fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
 def add_rate_error(p: Matrix, vibration: Vibration, c: Coefficients) -> None:
     """Add to P of the attitude the error of the rate by the window's vibration."""
     for i in range(HEADING + 1):
-        p[i, i] += c.vibration * vibration.square / SECOND_DIFFERENCE
+        p[i, i] += c.vibration * max(vibration.square, 0.0) / SECOND_DIFFERENCE
 
 
 @compiled_apart
 def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
     """Update at the end of a window; return the state at the beginning of the next, and the innovations."""
     body, sums = state.body, state.corrections
-    x, p, is_headed, turning = body.x, body.p, body.status.is_headed, body.window.turning
+    x, p, turning = body.x, body.p, body.window.turning
     kept = max(1.0 - turning.length_s / c.memory_s, 0.0)
     sums[0] *= kept
     sums[1] *= kept * kept
@@ -214,9 +214,9 @@ def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
     of_east += (east * east - of_east) * c.newest
     of_north += (north * north - of_north) * c.newest
     before, alphas = copy_fading(x, p), (choose_alpha(of_east, c), choose_alpha(of_north, c))
-    beyond = update_velocity(x, p, at.velocity_variance, alphas, is_headed, c.ekf.gate)
+    beyond = update_velocity(x, p, at.velocity_variance, alphas, c.ekf.gate)
     velocity_beyond = beyond or max(alphas[0], alphas[1]) >= c.largest_alpha
-    update_bias(x, p, turning, at, is_headed, c.ekf)
+    update_bias(x, p, turning, at, c.ekf)
     add_corrections(sums, before, x, p)
 
     heading, is_known, disturbed_s = watch_field(state, at.heading, c)
@@ -237,7 +237,7 @@ def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Turn by the rate; at the end of a window predict the errors and update them, with trust as the evidence says."""
-    body, vibration = add_sample(state.body, sample, c.ekf), add_vibration(state.vibration, sample)
+    body, vibration = add_sample(state.body, sample, c.ekf), add_vibration(state.vibration, sample, c)
     state = State(body, state.mean_squares, state.corrections, state.disturbed_s, vibration)
     innovations = no_innovations(c.ekf)
     if is_due(body.window.turning, c.ekf):

@@ -1,7 +1,6 @@
 """The updates of ``ekf``, ``aekf`` and ``iekf``: velocity, bias at rest, heading; see ``error_model``."""
 
 from math import cos, nan, sin, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,13 +30,6 @@ REST_MPS = 0.02
 REST_M2PS2 = REST_MPS**2
 
 
-class Held(NamedTuple):
-    """The errors that a measurement must not change."""
-
-    tilt: bool
-    heading: bool
-
-
 @compiled_inside
 def measure_innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
     """Return what is seen less what is expected, and its variance by the model."""
@@ -50,10 +42,10 @@ def measure_innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, flo
 
 
 @compiled_apart
-def update(x: Matrix, p: Matrix, m: Measurement, held: Held, alpha: float, gate: float) -> bool:
+def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float, gate: float) -> bool:
     """Update x and P by a measurement, its innovation's variance times alpha; True when it was beyond the gate.
 
-    ``gate`` is the square of ``gate_sd``. Errors that are ``held`` have no gain (Schmidt's consider states).
+    ``gate`` is the square of ``gate_sd``. Without ``moves_tilt`` the gain of the tilt is 0.
     """
     residual, model = measure_innovation(x, p, m)
     variance, square = model * alpha, residual * residual
@@ -62,8 +54,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, held: Held, alpha: float, gate:
         variance = square / gate
     gain = times_row(p, m.row)
     for i in range(SIZE):
-        is_held = (held.tilt and i < HEADING) or (held.heading and i == HEADING)
-        gain[i] = 0.0 if is_held else gain[i] / variance
+        gain[i] = gain[i] / variance if moves_tilt or i >= HEADING else 0.0
         x[i] += gain[i] * residual
     update_joseph(p, m.row, gain, variance - (model - m.variance))
     return is_beyond
@@ -86,6 +77,8 @@ def predict_window(body: FilterState, c: Coefficients) -> WindowEnd:
         still = watch_rest(body.still, window_means(body.window), c.limits)
     heading = measure_heading(body.x, body.window, body.status.since_field_s, body.field, c)
     predict(body.x, body.p, body.window, body.q_nb, c)
+    if not body.status.is_headed:  # nothing measured it: no correlation may let the other sensors move it
+        forget_state(body.p, HEADING, ANY_ANGLE_RAD2)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
     return WindowEnd(still, resting, min(variance, REST_M2PS2) if resting else variance, heading)
 
@@ -100,21 +93,18 @@ def whiten_velocity(x: Matrix, p: Matrix, variance: float) -> tuple[float, float
 
 
 @compiled_apart
-def update_velocity(
-    x: Matrix, p: Matrix, variance: float, alphas: tuple[float, float], is_headed: bool, gate: float
-) -> bool:
+def update_velocity(x: Matrix, p: Matrix, variance: float, alphas: tuple[float, float], gate: float) -> bool:
     """Update tilt, bias and velocity by the measurement that the velocity is 0; True beyond the gate.
 
-    ``alphas`` multiply the innovations' variances east and north. A heading that was never measured is held.
+    ``alphas`` multiply the innovations' variances east and north.
     """
-    held = Held(False, not is_headed)
-    east = update(x, p, measure_state(p, VELOCITY, 0.0, variance), held, alphas[0], gate)
-    north = update(x, p, measure_state(p, VELOCITY + 1, 0.0, variance), held, alphas[1], gate)
+    east = update(x, p, measure_state(p, VELOCITY, 0.0, variance), True, alphas[0], gate)
+    north = update(x, p, measure_state(p, VELOCITY + 1, 0.0, variance), True, alphas[1], gate)
     return east or north
 
 
 @compiled_apart
-def update_bias(x: Matrix, p: Matrix, turning: Turning, at: WindowEnd, is_headed: bool, c: Coefficients) -> None:
+def update_bias(x: Matrix, p: Matrix, turning: Turning, at: WindowEnd, c: Coefficients) -> None:
     """Update the bias by the mean rate, at rest."""
     if not at.is_resting:
         return
@@ -122,7 +112,7 @@ def update_bias(x: Matrix, p: Matrix, turning: Turning, at: WindowEnd, is_headed
     variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
     for i in range(3):
         mean = turning.measured_b_rad[i] / turning.length_s
-        update(x, p, measure_state(p, BIAS + i, mean, variance), Held(False, not is_headed), 1.0, c.gate)
+        update(x, p, measure_state(p, BIAS + i, mean, variance), True, 1.0, c.gate)
 
 
 @compiled_apart
@@ -176,17 +166,17 @@ def update_heading(x: Matrix, p: Matrix, m: Measurement, alpha: float, status: S
         return False
     if status.heading_doubt_s >= c.heading_patience_s:
         forget_state(p, HEADING, ANY_ANGLE_RAD2)
-    return update(x, p, m, Held(True, False), alpha, c.gate)
+    return update(x, p, m, False, alpha, c.gate)
 
 
 @compiled_apart
 def update_window(body: FilterState, c: Coefficients) -> tuple[FilterState, Vector]:
     """Update at the end of a window; return the state at the beginning of the next, and the innovations."""
-    x, p, is_headed = body.x, body.p, body.status.is_headed
+    x, p = body.x, body.p
     at = predict_window(body, c)
     east, north = whiten_velocity(x, p, at.velocity_variance)
-    velocity_beyond = update_velocity(x, p, at.velocity_variance, (1.0, 1.0), is_headed, c.gate)
-    update_bias(x, p, body.window.turning, at, is_headed, c)
+    velocity_beyond = update_velocity(x, p, at.velocity_variance, (1.0, 1.0), c.gate)
+    update_bias(x, p, body.window.turning, at, c)
     innovations = (east, north, whiten_heading(x, p, at.heading))
     heading_beyond = update_heading(x, p, at.heading, 1.0, body.status, c)
     return finish_window(body, at, innovations[2], (velocity_beyond, heading_beyond), c), innovations

@@ -1,7 +1,8 @@
-"""A multiplicative EKF as a textbook has it, in dense numpy: errors in body axes, an update at every sample.
+"""A right-invariant EKF written with errors in body axes, in dense numpy, with an update at every sample.
 
-State (d, b, v): attitude error in body axes, gyro bias, horizontal velocity. After J. Sola, arXiv:1711.02508, chapters
-5 and 6, with the measurements of ``ekf``: the velocity is 0, the field points north. Written apart from the filters.
+State (d, b, v): attitude error in body axes, gyro bias, horizontal velocity. An update leaves the covariance as it is
+in n, which is the right-invariant form. After J. Sola, arXiv:1711.02508, chapters 5 and 6, with the measurements of
+``ekf``: the velocity is 0, the field points north. Written apart from the filters.
 """
 
 import numpy as np
@@ -79,3 +80,6 @@ class TextbookEkf:
         self.p = left @ self.p @ left.T + np.outer(gain, gain) * r
         self.p[:3, :3] += np.eye(3) * (x[:3] @ x[:3] / 2) ** 2  # what the update leaves out is of the second order
         self.rot, self.b, self.v = self.rot * Rotation.from_rotvec(x[:3]), self.b + x[3:6], self.v + x[6:]
+        reset = np.eye(8)
+        reset[:3, :3] = Rotation.from_rotvec(-x[:3]).as_matrix()  # the covariance stays as it is in n
+        self.p = reset @ self.p @ reset.T

@@ -74,16 +74,12 @@ def test_attitudes_and_biases_are_as_wrong_as_their_covariance_says(name: str) -
     assert inside(runs(name).bias_nees.sum(), 3 * SEEDS)
 
 
-def test_the_adaptive_one_leaves_the_band_on_the_side_of_caution() -> None:
-    """On matched noise the mean of 10 squares of two is above 1 in half of the windows, and alpha with it; the mean of
-    max(1, chi-square of 20 / 20) is 1.12. So P is larger than it need be, and innovations are small against it.
-    """
+def test_on_matched_noise_the_adaptive_one_hardly_acts() -> None:
+    """The mean of 10 squares of a normal exceeds 2 in 3 of 100 windows; only then does alpha exceed 1."""
     adaptive, plain = runs("aekf"), runs("ekf")
-    velocity = adaptive.innovations[:, :2]
-    assert np.sum(velocity**2) < chi2.ppf(0.025, velocity.size)
-    larger = adaptive.attitude_trace / plain.attitude_trace
-    assert 1.0 < np.median(larger) < 1.2
-    assert adaptive.attitude_nees.sum() < chi2.ppf(0.975, 3 * SEEDS)
+    assert 1.0 <= np.median(adaptive.attitude_trace / plain.attitude_trace) < 1.05
+    assert inside(adaptive.attitude_nees.sum(), 3 * SEEDS)
+    assert inside(adaptive.bias_nees.sum(), 3 * SEEDS)
 
 
 @pytest.mark.parametrize("name", ["ekf", "aekf", "iekf"])
@@ -132,32 +128,12 @@ def worst_deg(q_nb: Floats, true: Rotation, begin_s: float, end_s: float) -> flo
     return float(np.rad2deg((rotation(q_nb[part]) * true[part].inv()).magnitude().max()))
 
 
-def test_each_mode_answers_to_the_fault_it_is_made_for() -> None:
-    """Asghari et al. 2018: reduce the weight of the observation or of the prediction, whichever is uncertain."""
-    recording, true, _ = matched(3, SECONDS)
-    log, none = columns(recording), {}
-    at = (np.arange(len(log.dt_s)) >= 20 * RATE_HZ) & (np.arange(len(log.dt_s)) < 22 * RATE_HZ)
-    pushed = log._replace(accel_b_mps2=log.accel_b_mps2 + at[:, None] * true.inv().apply([1.0, 0.0, 0.0]))
-    faulty = log._replace(gyro_b_radps=log.gyro_b_radps + at[:, None] * np.array([np.deg2rad(5.0), 0.0, 0.0]))
-    worst = {
-        (fault, mode): worst_deg(run(name, data, PARAMS | extra).track.q_nb, true, 20.0, 26.0)
-        for fault, data in (("pushed", pushed), ("faulty", faulty))
-        for mode, name, extra in (
-            ("plain", "ekf", none),
-            ("observation", "aekf", none),
-            ("system", "aekf", {"mode": "system"}),
-        )
-    }
-    assert worst["pushed", "observation"] < worst["pushed", "plain"] < worst["pushed", "system"]
-    assert worst["faulty", "system"] < worst["faulty", "plain"] < worst["faulty", "observation"]
-
-
 def test_the_gain_of_the_adaptive_one_has_a_floor() -> None:
     """A wrong rate makes residuals, these enlarge alpha, alpha reduces the gain, and that makes larger residuals."""
     recording, true, _ = matched(4, SECONDS)
     log = columns(recording)
     from_10_s = np.arange(len(log.dt_s)) >= 10 * RATE_HZ
     faulty = log._replace(gyro_b_radps=log.gyro_b_radps + from_10_s[:, None] * np.deg2rad([3.0, 0.0, 0.0]))
-    guarded = run("aekf", faulty, PARAMS)
+    guarded = run("aekf", faulty, PARAMS | {"gate_sd": 3.0})
     assert worst_deg(guarded.track.q_nb, true, 30.0, SECONDS) < 5
     assert np.rad2deg(guarded.track.gyro_bias_b_radps[-1, 0]) > 2.5
