@@ -41,8 +41,8 @@ def simulate(
         002; phone-1-slow (turned and pushed by little), phone-3-shaken (in one place), phone-3-level (shaken to the
         sides): the same moved otherwise. spin-constant, spin-variable (a motor's shaft with two
         accelerometers), spin-flight (five on a projectile). auv-dolphin, auv-dolphin-calm (an underwater
-        vehicle). hand-calm, hand-magnet, hand-vibration, hand-bias-steps, hand-translation (one disturbance each). car (a
-        drive through a town). servo-bench (swung by +-90 deg).
+        vehicle). hand-calm, hand-magnet, hand-vibration, hand-bias-steps, hand-translation (one disturbance each). car
+        (a drive through a town). servo-bench (swung by +-90 deg).
     out
         Folder to write into; made when it is not there.
     seed
