@@ -9,7 +9,8 @@ import pytest
 from stillpoint.datasets import BadParameter, Estimate, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectories import format_tum
-from stillpoint.studies.leaderboard import Study, leaderboard, read_study, run_study, study_toml
+from stillpoint.studies import leaderboard
+from stillpoint.studies.leaderboard import Study, entrants, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.job_runner import run_here
 
 OWN = '''
@@ -167,7 +168,7 @@ def test_entry_point_of_a_package_is_found_by_its_name(folder, files, monkeypatc
     from importlib.metadata import EntryPoint
 
     found = EntryPoint("mine", f"{folder}/own.py:truth", "stillpoint.estimators")
-    monkeypatch.setattr("stillpoint.studies.leaderboard.entrants.entry_points", lambda group, name: [found])
+    monkeypatch.setattr(entrants, "entry_points", lambda group, name: [found])
     assert row_of(leaderboard(files[1:2], ["mine"]), "mine").failed == 0
 
 
