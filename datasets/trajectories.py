@@ -192,14 +192,14 @@ def _read_tum(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth
         if len(row) != TUM_WIDTH:
             raise BadSource(f"{file}, line {line}: has {len(row)} words; {wanted}")
     names = table.columns
-    t_ns = _read_stamps(table, names[0], "s", log)
+    t_ns = table.times(names[0], "s")
     values = table.floats(names[1:8])
     return _make_poses(t_ns, from_xyzw(values[:, 3:]), values[:, :3], table, log, wanted)
 
 
 def _read_euroc(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
     names = table.columns
-    t_ns = _read_stamps(table, names[0], "ns", log)
+    t_ns = table.times(names[0], "ns")
     values = table.floats(names[1:8])
     return _make_poses(t_ns, values[:, 3:], values[:, :3], table, log, "a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
 
@@ -220,7 +220,7 @@ def _read_kitti(table: Table, file: Path, options: PoseOptions, log: Log) -> Tru
         line = table.lines[int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))]
         raise BadSource(f"{file}, line {line}: is no rotation; a KITTI pose is twelve numbers, three rows of four")
     q_nb = quaternion(Rotation.from_matrix(turns))
-    return _make_poses(_read_stamps(stamps, stamps.columns[0], "s", log), q_nb, matrices[:, :, 3], table, log, "")
+    return _make_poses(stamps.times(stamps.columns[0], "s"), q_nb, matrices[:, :, 3], table, log, "")
 
 
 def _read_csv(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
@@ -240,13 +240,6 @@ def _read_csv(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth
     if not keep.any():
         raise BadSource(f"{file}: no row has a time and a quaternion in {quaternions}")
     return _make_poses(clock.t_ns[keep], q_nb[keep], None, table.select(keep), log, f"{quaternions} are w, x, y, z")
-
-
-def _read_stamps(table: Table, column: str, unit: str, log: Log) -> Times:
-    clock = table.clock(column, unit)
-    if not clock.known.all():
-        raise BadSource(f"{table.where}, line {table.lines[int(clock.known.argmin())]}: has no time; remove this line")
-    return clock.t_ns
 
 
 def _make_poses(t_ns: Times, q_nb: Floats, position_n_m: Floats | None, table: Table, log: Log, wanted: str) -> Truth:

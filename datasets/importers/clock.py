@@ -73,16 +73,6 @@ def parse_times(cells: list[str], unit: str, where: str, lines: list[int], colum
     return Clock(column, unit, t_ns, known)
 
 
-def cells_to_ns(cells: list[str], exponent: int, where: str, first_line: int) -> Times:
-    """Return exact nanoseconds of numbers in units of 10^exponent s that stand in consecutive lines, none empty."""
-    unit = next(name for name, known in TIME_EXPONENT.items() if known == exponent)
-    clock = parse_times(cells, unit, where, list(range(first_line, first_line + len(cells))))
-    if not clock.known.all():
-        row = int(clock.known.argmin())
-        raise BadSource(f"{where}, line {first_line + row}: {cells[row]!r} is not a time in {unit}; remove this line")
-    return clock.t_ns
-
-
 def _parse_number(cell: str, exponent: int) -> int:
     value = Decimal(cell.strip()).scaleb(9 + exponent)
     if not abs(value) <= LAST_T_NS + 1_000_000_000:  # also NaN; the size is tested before a long integer is made

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.clock import BLANK, Clock, cells_to_ns, parse_times
+from stillpoint.datasets.importers.clock import BLANK, Clock, parse_times
 from stillpoint.datasets.limits import LARGEST_LINE, limited
 from stillpoint.datasets.recording import Floats, Times
 
@@ -114,9 +114,13 @@ class Table:
                 ]
         return values
 
-    def times(self, column: str, exponent: int) -> Times:
-        """Return a column of times in units of 10^exponent s as exact nanoseconds; none may be empty."""
-        return cells_to_ns(self.cells(self.place(column)), exponent, self.where, self.lines[0] if self.lines else 0)
+    def times(self, column: str, unit: str) -> Times:
+        """Return a column of times in s, ms, us, ns or iso as exact nanoseconds; none may be empty."""
+        clock = parse_times(self.cells(self.place(column)), unit, self.where, self.lines, column)
+        if not clock.known.all():
+            line = self.lines[int(clock.known.argmin())]
+            raise BadSource(f"{self.where}, line {line}: has no time in {column!r}; remove this line")
+        return clock.t_ns
 
     def clock(self, column: str, unit: str) -> Clock:
         """Return the stamps of a column; empty cells are unknown. ``unit`` is s, ms, us, ns or iso."""

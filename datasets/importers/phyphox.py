@@ -134,7 +134,7 @@ def _find_time_column(table: Table) -> str:
 
 def _read_clock(table: Table, starts: Floats) -> Times:
     """Return nanoseconds: since 1970 where the starts are known, else since the start of the experiment."""
-    t_ns = table.times(_find_time_column(table), 0)
+    t_ns = table.times(_find_time_column(table), "s")
     if len(starts) == 0:
         return t_ns
     experiment_ns = seconds_to_ns(starts[:, 0])

@@ -33,17 +33,17 @@ class Device:
 
     name: str
     imu: str  # file
-    time: tuple[str, int]  # column, exponent of its unit
+    time: tuple[str, str]  # column and its unit
     mag: tuple[str, str, str]  # file, column with the axis as {}, unit or "" for arbitrary ones
     attitude: str
     inverse: bool  # the quaternion takes the Earth to the sensor
 
 
 NGIMU = Device(
-    "NGIMU", "sensors.csv", ("Time (s)", 0), ("sensors.csv", "Magnetometer {} (uT)", "uT"), "quaternion.csv", True
+    "NGIMU", "sensors.csv", ("Time (s)", "s"), ("sensors.csv", "Magnetometer {} (uT)", "uT"), "quaternion.csv", True
 )
 XIMU3 = Device(
-    "x-IMU3", "Inertial.csv", ("Timestamp (us)", -6), ("Magnetometer.csv", "{} (a.u.)", ""), "Quaternion.csv", False
+    "x-IMU3", "Inertial.csv", ("Timestamp (us)", "us"), ("Magnetometer.csv", "{} (a.u.)", ""), "Quaternion.csv", False
 )
 
 

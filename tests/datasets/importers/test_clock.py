@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from stillpoint.datasets import BadParameter, BadSource
 from stillpoint.datasets.importers.clock import (
-    cells_to_ns,
     check_rate,
     find_wild_stamps,
     parse_times,
@@ -36,18 +35,23 @@ def test_rising_keeps_the_first_of_each_stamp_and_counts_the_rest(stamps):
     assert any("sorted" in note for note in log.notes) == (stamps != sorted(stamps))
 
 
-@given(st.integers(0, 2**31 * 10**9), st.sampled_from([0, -3, -6, -9]))
-def test_decimal_times_are_exact(t_ns, exponent):
-    digits = 9 + exponent
+@given(st.integers(0, 2**31 * 10**9), st.sampled_from(["s", "ms", "us", "ns"]))
+def test_decimal_times_are_exact(t_ns, unit):
+    digits = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     whole, rest = divmod(t_ns, 10**digits)
     cell = f"{whole}.{rest:0{digits}d}" if digits else str(whole)
-    assert cells_to_ns([cell], exponent, "f", 1).tolist() == [t_ns]
+    assert parse_times([cell], unit, "f", [1]).t_ns.tolist() == [t_ns]
 
 
-@pytest.mark.parametrize("cell", ["", "NaN", "inf", "12:30", "1e99"])
+@pytest.mark.parametrize("cell", ["inf", "12:30", "1e99", "soon"])
 def test_what_is_no_time_is_refused_with_its_line(cell):
     with pytest.raises(BadSource, match="f, line 8"):
-        cells_to_ns(["1", cell], 0, "f", 7)
+        parse_times(["1", cell], "s", "f", [7, 8])
+
+
+@pytest.mark.parametrize("cell", ["", "NaN", "null"])
+def test_an_empty_stamp_is_unknown(cell):
+    assert parse_times(["1", cell], "s", "f", [7, 8]).known.tolist() == [True, False]
 
 
 @given(
