@@ -4,7 +4,6 @@ The log keeps what the sensors said: gyro x has the wrong sign and gravity reads
 The importer changes units and clocks only; axes and signs are for the doctor to find.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -31,13 +30,13 @@ GYRO, ACCEL, MAG = "mpu6050_gyroscope.mat", "mpu6050_accelerometer.mat", "hmc588
 WHAT = {GYRO: "gyro", ACCEL: "accelerometer", MAG: "mag"}
 
 
-def read_bench(source: Path, options: Options) -> Iterator[Imported]:
-    """Yield the log of one folder, or of all folders below. Raises :class:`BadSource`."""
-    for folder in find_folders(source, GYRO, "name the folder of a log"):
-        yield Imported(_read_log(folder, options))
+def find_bench(source: Path) -> list[Path]:
+    """Return the folders of logs at or below a source. Raises :class:`BadSource`."""
+    return find_folders(source, GYRO, "name the folder of a log")
 
 
-def _read_log(folder: Path, options: Options) -> Recording:
+def read_bench(folder: Path, options: Options) -> Imported:
+    """Return the log of a folder. Raises :class:`BadSource`."""
     log = Log()
     received = {name: _rows(folder / name) for name in WHAT}
     # The log starts with a backlog that drains over seconds: the first samples were taken before the first receipt.
@@ -67,7 +66,7 @@ def _read_log(folder: Path, options: Options) -> Recording:
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )
-    return Recording(folder.name, imu=merge_imu(gyro, accel, str(folder), log), mag=mag, info=info)
+    return Imported(Recording(folder.name, imu=merge_imu(gyro, accel, str(folder), log), mag=mag, info=info))
 
 
 def _rows(path: Path) -> Floats:

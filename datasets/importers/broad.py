@@ -5,7 +5,6 @@ frame (East-North-Up, magnetic north), so a trial needs no change of unit or fra
 """
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,17 @@ CITATION = (
 )
 
 
-def read_broad(source: Path, options: Options) -> Iterator[Imported]:
-    """Yield the trial of a file, or all trials of a folder in the order of their names. Raises :class:`BadSource`."""
+def find_broad(source: Path) -> list[Path]:
+    """Return a trial, or the trials of a folder in the order of their names. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted([*source.glob("*.mat"), *source.glob("*.hdf5")]) if source.is_dir() else [source]
     if not files:
         raise BadSource(f"{source}: holds no .mat or .hdf5 trial; name BROAD's folder data_mat or data_hdf5")
-    for file in files:
-        yield Imported(_read_trial(file, options))
+    return files
 
 
-def _read_trial(file: Path, options: Options) -> Recording:
+def read_broad(file: Path, options: Options) -> Imported:
+    """Return the trial of a file. Raises :class:`BadSource`."""
     fields = _read_fields(file)
     log = Log()
     rate_hz = float(fields["sampling_rate"].squeeze())
@@ -73,7 +72,7 @@ def _read_trial(file: Path, options: Options) -> Recording:
         extra={"north": "magnetic", **extra},
     )
     imu = Imu(t_ns, fields["imu_gyr"], fields["imu_acc"])
-    return Recording(file.stem, imu=imu, mag=Mag(t_ns, fields["imu_mag"]), truth=truth, info=info)
+    return Imported(Recording(file.stem, imu=imu, mag=Mag(t_ns, fields["imu_mag"]), truth=truth, info=info))
 
 
 def _read_fields(file: Path) -> dict[str, Floats]:

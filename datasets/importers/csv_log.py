@@ -5,7 +5,6 @@ per count. Columns go by their names in the header, or by numbers from 1.
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -31,7 +30,6 @@ from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.log import (
     LogOptions,
     apply_config,
-    list_logs,
     order_series,
     read_clock,
     read_sensor,
@@ -73,18 +71,12 @@ class CsvOptions(LogOptions):
     moving: str | None = None  # a column that is 0 where the truth is not to be scored
 
 
-def read_csv(source: Path, options: CsvOptions) -> Iterator[Imported]:
-    """Yield the recording of one file, or of each .csv, .tsv and .txt file of a folder.
+def read_csv(file: Path, options: CsvOptions) -> Imported:
+    """Return the recording of a log.
 
     Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
     """
-    files = list_logs(source)
     options = apply_config(options)
-    for file in files:
-        yield Imported(_read_log(file, options))
-
-
-def _read_log(file: Path, options: CsvOptions) -> Recording:
     log = Log()
     reading = Reading(read_table(file, options.delimiter, log), options, log)
     found = {what: reading.read_sensor(what) for what in SENSORS}
@@ -105,7 +97,7 @@ def _read_log(file: Path, options: CsvOptions) -> Recording:
         files += [truth_file] if truth_file.is_file() else []
     sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
     info = make_info(f"delimited log {file.name}", options, imu.t_ns, sha256, log)
-    return Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info)
+    return Imported(Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info))
 
 
 def find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:

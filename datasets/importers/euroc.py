@@ -5,7 +5,6 @@ in a frame with z up, quaternion w first. ``sensor.yaml`` gives the rotation T_B
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,14 +31,13 @@ MATRIX = re.compile(r"T_BS:.*?data:\s*\[([^\]]*)\]", re.DOTALL)
 UNITS = {"rad s^-1": "rad/s", "m s^-2": "m/s^2"}
 
 
-def read_euroc(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the recordings of the folders with ``imu0/data.csv`` at or below a source. Raises :class:`BadSource`."""
+def find_euroc(source: Path) -> list[Path]:
+    """Return the folders with ``imu0/data.csv`` at or below a source. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.rglob("imu0/data.csv")) if source.is_dir() else []
     if not files:
         raise BadSource(f"{source}: is empty of imu0/data.csv; name a folder in the ASL format, as MH_01_easy")
-    for file in files:
-        yield Imported(_read_folder(file.parents[1], options))
+    return [file.parents[1] for file in files]
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,8 @@ class _Sensor:
         return Series(series.t_ns, self.turn.apply(series.values))
 
 
-def _read_folder(folder: Path, options: OwnOptions) -> Recording:
+def read_euroc(folder: Path, options: OwnOptions) -> Imported:
+    """Return the recording of a folder that holds ``imu0``. Raises :class:`BadSource`."""
     log = Log()
     imu_file = _open_sensor(folder / "imu0", log)
     if len(imu_file.table.columns) < 7:
@@ -81,7 +80,7 @@ def _read_folder(folder: Path, options: OwnOptions) -> Recording:
     sha256 = digests(files, folder)
     info = make_info(f"ASL folder {name}", options, common, sha256, log, mag_uncalibrated=uncalibrated)
     imu = Imu(common, gyro.values[at_gyro], accel.values[at_accel])
-    return Recording(name, imu=imu, mag=mag, gps=gps, truth=truth, info=info)
+    return Imported(Recording(name, imu=imu, mag=mag, gps=gps, truth=truth, info=info))
 
 
 def _open_sensor(folder: Path, log: Log) -> _Sensor:

@@ -53,6 +53,11 @@ def require_existing(source: Path) -> Path:
     return source
 
 
+def find_itself(source: Path) -> list[Path]:
+    """Return the source, which holds one recording; raises :class:`BadSource` when it is not there."""
+    return [require_existing(source)]
+
+
 def find_folders(source: Path, name: str, remedy: str) -> list[Path]:
     """Return the folders at or below a source that hold a file of this name; raises :class:`BadSource` for none."""
     require_existing(source)

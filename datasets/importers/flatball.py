@@ -5,7 +5,6 @@ The log has no time; the firmware samples at 100 Hz. The IMU is an ISM330DHCX: s
 found from the flight. In the frame of the recording x is the spin axis (the IMU's z), y the IMU's x, z the IMU's y.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
 from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported
-from stillpoint.datasets.importers.log import list_logs, read_table
+from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import Log
 from stillpoint.datasets.recording import Info, Mag, Recording, Spin, SpinGeometry
@@ -31,13 +30,8 @@ GEOMETRY = SpinGeometry(
 )
 
 
-def read_flatball(source: Path, options: Options) -> Iterator[Imported]:
-    """Yield the flight of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
-    for file in list_logs(source):
-        yield Imported(_read_flight(file, options))
-
-
-def _read_flight(file: Path, options: Options) -> Recording:
+def read_flatball(file: Path, options: Options) -> Imported:
+    """Return the flight of a log. Raises :class:`BadSource`."""
     log = Log()
     table = read_table(file, None, log)
     missing = [name for name in (*ACCEL, *GYRO, *MAG) if name not in table.columns]
@@ -60,4 +54,4 @@ def _read_flight(file: Path, options: Options) -> Recording:
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )
-    return Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(MAG)), info=info)
+    return Imported(Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(MAG)), info=info))

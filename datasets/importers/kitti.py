@@ -5,7 +5,6 @@ East-North-Up, z-y-x. Its attitude is the unit's own solution from this IMU and 
 an independent one.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,22 +22,22 @@ NUMBERS = 30
 PLACE, ANGLES, NORTH_EAST, ACCEL, RATES = slice(0, 3), slice(3, 6), slice(6, 8), slice(11, 14), slice(17, 20)
 
 
-def read_kitti(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the recordings of the drives at or below a source. Raises :class:`BadSource`."""
+def find_kitti(source: Path) -> list[Path]:
+    """Return the folders ``oxts`` at or below a source. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.rglob("timestamps.txt")) if source.is_dir() else []
     folders = [file.parent for file in files if (file.parent / "data").is_dir() and _is_oxts(file.parent)]
     if not folders:
         raise BadSource(f"{source}: is empty of oxts/timestamps.txt with oxts/data/; name a drive of KITTI's raw data")
-    for folder in folders:
-        yield Imported(_read_drive(folder, options))
+    return folders
 
 
 def _is_oxts(folder: Path) -> bool:
     return any((folder / "data").glob("*.txt")) and "velodyne" not in folder.name
 
 
-def _read_drive(folder: Path, options: OwnOptions) -> Recording:
+def read_kitti(folder: Path, options: OwnOptions) -> Imported:
+    """Return the drive of a folder ``oxts``. Raises :class:`BadSource`."""
     log = Log()
     stamps = folder / "timestamps.txt"
     lines = [line for line in read_text(stamps).splitlines() if line.strip()]
@@ -60,7 +59,7 @@ def _read_drive(folder: Path, options: OwnOptions) -> Recording:
     sha256 = digests([stamps, *files], folder)
     known = {"sensor": options.sensor or "OXTS RT3003", "extra": {"truth_type": "oxts"}}
     info = make_info(f"KITTI raw data {drive}", options, t_ns, sha256, log, **known)
-    return Recording(drive, imu=Imu(t_ns, rows[:, RATES], rows[:, ACCEL]), gps=gps, truth=truth, info=info)
+    return Imported(Recording(drive, imu=Imu(t_ns, rows[:, RATES], rows[:, ACCEL]), gps=gps, truth=truth, info=info))
 
 
 def _read_numbers(file: Path) -> list[float]:

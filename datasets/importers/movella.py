@@ -7,7 +7,6 @@ to East-North-Up.
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
 from stillpoint.datasets.importers.files import digests, read_text
 from stillpoint.datasets.importers.imported import Imported
-from stillpoint.datasets.importers.log import list_logs
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
 from stillpoint.datasets.importers.xio import scale_arbitrary_field
@@ -39,13 +37,8 @@ class MovellaOptions(OwnOptions):
     rate: float | None = None  # Hz, where the file has no time
 
 
-def read_movella(source: Path, options: MovellaOptions) -> Iterator[Imported]:
-    """Yield the recording of one file, or of each .csv and .txt file of a folder. Raises :class:`BadSource`."""
-    for file in list_logs(source):
-        yield _read_file(file, options)
-
-
-def _read_file(file: Path, options: MovellaOptions) -> Imported:
+def read_movella(file: Path, options: MovellaOptions) -> Imported:
+    """Return the recording of a file. Raises :class:`BadSource`."""
     log, text = Log(), read_text(file)
     table = parse("\n".join(line for line in text.splitlines() if not line.startswith("//")), str(file))
     needed = [f"{what}_{axis}" for what in ("Gyr", "Acc") for axis in XYZ]

@@ -49,8 +49,8 @@ class Found:
     unit: str
 
 
-def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the one recording of an export. Raises :class:`BadSource`."""
+def read_phyphox(source: Path, options: OwnOptions) -> Imported:
+    """Return the one recording of an export. Raises :class:`BadSource`."""
     bundle = _open(source)
     log = Log()
     tables = [
@@ -81,7 +81,7 @@ def read_phyphox(source: Path, options: OwnOptions) -> Iterator[Imported]:
         mag_uncalibrated=uncalibrated,
         extra={key: device[key] for key in ("version", "deviceBrand", "deviceRelease") if key in device},
     )
-    yield Imported(Recording(bundle.name, imu=imu, mag=field, gps=gps, info=info))
+    return Imported(Recording(bundle.name, imu=imu, mag=field, gps=gps, info=info))
 
 
 def _open(source: Path) -> Bundle:

@@ -5,7 +5,7 @@ tesla; an attitude takes the body to a local East-North-Up frame. A first covari
 not give that part of the message.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,8 +86,8 @@ class RosOptions(OwnOptions):
     body_frame: str | None = None  # turn the sensors into this frame by /tf_static
 
 
-def read_ros(source: Path, options: RosOptions) -> Iterator[Imported]:
-    """Yield the one recording of a ``.bag``, a ROS 2 bag (folder), or an ``.mcap``. Raises :class:`BadSource`."""
+def read_ros(source: Path, options: RosOptions) -> Imported:
+    """Return the one recording of a ``.bag``, a ROS 2 bag (folder), or an ``.mcap``. Raises :class:`BadSource`."""
     require_existing(source)
     bag = open_ros(source)
     log = Log(notes=list(bag.notes))
@@ -125,7 +125,7 @@ def read_ros(source: Path, options: RosOptions) -> Iterator[Imported]:
     info = make_info(
         f"ROS bag {source.name}", options, imu.t_ns, sha256, log, **{"mag_uncalibrated": uncalibrated, **known}
     )
-    yield Imported(Recording(source.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info), estimates)
+    return Imported(Recording(source.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info), estimates)
 
 
 def _kind(bag: RosFiles, topic: str) -> str:

@@ -5,7 +5,6 @@ Accelerations are in g with Apple's sign (-1 g on the axis that points up); ``mo
 reference frame. Body: x right, y to the top, z out of the screen.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,7 +18,7 @@ from stillpoint.datasets.importers.delimited import Table
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
 from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported, make_mag
-from stillpoint.datasets.importers.log import list_logs, read_table
+from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu, sort_by_time
 from stillpoint.datasets.recording import Gps, Mag, Recording
@@ -47,13 +46,8 @@ class SensorLogOptions(OwnOptions):
     mag: Literal["raw", "calibrated"] = "raw"
 
 
-def read_sensorlog(source: Path, options: SensorLogOptions) -> Iterator[Imported]:
-    """Yield the recording of one file, or of each .csv file of a folder. Raises :class:`BadSource`."""
-    for file in list_logs(source):
-        yield _read_file(file, options)
-
-
-def _read_file(file: Path, options: SensorLogOptions) -> Imported:
+def read_sensorlog(file: Path, options: SensorLogOptions) -> Imported:
+    """Return the recording of a file. Raises :class:`BadSource`."""
     log = Log()
     table = read_table(file, None, log)
     gyro = next((one for names in GYROS if (one := _read(table, *names, XYZ, "gyro", log)) is not None), None)

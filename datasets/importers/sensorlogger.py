@@ -5,7 +5,6 @@ of the screen. On iOS accelerations and gravity have the opposite sign, and the 
 app's "Standardise Units & Frames" was on (the app's pages UNITS, COORDINATES and CROSSPLATFORM).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -45,8 +44,8 @@ class Phone:
         return self.platform == "ios" and not self.standardised
 
 
-def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Imported]:
-    """Yield the one recording of a zip or folder. Raises :class:`BadSource`."""
+def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
+    """Return the one recording of a zip or folder. Raises :class:`BadSource`."""
     bundle = open_bundle(source)
     log = Log()
     empty = bundle.find_empty(*GYRO_FILES, *ACCEL_FILES, *MAG_FILES["raw"])
@@ -77,7 +76,7 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Iterator[Imported]
     if (attitude := _read_attitude(bundle, log)) is not None:
         estimates = read_device_attitude(attitude, imu, False, bundle.name, "Orientation.csv", bundle.sha256, log)
         info = replace(info, conversions=tuple(log.conversions), notes=tuple(log.notes))
-    yield Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info), estimates)
+    return Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info), estimates)
 
 
 def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:

@@ -5,7 +5,6 @@ Without flags the columns are ``t_s``, ``F4_mps2``, ``F5_mps2`` (or ``F1_mps2`` 
 TOML file.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.log import (
     LogOptions,
     apply_config,
-    list_logs,
     order_series,
     read_clock,
     read_sensor,
@@ -57,18 +55,6 @@ class SpinOptions(LogOptions):
     gyros: str | None = None  # "g1,g2:UNIT"
     encoder_angle: str | None = None  # "COLUMN:UNIT"
     encoder_rate: str | None = None  # "COLUMN:UNIT"
-
-
-def read_spin(source: Path, options: SpinOptions) -> Iterator[Imported]:
-    """Yield the recording of one file, or of each .csv, .tsv and .txt file of a folder.
-
-    Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
-    """
-    files = list_logs(source)
-    options = apply_config(options)
-    geometry = find_geometry(options)
-    for file in files:
-        yield Imported(_read_log(file, options, geometry))
 
 
 def find_geometry(options: SpinOptions) -> SpinGeometry:
@@ -113,7 +99,13 @@ def _normalise(axes: Floats) -> Floats:
     return np.asarray(axes / np.where(size > 0, size, 1.0))
 
 
-def _read_log(file: Path, options: SpinOptions, geometry: SpinGeometry) -> Recording:
+def read_spin(file: Path, options: SpinOptions) -> Imported:
+    """Return the recording of a log.
+
+    Raises :class:`BadSource` for the file, :class:`BadParameter` for an option.
+    """
+    options = apply_config(options)
+    geometry = find_geometry(options)
     log = Log()
     table = read_table(file, options.delimiter, log)
     if options.time is None and options.rate is None and "t_s" in table.columns:
@@ -132,7 +124,7 @@ def _read_log(file: Path, options: SpinOptions, geometry: SpinGeometry) -> Recor
     spin = Spin(both.t_ns, both.values[:, :k], both.values[:, k:], geometry)
     encoder = _make_encoder(streams.get("angle"), streams.get("rate"), log, table.where)
     info = make_info(f"delimited log {file.name}", options, spin.t_ns, digests([file], file.parent), log)
-    return Recording(file.stem, spin=spin, encoder=encoder, info=info)
+    return Imported(Recording(file.stem, spin=spin, encoder=encoder, info=info))
 
 
 def _read_columns(

@@ -6,7 +6,6 @@ attitudes by the declination to compare them).
 """
 
 import configparser
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -42,13 +41,13 @@ NEEDED = ("gyroscope.txt", "accelerometer.txt")
 MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.txt"}
 
 
-def read_tyrex(source: Path, options: TyrexOptions) -> Iterator[Imported]:
-    """Yield the trial of a folder ``android/NAME`` or ``ios/NAME``, or all trials below. Raises :class:`BadSource`."""
-    for folder in find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them"):
-        yield _read_trial(folder, options)
+def find_tyrex(source: Path) -> list[Path]:
+    """Return the trial of a folder ``android/NAME`` or ``ios/NAME``, or all below. Raises :class:`BadSource`."""
+    return find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them")
 
 
-def _read_trial(folder: Path, options: TyrexOptions) -> Imported:
+def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
+    """Return the trial of a folder. Raises :class:`BadSource`."""
     log = Log()
     ios = (folder / "description.txt").is_file()
     boot_s = _read_boot_time(folder / "description.txt") if ios else 0.0

@@ -5,7 +5,6 @@ The body is forward-right-down, the world of attitudes North-East-Down. ``sensor
 ``vehicle_attitude`` is the autopilot's own estimate; only a simulator logs a truth, ``vehicle_attitude_groundtruth``.
 """
 
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from datetime import UTC, datetime
 from io import StringIO
@@ -41,17 +40,17 @@ TOPICS = (
 )
 
 
-def read_ulog(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the recording of one ``.ulg`` file, or of each of a folder. Raises :class:`BadSource`."""
+def find_ulog(source: Path) -> list[Path]:
+    """Return a log, or the ``.ulg`` files of a folder. Raises :class:`BadSource`."""
     require_existing(source)
     files = sorted(source.glob("*.ulg")) if source.is_dir() else [source]
     if not files:
         raise BadSource(f"{source}: is empty of .ulg files; name a log of PX4")
-    for file in files:
-        yield _read_log(file, options)
+    return files
 
 
-def _read_log(file: Path, options: OwnOptions) -> Imported:
+def read_ulog(file: Path, options: OwnOptions) -> Imported:
+    """Return the recording of a log. Raises :class:`BadSource`."""
     log = Log()
     with reading(file, "a log of PX4 (ULog)"):
         with redirect_stdout(StringIO()):  # the package prints what it finds damaged

@@ -5,7 +5,6 @@ sample session confirms. x-IMU3: ``Timestamp (us)``, deg/s and g; ``Magnetometer
 ``Quaternion.csv`` takes the sensor to the Earth. Both have accelerometers of +1 g on the axis that points up.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from stillpoint.datasets.recording import Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
 XYZ = "XYZ"
+EMPTY = "name a folder that is not empty, as the device's GUI logs it"
 ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
 
 
@@ -47,21 +47,24 @@ XIMU3 = Device(
 )
 
 
-def read_ngimu(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the recordings of the NGIMU folders at or below a source. Raises :class:`BadSource`."""
-    yield from _read_folders(source, NGIMU, options)
+def find_ngimu(source: Path) -> list[Path]:
+    """Return the NGIMU folders at or below a source. Raises :class:`BadSource`."""
+    return find_folders(source, NGIMU.imu, EMPTY)
 
 
-def read_ximu3(source: Path, options: OwnOptions) -> Iterator[Imported]:
-    """Yield the recordings of the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
-    yield from _read_folders(source, XIMU3, options)
+def read_ngimu(folder: Path, options: OwnOptions) -> Imported:
+    """Return the recording of an NGIMU folder. Raises :class:`BadSource`."""
+    return _read_folder(folder, NGIMU, options)
 
 
-def _read_folders(source: Path, device: Device, options: OwnOptions) -> Iterator[Imported]:
-    for folder in find_folders(
-        source, device.imu, f"name a folder that is not empty, as the {device.name} GUI logs it"
-    ):
-        yield _read_folder(folder, device, options)
+def find_ximu3(source: Path) -> list[Path]:
+    """Return the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
+    return find_folders(source, XIMU3.imu, EMPTY)
+
+
+def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
+    """Return the recording of an x-IMU3 folder. Raises :class:`BadSource`."""
+    return _read_folder(folder, XIMU3, options)
 
 
 def _read_folder(folder: Path, device: Device, options: OwnOptions) -> Imported:

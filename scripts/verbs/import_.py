@@ -3,6 +3,7 @@
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -10,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from cyclopts import App, Parameter
 from rich.console import Console
 
-from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
+from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
@@ -49,9 +50,10 @@ def import_(
     split: str | None = None,
     json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
-) -> None:
+) -> int:
     """Turn recordings of other formats into MCAP files, one NAME.mcap each, and say what was converted.
 
+    A source that cannot be read costs no other: the error is printed, the others are imported, the exit code is 2.
     docs/importing.md has a section for each kind.
 
     Parameters
@@ -83,8 +85,9 @@ def import_(
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     span_s = None if split is None else read_span(split, "--split").total_seconds()
     kept: dict[Path, Kept] = {}
+    failed: list[str] = []
     with Console(stderr=True).status("import") as status:
-        for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip), span_s):
+        for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip, failed), span_s):
             recording = imported.recording
             status.update(f"import {recording.name}")
             file = output_dir(out) / f"{recording.name}.mcap"
@@ -98,9 +101,12 @@ def import_(
             for estimate_file, estimate in beside.items():
                 write(estimate_file, replace(estimate, made_from={**estimate.made_from, file.name: sha256(file)}))
             kept[file] = Kept(source, file, recording, tuple(beside))
-    if json != STDOUT:
+    if kept and json != STDOUT:
         _show(list(kept.values()))
+    if failed and json != STDOUT:
+        print(f"{len(failed)} not imported")
     write_json(json, [_facts(one) for one in kept.values()])
+    return 2 if failed else 0
 
 
 def _split_all(all_imported: Iterable[tuple[Path, Imported]], span_s: float | None) -> Iterator[tuple[Path, Imported]]:
@@ -140,16 +146,38 @@ def _choices(annotation: Any) -> tuple[str, ...]:
 
 
 def _read_sources(
-    importer: Importer, options: Options, sources: tuple[Path, ...], repair: bool, skip: tuple[str, ...]
+    importer: Importer,
+    options: Options,
+    sources: tuple[Path, ...],
+    repair: bool,
+    skip: tuple[str, ...],
+    failed: list[str],
 ) -> Iterator[tuple[Path, Imported]]:
+    """Yield every recording with its source; an error goes to stderr and ``failed``, that of a single one is raised."""
+    items: list[tuple[Path, Path]] = []
     for source in dict.fromkeys(sources):
-        if not repair:
-            yield from ((source, imported) for imported in importer.read_all(source, options))
-            continue
-        # Sizes are tested after the repair: what the doctor mends need not be refused before.
-        for imported in importer.read_all(source, replace(options, units_unchecked=True)):
-            recording = _repair(imported.recording, source, skip, options.units_unchecked)
-            yield source, replace(imported, recording=recording)
+        with _note_failure(failed, alone=len(sources) == 1):
+            items += [(source, item) for item in importer.find_items(source)]
+    for source, item in items:
+        with _note_failure(failed, alone=len(items) == 1 and not failed):
+            if not repair:
+                yield source, importer.read_one(item, options)
+                continue
+            # Sizes are tested after the repair: what the doctor mends need not be refused before.
+            imported = importer.read_one(item, replace(options, units_unchecked=True))
+            yield source, replace(imported, recording=_repair(imported.recording, item, skip, options.units_unchecked))
+
+
+@contextmanager
+def _note_failure(failed: list[str], alone: bool) -> Iterator[None]:
+    """Print and keep the error of one source of several."""
+    try:
+        yield
+    except StillpointError as error:
+        if alone:
+            raise
+        print(f"stillpoint: {make_printable(str(error))}", file=sys.stderr)
+        failed.append(str(error))
 
 
 def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:

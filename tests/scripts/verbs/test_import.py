@@ -153,3 +153,20 @@ def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(call, tmp
     assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--units-unchecked") == 0
     assert call("info", tmp_path / "rest.mcap", "--units-unchecked") == 0
     assert "units_unchecked" in capsys.readouterr().out
+
+
+def test_a_source_that_cannot_be_read_costs_no_other(call, tmp_path, capsys):
+    good = noisy(tmp_path, 9.80665)
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "a.csv").write_text(good.read_text())
+    (logs / "b.csv").write_text("t,gx\n0,1\n")
+    (logs / "c.csv").write_text(good.read_text())
+    missing = tmp_path / "nothing"
+    assert call("import", "csv", logs, missing, "-o", tmp_path / "out", *UNITS_OF_THE_VOCABULARY) == 2
+    printed = capsys.readouterr()
+    assert sorted(file.name for file in (tmp_path / "out").glob("*.mcap")) == ["a.mcap", "c.mcap"]
+    assert printed.err.count("\n") == 2
+    assert "b.csv: no column 'gy'" in printed.err
+    assert "nothing: there is no such file" in printed.err
+    assert "2 not imported" in printed.out
