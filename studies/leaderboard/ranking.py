@@ -167,9 +167,12 @@ def _choose_figure(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]
     left_out = [name for name in names if any(runs.runs[name, label].magnetometer_left_out for label in labels)]
     if not left_out:
         return "total", ""
+    concerned = [label for label in labels if any(runs.runs[name, label].magnetometer_left_out for name in left_out)]
+    whose = "their" if len(concerned) < len(labels) else "the estimators'"
     return "inclination", (
-        f"the magnetometer is not calibrated and was left out on {len(left_out)} of {len(names)} recordings, so "
-        "heading and total error say nothing about the estimators; --calibration reference corrects it"
+        f"the magnetometer is not calibrated and was left out for {len(concerned)} of {len(labels)} rows on "
+        f"{len(left_out)} of {len(names)} recordings, so {whose} heading and total error say nothing; "
+        "--calibration reference corrects it"
     )
 
 

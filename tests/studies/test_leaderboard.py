@@ -183,7 +183,7 @@ def test_uncalibrated_magnetometer_ranks_by_inclination(files, tmp_path):
     board = leaderboard([tmp_path / "raw.mcap"], ["gyro"], tmp_path / "out")
     table = board.tables[0]
     assert table.ranked_by == "inclination"
-    assert "left out on 1 of 1 recordings" in table.conclusion
+    assert "left out for 1 of 1 rows on 1 of 1 recordings" in table.conclusion
 
 
 def test_recordings_in_memory(tmp_path):
