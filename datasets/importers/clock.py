@@ -50,10 +50,13 @@ class Clock:
     known: NDArray[np.bool_]  # (N,)
 
 
-def parse_times(cells: list[str], unit: str, where: str, lines: list[int], column: str = "time") -> Clock:
+def parse_times(
+    cells: list[str], unit: str, where: str, lines: list[int], column: str = "time", flag: str = ""
+) -> Clock:
     """Return exact nanoseconds of text stamps; a double keeps only 0.2 us of epoch seconds.
 
-    ``unit`` is s, ms, us, ns or iso; ``lines`` are the line numbers of the cells. An empty cell is an unknown stamp.
+    ``unit`` is s, ms, us, ns or iso; ``lines`` are the line numbers of the cells; ``flag`` is what the user may set the
+    unit by, "" where the format fixes it. An empty cell is an unknown stamp.
     Raises :class:`BadSource` for a cell that is no time, and names the unit that fits where one does.
     """
     t_ns = np.zeros(len(cells), dtype=np.int64)
@@ -66,7 +69,7 @@ def parse_times(cells: list[str], unit: str, where: str, lines: list[int], colum
             t_ns[row] = _parse_iso(cell) if unit == ISO else _parse_number(cell, TIME_EXPONENT[unit])
         except (ArithmeticError, ValueError):
             usual = "write 2021-06-12T08:00:00.5 or 08:00:00.5" if unit == ISO else "remove this line"
-            advice = _propose_unit(cell, column, unit) or usual
+            advice = _propose_unit(cell, column, unit, flag) or usual
             raise BadSource(f"{where}, line {lines[row]}: {cell[:40]!r} is not a time in {unit}; {advice}") from None
     if not known.any():
         raise BadSource(f"{where}: column {column!r} holds no time; name another column")
@@ -97,11 +100,11 @@ def _parse_iso(cell: str) -> int:
     return round(moment.timestamp()) * 1_000_000_000 + int((digits + "0" * 9)[:9] if point else 0)
 
 
-def _propose_unit(cell: str, column: str, declared: str) -> str:
+def _propose_unit(cell: str, column: str, declared: str, flag: str) -> str:
     """Return advice on the unit that makes this cell a date, or nothing."""
     try:
         _parse_iso(cell)
-        return f"this looks like dates: --time {column}:iso"
+        return "this looks like dates" + (f": {flag} {column}:iso" if flag else "")
     except ValueError:
         pass
     try:
@@ -110,7 +113,7 @@ def _propose_unit(cell: str, column: str, declared: str) -> str:
         return ""
     for unit, exponent in TIME_EXPONENT.items():
         if unit != declared and EPOCHS_S[0] < value * 10.0**exponent < EPOCHS_S[1]:
-            return f"this looks like {TIME_NAMES[unit]}: --time {column}:{unit}"
+            return f"this looks like {TIME_NAMES[unit]}" + (f": {flag} {column}:{unit}" if flag else "")
     return ""
 
 

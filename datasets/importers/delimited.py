@@ -122,12 +122,12 @@ class Table:
             raise BadSource(f"{self.where}, line {line}: has no time in {column!r}; remove this line")
         return clock.t_ns
 
-    def clock(self, column: str, unit: str) -> Clock:
-        """Return the stamps of a column; empty cells are unknown. ``unit`` is s, ms, us, ns or iso."""
+    def clock(self, column: str, unit: str, flag: str = "--time") -> Clock:
+        """Return the stamps of a column in s, ms, us, ns or iso, set by ``flag``; empty cells are unknown."""
         cells = [row[place] if place < len(row) else "" for place in [self.place(column)] for row in self.rows]
         if self.decimal_comma:
             cells = [cell.replace(",", ".") for cell in cells]
-        return parse_times(cells, unit, self.where, self.lines, column)
+        return parse_times(cells, unit, self.where, self.lines, column, flag)
 
     def cells(self, place: int) -> list[str]:
         """Return the text of a column; raises :class:`BadSource` for a row that ends before it."""

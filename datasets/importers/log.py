@@ -117,7 +117,7 @@ def read_clock(table: Table, options: LogOptions, log: Log, time: str | None = N
         hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
         raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
     column, unit = _split_time(table, time, flag)
-    clock = repair_clock(table.clock(column, unit), log)
+    clock = repair_clock(table.clock(column, unit, flag), log)
     log.converted(f"time {column!r} in {unit}")
     unknown = int((~clock.known).sum())
     if unknown:

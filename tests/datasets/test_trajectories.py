@@ -43,7 +43,7 @@ def test_tum_with_a_byte_order_mark(known, tmp_path):
 
 def test_tum_in_nanoseconds_says_so(known, tmp_path):
     file = write(tmp_path, "a.tum", known, rows(POSITION, to_xyzw(known.q_nb), stamps=unix(known)))
-    with pytest.raises(BadSource, match=r"a\.tum, line 1.*looks like nanoseconds"):
+    with pytest.raises(BadSource, match=r"a\.tum, line 1.*looks like nanoseconds$"):
         read_poses(file)
 
 

@@ -186,7 +186,7 @@ def test_a_wrong_unit_is_named_with_the_one_that_fits(declared, shown, true):
 )
 def test_a_stamp_beyond_its_unit_names_the_one_that_makes_it_a_date(cell, declared, advice):
     with pytest.raises(BadSource, match=f"line 7: .*{advice}"):
-        parse_times([cell], declared, "f", [7], "t")
+        parse_times([cell], declared, "f", [7], "t", "--time")
 
 
 @pytest.mark.parametrize(("rate_hz", "says"), [(2.0, r"\d\d% .* to 128 s, as a float32"), (100.0, "100%")])
