@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex
+from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex, Statistics
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
@@ -61,6 +61,11 @@ class LocalFile:
             return file.read(max(end - start, 0))
 
 
+def open_source(path: Path | str) -> Source:
+    """Return the bytes of a local file, or of a file behind a URL."""
+    return RangedFile(path) if is_url(path) else LocalFile(Path(path))
+
+
 @dataclass(frozen=True)
 class Window:
     """A range of log times, both ends included."""
@@ -82,8 +87,8 @@ def read_part(
     :class:`~stillpoint.datasets.remote.RangedFile` counts what it fetched. Raises :class:`BadFile` when the file is
     damaged or has no index.
     """
-    source = source or (RangedFile(path) if is_url(path) else LocalFile(Path(path)))
-    log = read_columns(_Part(Path(path), source, topics, window), topics, columns)
+    source = source or open_source(path)
+    log = read_columns(IndexedScan(Path(path), source, topics, window), topics, columns)
     if window is None:
         return log
     return replace(log, topics={name: _cut(topic, window) for name, topic in log.topics.items()})
@@ -102,22 +107,32 @@ def _cut(topic: Topic, window: Window) -> Topic:
     return replace(topic, t_ns=topic.t_ns[first:last], parts=tuple(parts))
 
 
-class _Part(Scan):
-    """The chunks of a file that hold what is wanted; a container for :func:`read_columns`."""
+class IndexedScan(Scan):
+    """The chunks of a file that hold what is wanted, found by its index; a container for :func:`read_columns`."""
 
     def __init__(self, path: Path, source: Source, topics: Collection[str] | None, window: Window | None) -> None:
         super().__init__(path)
         self._source, self._topics, self._window = source, topics, window
+        self.total_counts: dict[int, int] = {}  # messages of the whole file by channel id
+
+    @classmethod
+    def open(cls, path: Path | str) -> "IndexedScan":
+        """Return a scan over all topics of a local file or of a URL."""
+        return cls(Path(path), open_source(path), None, None)
 
     def blocks(self) -> Iterator[Block]:
         """The messages of the chunks that are needed; raises :class:`BadFile`."""
         try:
-            for index, data in self._fetch_chunks(self._wanted(self._read_summary())):
-                yield self.read_block(*_unpack(data, index))
+            yield from self.read_chunks(self._wanted(self.read_summary()))
         except DamagedError as error:
             raise BadFile(f"{self.path}: is damaged: {error}; restore it from a copy") from None
 
-    def _read_summary(self) -> list[ChunkIndex]:
+    def read_chunks(self, chunks: list[ChunkIndex]) -> Iterator[Block]:
+        """Yield the messages of some chunks; raises :class:`DamagedError`."""
+        for index, data in self._fetch_chunks(chunks):
+            yield self.read_block(*_unpack(data, index))
+
+    def read_summary(self) -> list[ChunkIndex]:
         """Take in schemas, channels and metadata from the end of the file; returns the index of its chunks."""
         size = self._source.size
         tail_start = max(size - FIRST_FETCH, 0)
@@ -141,6 +156,8 @@ class _Part(Scan):
                 self.take_fact(opcode, body)
             elif opcode == Opcode.CHUNK_INDEX:
                 chunks.append(parse_record(ChunkIndex, body))
+            elif opcode == Opcode.STATISTICS:
+                self.total_counts = dict(parse_record(Statistics, body).channel_message_counts)
             elif opcode == Opcode.METADATA_INDEX:
                 index = parse_record(MetadataIndex, body)
                 record = self._source.fetch(index.offset, min(index.offset + index.length, size))

@@ -78,7 +78,7 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
     }
     own = {topic.name for topic in TOPICS if not topic.drawn}
     log = read_log(path, lambda name: name in own or name.startswith(EXTRA), columns)
-    kind, facts = _open(log)
+    kind, facts = open_facts(log)
     samples, absent = facts.pop("samples"), facts.pop("absent")
     if log.lost and kind != "recording":
         raise BadFile(f"{path}: {log.lost}; a cut {kind} is of no use, make it anew")
@@ -139,7 +139,7 @@ def is_own_file(path: Path | str) -> bool:
 def provenance(path: Path | str) -> Provenance:
     """Return what a file says about itself; all its checksums are tested. Raises :class:`BadFile`."""
     log = survey(path)
-    kind, facts = _open(log)
+    kind, facts = open_facts(log)
     record = log.metadata[RECORD]
     return Provenance(
         kind=kind,
@@ -217,7 +217,7 @@ def _stream(topic: Topic, t_ns: NDArray[np.int64], given: Mapping[str, NDArray[A
     return Stream(topic.name, topic.type_name, t_ns, columns, constants, metadata, group)
 
 
-def _open(log: Log) -> tuple[str, dict[str, Any]]:
+def open_facts(log: Log) -> tuple[str, dict[str, Any]]:
     """Return kind and facts of a file of stillpoint; raises :class:`BadFile` for any other."""
     record = log.metadata.get(RECORD)
     if record is None:

@@ -8,8 +8,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.mcap.facts import info_from
 from stillpoint.datasets.mcap.store import read
-from stillpoint.datasets.recording import Floats, Recording, Spin, Times, rate_hz
+from stillpoint.datasets.mcap.summary import FileSummary, summarise
+from stillpoint.datasets.recording import Floats, Info, Recording, Spin, Times, rate_hz
+from stillpoint.datasets.remote import is_url
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
@@ -20,6 +23,7 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
+LARGE_BYTES = 64 << 20  # a file above this is summarised: reading 64 MiB takes about a second
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
 SHOWN = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
@@ -29,6 +33,7 @@ def info(
     paths: Inputs,
     /,
     *,
+    full: Annotated[bool, Parameter(negative="")] = False,
     units_unchecked: Annotated[bool, Parameter(negative="")] = False,
     columns: Columns = None,
     json: JsonFile = None,
@@ -41,6 +46,9 @@ def info(
     ----------
     paths
         MCAP files, folders or globs: recordings, references and estimates.
+    full
+        Read and check every sample of a large file too, to count gaps and find rests. Without it a file of more than
+        64 MiB is summarised from its index and a few chunks.
     units_unchecked
         Open recordings whose sizes do not fit their units.
     columns
@@ -49,16 +57,54 @@ def info(
         Also write the facts as JSON to this file; - is the standard output.
     """
     rows: list[dict[str, Any]] = []
-    for path, thing, error in each_read(mcap_files(paths), partial(read, units_unchecked=units_unchecked)):
-        if thing is None:
+    for path, facts, error in each_read(mcap_files(paths), partial(_read_facts, full, units_unchecked)):
+        if facts is None:
             rows.append({"file": str(path), "error": error})
             continue
-        facts = list_facts(path, thing)
         rows.append({**facts, "error": None})
         if json != STDOUT:
             _print_facts(facts, columns)
     write_json(json, rows)
     return 2 if any(row["error"] is not None for row in rows) else 0
+
+
+def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]:
+    """Return the facts about one file: from its index when it is large, else from all of its samples."""
+    is_large = not is_url(path) and path.is_file() and path.stat().st_size > LARGE_BYTES
+    if is_url(path) or (is_large and not full):
+        return _list_summary_facts(path, summarise(path))
+    return list_facts(path, read(path, units_unchecked))
+
+
+def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
+    """Return the facts that the index of a file and a few of its chunks give; what was not looked for is None."""
+    name = summary.facts.get("name", "")
+    if summary.kind == "estimate":
+        name = summary.facts.get("recording", "")
+    first_ns = min((one.first_ns for one in summary.streams), default=0)
+    last_ns = max((one.last_ns for one in summary.streams), default=0)
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "kind": summary.kind,
+        "name": name,
+        "duration_s": (last_ns - first_ns) / 1e9,
+        "streams": [
+            {
+                "stream": one.name,
+                "samples": one.samples,
+                "rate_hz": 1e9 / one.step_ns if one.step_ns else 0.0,
+                "start_s": one.first_ns / 1e9,
+                "length_s": (one.last_ns - one.first_ns) / 1e9,
+                "gaps": None,
+                "longest_gap_s": None,
+            }
+            for one in summary.streams
+        ],
+        "summarised": f"from {summary.chunks_read} of {summary.chunks} chunks; --full counts gaps and finds rests",
+    }
+    if summary.kind == "recording":
+        return facts | {"rests": None} | _list_provenance(info_from(summary.facts))
+    return facts | {key: summary.facts[key] for key in ("method", "params", "made_from") if key in summary.facts}
 
 
 def list_facts(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:
@@ -100,12 +146,16 @@ def _list_recording_facts(recording: Recording) -> dict[str, Any]:
         "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
         "spin": [] if recording.spin is None else _describe_spin(recording.spin),
     }
+    return facts | _list_provenance(info)
+
+
+def _list_provenance(info: Info) -> dict[str, Any]:
+    """Return what a recording says about its source."""
     said = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
     marks = {name: getattr(info, name) for name in ("mag_uncalibrated", "units_unchecked")}
     place = None if info.place_lat_lon_alt is None else list(info.place_lat_lon_alt)
     lists = {"conversions": list(info.conversions), "notes": list(info.notes)}
     return {
-        **facts,
         **said,
         "place_lat_lon_alt": place,
         **marks,
@@ -164,7 +214,7 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
             one["stream"],
             str(one["samples"]),
             *(f"{one[key]:.3f}" for key in ("rate_hz", "start_s", "length_s")),
-            str(one["gaps"]),
+            "?" if one["gaps"] is None else str(one["gaps"]),
             f"{one['longest_gap_s']:.3f}" if one["gaps"] else "-",
         ]
         for one in facts["streams"]
@@ -183,7 +233,9 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
     print()
 
 
-def _describe_rests(rests: list[dict[str, float]]) -> str:
+def _describe_rests(rests: list[dict[str, float]] | None) -> str:
+    if rests is None:
+        return "not looked for"
     if not rests:
         return "none"
     total = sum(rest["length_s"] for rest in rests)
