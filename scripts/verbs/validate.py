@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -17,11 +17,10 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, w
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.scripts.verbs.validate_roll import validate_roll
+from stillpoint.studies.fidelity import JudgeFidelity, measure_fidelity
+from stillpoint.studies.fidelity_figure import draw_fidelity
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
 from stillpoint.studies.validation import validate as validate_recording
-
-if TYPE_CHECKING:
-    from stillpoint.studies.fidelity import JudgeFidelity
 
 FIDELITY_OUT = Path("fidelity")
 FIDELITY_COLUMNS = ("judge", "n", "tau", "median", "worst", "RMSE off", "95 %", "wrong", "other half")
@@ -125,8 +124,6 @@ def _validate_fidelity(
     json: str | None,
 ) -> int:
     """Measure, print and write how well each judge replaces truth."""
-    from stillpoint.studies.fidelity import measure_fidelity  # loads scipy.stats, which takes half a second
-    from stillpoint.studies.fidelity_figure import draw_fidelity
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
         return run_jobs(function, items, jobs, what)
@@ -146,7 +143,7 @@ def _validate_fidelity(
     return 0 if any(judge.recordings for judge in found.judges) else 2
 
 
-def _fidelity_cells(judge: "JudgeFidelity") -> list[str]:
+def _fidelity_cells(judge: JudgeFidelity) -> list[str]:
     figures = (judge.tau_pooled, judge.tau_median, judge.tau_worst)
     shares = (judge.relative_rmse_median, judge.relative_rmse_p95)
     return [

@@ -30,7 +30,7 @@ def validate_roll(
     for name in chosen:
         require_known(name, [*ROLL_METHODS, *ROLLS], "roll reference method or estimator")
     work = [(source, name) for source in sources for name in chosen]
-    outcomes = run_jobs(partial(_scored, align=align), work, jobs, "validate")
+    outcomes = run_jobs(partial(_score_source, align=align), work, jobs, "validate")
     refused = [(str(o.error), name) for (_, name), o in zip(work, outcomes, strict=True) if o.value is None]
     rows: list[dict[str, Any]] = [
         {"recording": source.stem, "method": name, "error": outcome.error}
@@ -47,7 +47,8 @@ def validate_roll(
     return exit_code(outcomes)
 
 
-def _scored(job: tuple[Path, str], align: AlignKind) -> RollScore:
+def _score_source(job: tuple[Path, str], align: AlignKind) -> RollScore:
+    """Score one recording by one method or estimator."""
     source, name = job
     judge = roll_judge_of(source)
     recording = open_recording(source)
