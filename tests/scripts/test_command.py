@@ -154,7 +154,7 @@ def test_every_verb_explains_itself_and_its_options(call, verb: str, capsys: pyt
 
 def test_the_demo_leaves_out_what_is_not_installed(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert demo._installed() == ["cf", "ekf"]
+    assert demo._list_installed() == ["cf", "ekf"]
     assert capsys.readouterr().err.startswith("left out: vqf, offline-vqf, madgwick;")
 
 

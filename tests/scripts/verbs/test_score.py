@@ -77,7 +77,7 @@ def test_table_has_a_row_per_estimate(call, made, capsys):
     capsys.readouterr()
     assert call("score", made, "--align", "heading+mounting", "--frame", "ned") == 0
     out = capsys.readouterr().out
-    assert all(f" {name} " in out for name in SHOWN)
+    assert all(f"\n{name}\t" in out for name in SHOWN)
     assert "largest absolute error in NED" in out
     assert "mounting" in out
     assert "the reference's own sd is" in out
