@@ -71,7 +71,7 @@ def find_base_pose(recording: Recording, rests_ns: Times, params: ReturnParams) 
     if lead_s > params.lead_s:
         raise Unobservable(
             f"{recording.name}: is not at rest at its start, the first rest begins after {lead_s:.1f} s; "
-            "cut the recording so that it starts in the base pose"
+            "cut the recording (stillpoint cut --from S) so that it starts in the base pose"
         )
     start, end = np.searchsorted(imu.t_ns, rests_ns[0])
     accel = imu.accel_b_mps2[start : end + 1].mean(axis=0)

@@ -46,7 +46,10 @@ def require_connected(
     return bool(alone.any())
 
 
-ADVICE = "cut the recording at its gaps, and check that every added factor refers to states of this recording"
+ADVICE = (
+    "cut the recording at its gaps (stillpoint cut --drop-gap), and check that every added factor refers to states of "
+    "this recording"
+)
 
 
 def _names(keys: Sequence[int], describe: Callable[[int], str]) -> str:

@@ -94,7 +94,9 @@ def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
     values = {"gaps": float(gaps.sum()), "longest_s": float(steps_s[longest]), "at_s": at_s}
     if name not in SAMPLED:
         return Finding(f"{name}-gap", "fact", message, values=values)
-    advice = "; nothing can fill it: cut the recording there, or trust no attitude across it"
+    advice = (
+        "; nothing can fill it: cut the recording there (stillpoint cut --drop-gap), or trust no attitude across it"
+    )
     return Finding(f"{name}-gap", "warning", message + advice, values=values)
 
 

@@ -35,13 +35,13 @@ def require_agreement(chain: Chain, solution: SpinSolution, prior: Prior, least_
     if off.max() > BIASED_SD:
         raise Unobservable(
             f"{name}: the optimum has {CONSTANTS[most]} {off.max():.0f} sd from what `calibration` expects: {OR_ELSE}, "
-            "or the calibration is worse than said; cut the recording to a fast spin, or widen the calibration"
+            "or the calibration is worse than said; cut it to a fast spin (stillpoint cut), or widen the calibration"
         )
     ratio = sizes.accel_radps2 / chain.samples.accel_sd
     if ratio > SCATTER:
         raise Unobservable(
             f"{name}: around the optimum the angular acceleration scatters {ratio:.0f} times as much as by itself: "
-            f"{OR_ELSE}; cut the recording to a fast spin, and check lever arms, signs and axes of the geometry"
+            f"{OR_ELSE}; cut it to a fast spin (stillpoint cut), and check lever arms, signs and axes of the geometry"
         )
     weight = compute_roots(chain, at, sizes).accel * sizes.accel_radps2
     glitch = ((weight < GLITCH) & chain.accel_seen).ravel()[:n]
@@ -52,7 +52,7 @@ def require_agreement(chain: Chain, solution: SpinSolution, prior: Prior, least_
             t_s = (chain.samples.t_ns[[first, last]] - chain.samples.t_ns[0]) / 1e9
             raise Unobservable(
                 f"{name}: between {t_s[0]:.2f} and {t_s[1]:.2f} s the angular acceleration and the squared rate differ "
-                f"by {np.rad2deg(change):.0f} deg/s: {OR_ELSE}, or F5 is disturbed; cut the recording there"
+                f"by {np.rad2deg(change):.0f} deg/s: {OR_ELSE}, or F5 is disturbed; cut it there (stillpoint cut)"
             )
 
 

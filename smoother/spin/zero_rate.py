@@ -79,7 +79,8 @@ def find_slow_stretch(
     tilted = ", or a tilted axis lets gravity take its square down to that" if swings else ""
     return Unobservable(
         f"{name}: between {first:.2f} and {last:.2f} s{more} the spin rests, passes through zero or is slower than "
-        f"{_root_degps(least):.0f} deg/s{tilted}: a square tells no rate there; cut the recording to what is faster"
+        f"{_root_degps(least):.0f} deg/s{tilted}: a square tells no rate there; "
+        "cut the recording to what is faster (stillpoint cut)"
     )
 
 
