@@ -21,8 +21,8 @@ FEWEST_SAMPLES, FEWEST_AT_REST = 50, 5
 MOST_SAMPLES = 3000
 EVEN_DIP_DEG = 30.0  # dips of rests that differ by more are of different fields, or of wrong axes
 # Nats against a sign of the dip: where the place is known, where it is not and most users live in the north, and where
-# the rests contradict each other, so that no sign is right.
-WRONG_SIGN, SOUTHERN, UNEVEN = 20.0, 5.0, 8.0
+# the rests contradict each other, so that no sign is right (less than a wrong sensor costs: it proves none).
+WRONG_SIGN, SOUTHERN, UNEVEN = 20.0, 5.0, 4.9
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,6 +167,26 @@ def southern_field(recording: Recording) -> np.ndarray:
     """The magnetometer where the field's vertical part points up: that part is turned over in n."""
     truth, mag = recording.truth, recording.mag
     at = np.clip(np.searchsorted(truth.t_ns, mag.t_ns), 0, len(truth.t_ns) - 1)
-    q = rotation(truth.q_nb[at])
-    field_n = q.apply(mag.mag_b_ut)
+    q = rotation(truth.q_nb[at].copy())
+    field_n = q.apply(mag.mag_b_ut.copy())
     return q.inv().apply(field_n * [1.0, 1.0, -1.0])
+
+
+def test_a_dip_that_differs_between_rests_is_no_question_of_a_sign(phone):
+    """-49 deg in one rest and +76 deg in the other: no sign mends that, so nothing is inverted."""
+    imu, mag = phone.imu, phone.mag
+    rests = find_rests(imu)
+    assert len(rests) >= 2
+    field = mag.mag_b_ut.copy()
+    for (first, last), dip_deg in zip(rests[:2], (-49.0, 76.0), strict=True):
+        up_b = imu.accel_b_mps2[(imu.t_ns >= first) & (imu.t_ns <= last)].mean(axis=0)
+        up_b = up_b / np.linalg.norm(up_b)
+        level = np.cross(up_b, [0.3, 0.5, 0.8])
+        level = level / np.linalg.norm(level)
+        still = (mag.t_ns >= first) & (mag.t_ns <= last)
+        dip = np.deg2rad(dip_deg)
+        field[still] = 49.0 * (np.cos(dip) * level - np.sin(dip) * up_b)
+    diagnosis = examine(replace(phone, mag=replace(mag, mag_b_ut=field), truth=None))
+    assert "field-dip" in diagnosis.codes("warning")
+    assert not {"gravity-inverted", "mag-inverted"} & set(diagnosis.codes())
+    assert not [remedy for remedy in diagnosis.remedies if remedy.kind == "matrix"]
