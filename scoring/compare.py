@@ -72,7 +72,7 @@ def compare(
 
 
 def heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
-    """Covariance (N, 3, 3) in body axes of a heading error about up that all samples share, at attitudes (N, 4).
+    """Return the covariance (N, 3, 3) in body axes, at attitudes (N, 4), of a heading error that all samples share.
 
     It counts where no heading was aligned away; ``Reference.cov_b_rad2`` is relative to the mean heading.
     """
@@ -81,14 +81,14 @@ def heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
 
 
 def name_of(thing: Estimate | Reference | Truth) -> str:
-    """How tables call it: the estimator's name, "reference (method)" or "truth"."""
+    """Return the name in tables: the estimator's name, "reference (method)" or "truth"."""
     if isinstance(thing, Truth):
         return "truth"
     return f"reference ({thing.method})" if isinstance(thing, Reference) else thing.name
 
 
 def moving_samples(truth: Reference | Truth, moving: Mask | None = None) -> Mask:
-    """The samples (N,) that count: the given ones, else the truth's own mask, or those outside a reference's rests."""
+    """Return which samples (N,) count: the given ones, else the truth's mask, or those outside a reference's rests."""
     if moving is not None:
         if moving.shape != truth.t_ns.shape or moving.dtype != np.bool_:
             raise BadParameter(f"moving: is {moving.dtype} of shape {moving.shape}; give bool of {truth.t_ns.shape}")

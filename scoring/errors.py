@@ -1,4 +1,4 @@
-"""How far one attitude is from another: angles that are exact for small errors too, and Euler errors of the papers.
+"""Errors of one attitude against another: angles that are exact for small errors too, and Euler errors.
 
 All functions take quaternions wxyz of shape (N, 4), ``q_nb``, and return radians.
 """
@@ -27,12 +27,12 @@ class AttitudeError:
 
 
 def error_quaternion(q_est: Floats, q_true: Floats) -> Floats:
-    """Earth-frame error e in ``q_est = e * q_true``, (N, 4) with w >= 0."""
+    """Return the earth-frame error e in ``q_est = e * q_true``, (N, 4) with w >= 0."""
     return quaternion(rotation(q_est) * rotation(q_true).inv())
 
 
 def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
-    """Total, heading and inclination error, each in [0, pi]; arctangents keep errors of 1e-9 rad exact."""
+    """Return total, heading and inclination error, each in [0, pi]; arctangents keep errors of 1e-9 rad exact."""
     w, x, y, z = error_quaternion(q_est, q_true).T
     return AttitudeError(
         total_rad=2 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)),
@@ -42,13 +42,13 @@ def attitude_error(q_est: Floats, q_true: Floats) -> AttitudeError:
 
 
 def heading_offset(q_est: Floats, q_true: Floats) -> Floats:
-    """Signed heading error (N,) in (-pi, pi]: positive when the estimate is turned counter-clockwise of the truth."""
+    """Return the signed heading error (N,) in (-pi, pi], positive when the estimate is turned counter-clockwise."""
     w, _, _, z = error_quaternion(q_est, q_true).T
     return wrap(2 * np.arctan2(z, w))
 
 
 def euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
-    """Estimate minus truth in roll, pitch, yaw, (N, 3), wrapped to (-pi, pi].
+    """Return estimate minus truth in roll, pitch, yaw, (N, 3), wrapped to (-pi, pi].
 
     Near a pitch of +-90 deg roll and yaw are not defined and their errors say nothing; see :func:`near_gimbal`.
     """
@@ -56,20 +56,20 @@ def euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
 
 
 def near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
-    """Where the true pitch lies beyond +-80 deg, (N,)."""
+    """Return where the true pitch lies beyond +-80 deg, (N,)."""
     return np.abs(euler(q_true, frame)[:, 1]) > GIMBAL_RAD
 
 
 def rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:
-    """Rotation vector d (N, 3) in body axes of ``q_true = q_est * exp(d)``: the error that ``cov_b_rad2`` is about."""
+    """Return d (N, 3) in body axes of ``q_true = q_est * exp(d)``, the error whose covariance is ``cov_b_rad2``."""
     return np.asarray((rotation(q_est).inv() * rotation(q_true)).as_rotvec(), dtype=np.float64)
 
 
 def rotation_error_n(q_est: Floats, q_true: Floats) -> Floats:
-    """Rotation vector e (N, 3) about east, north, up of ``q_est = exp(e) * q_true``."""
+    """Return the rotation vector e (N, 3) about east, north, up of ``q_est = exp(e) * q_true``."""
     return np.asarray((rotation(q_est) * rotation(q_true).inv()).as_rotvec(), dtype=np.float64)
 
 
 def normalised_square(d_rad: Floats, cov_rad2: Floats) -> Floats:
-    """d' C^-1 d of each row, (N,): chi-square with 3 degrees of freedom when the covariance is right."""
+    """Return d' C^-1 d of each row, (N,): chi-square with 3 degrees of freedom when the covariance is right."""
     return np.einsum("ni,ni->n", d_rad, np.linalg.solve(cov_rad2, d_rad[..., None])[..., 0])

@@ -46,7 +46,7 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """For M times: is there an estimate, and if not, why not. At most one of the masks is set."""
+    """Whether a trajectory can be read at M times, and if not, why. At most one of the masks is set."""
 
     outside: Mask  # (M,) before the first or after the last sample
     in_gap: Mask  # (M,) between two samples that are too far apart
@@ -59,7 +59,7 @@ class Match:
 
 
 def track(thing: Estimate | Reference | Truth) -> Track:
-    """The attitude of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
+    """Return the attitude of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
     unready = np.zeros(len(thing.t_ns), dtype=np.bool_)
     if isinstance(thing, Truth):
         return Track("truth", thing.t_ns, thing.q_nb, None, unready)
@@ -74,7 +74,7 @@ def track(thing: Estimate | Reference | Truth) -> Track:
 
 
 def match(source: Track, at_ns: Times) -> Match:
-    """Which of the times ``at_ns`` (M,) lie between two near samples of the track that are both ready."""
+    """Find which of the times ``at_ns`` (M,) lie between two near samples of the track that are both ready."""
     t = source.t_ns
     outside = (at_ns < t[0]) | (at_ns > t[-1])
     left, right = _neighbours(t, at_ns)
@@ -123,12 +123,12 @@ def pair_up(estimated: Track, truth: Track, moving: Mask, offset_ns: int = 0) ->
 
 
 def attitude_at(source: Track, at_ns: Times) -> Floats:
-    """Attitude (M, 4) at times within the track's span, along the great circle between neighbours."""
+    """Return attitudes (M, 4) at times within the track's span, along the great circle between neighbours."""
     return slerp(source.t_ns, source.q_nb, at_ns)
 
 
 def covariance_at(source: Track, at_ns: Times) -> Floats | None:
-    """Covariance (M, 3, 3), linear between neighbours (so it stays positive definite); None where there is none."""
+    """Return covariances (M, 3, 3), linear between neighbours (so positive definite); None where there are none."""
     if source.cov_b_rad2 is None:
         return None
     left, right = _neighbours(source.t_ns, at_ns)

@@ -29,7 +29,7 @@ SD_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, eq=False)
-class RollComparison:
+class SpinComparison:
     """N samples of an estimate at which there is a truth; errors are estimate minus truth."""
 
     estimated: str  # name of the estimator, or "reference (method)"
@@ -51,7 +51,7 @@ class RollComparison:
 
 
 @dataclass(frozen=True)
-class RollScore:
+class SpinScore:
     """Errors of angle and rate about the spin axis: RMSE and largest size, as in Asghari et al. 2018."""
 
     estimated: str
@@ -83,7 +83,7 @@ class RollScore:
 
 def score_roll(
     estimated: Estimate | RollReference, truth: Encoder | RollReference, zero: AngleZero = "start", against: str = ""
-) -> RollScore:
+) -> SpinScore:
     """Score angle and rate of an estimate or a roll reference against a truth, an encoder or a roll reference.
 
     ``zero``: the angle counts from the first common sample ("start", as in Asghari et al. 2018), is free of a
@@ -92,13 +92,13 @@ def score_roll(
     Raises :class:`BadParameter`, :class:`BadRecording` for an estimate without angle and rate, and
     :class:`Unobservable` when no sample can be scored.
     """
-    return roll_score_of(compare_roll(estimated, truth, zero, against))
+    return score_spin_comparison(compare_spin(estimated, truth, zero, against))
 
 
-def compare_roll(
+def compare_spin(
     estimated: Estimate | RollReference, truth: Encoder | RollReference, zero: AngleZero = "start", against: str = ""
-) -> RollComparison:
-    """Errors at every sample of the estimate that is ready and within the truth; see :func:`score_roll`."""
+) -> SpinComparison:
+    """Return the errors at every sample of the estimate that is ready and within the truth; see :func:`score_roll`."""
     if zero not in ANGLE_ZEROS:
         raise BadParameter(f"zero: {zero!r} is not one of {', '.join(ANGLE_ZEROS)}")
     name = f"reference ({estimated.method})" if isinstance(estimated, RollReference) else estimated.name
@@ -121,7 +121,7 @@ def compare_roll(
     turns = 2 * np.pi * np.round(mean / (2 * np.pi))
     offset = {"start": angle_error[0], "mean": mean, "turns": turns, "none": 0.0}[zero]
     reference = truth if isinstance(truth, RollReference) else None
-    return RollComparison(
+    return SpinComparison(
         estimated=name,
         against=against or (f"reference ({reference.method})" if reference else "truth"),
         recording=estimated.recording if isinstance(estimated, Estimate) else estimated.name,
@@ -142,11 +142,11 @@ def compare_roll(
 
 
 def usual_zero(estimated: Estimate | RollReference, truth: Encoder | RollReference, against: str = "") -> AngleZero:
-    """What is taken off by default.
+    """Return what is subtracted from the angle by default.
 
-    A reference that has its angle from gravity is absolute and judged so, whole turns aside; the error of its first
-    sample would be laid on all others. An encoder's zero is where its index is: against it such an angle is free of a
-    mean. All else counts from the first sample.
+    A reference that has its angle from gravity is absolute, and only whole turns are subtracted; otherwise the error of
+    its first sample would count at all others. The zero of an encoder is its index, so against it the mean is
+    subtracted. Every other angle counts from the first sample.
     """
     if not (isinstance(estimated, RollReference) and is_absolute(estimated)):
         return "start"
@@ -156,12 +156,12 @@ def usual_zero(estimated: Estimate | RollReference, truth: Encoder | RollReferen
 
 
 def is_absolute(reference: RollReference) -> bool:
-    """Whether gravity gave it its angle: 0 where z points up."""
+    """Return whether the angle of a reference comes from gravity: 0 where z points up."""
     return str(reference.diagnostics.get("angle", "")).startswith("from gravity")
 
 
 def _read(truth: Encoder | RollReference, t_ns: Times) -> tuple[Floats, Floats]:
-    """Angle and rate of the truth at stamps within its span; exactly its own at its stamps."""
+    """Return angle and rate of the truth at stamps within its span; at its own stamps they are exact."""
     if len(truth.t_ns) < 2:
         return np.full(len(t_ns), truth.angle_rad[0]), np.full(len(t_ns), truth.rate_radps[0])
     zero_ns = truth.t_ns[0]
@@ -170,12 +170,12 @@ def _read(truth: Encoder | RollReference, t_ns: Times) -> tuple[Floats, Floats]:
     return np.asarray(angle), np.interp(at_s, t_s, truth.rate_radps)
 
 
-def roll_score_of(c: RollComparison) -> RollScore:
-    """The figures of a comparison that is there already."""
+def score_spin_comparison(c: SpinComparison) -> SpinScore:
+    """Compute the figures of a comparison."""
     angle_deg, rate_degps = np.rad2deg(c.angle_error_rad), np.rad2deg(c.rate_error_radps)
     angle_nees, angle_coverage = _consistency(c.angle_error_rad, c.angle_sd_rad)
     rate_nees, rate_coverage = _consistency(c.rate_error_radps, c.rate_sd_radps)
-    return RollScore(
+    return SpinScore(
         estimated=c.estimated,
         against=c.against,
         recording=c.recording,
@@ -202,7 +202,7 @@ def roll_score_of(c: RollComparison) -> RollScore:
 
 
 def _consistency(error: Floats, sd: Floats | None) -> tuple[float | None, float | None]:
-    """Of the samples whose sd is above 0: an angle that counts from the start has none there."""
+    """Return NEES and 95 % coverage of the samples whose sd is above 0; an angle has none where it starts to count."""
     if sd is None or not (sd > 0).any():
         return None, None
     ratio = error[sd > 0] / sd[sd > 0]
@@ -213,8 +213,8 @@ def _median_deg(sd_rad: Floats | None) -> float | None:
     return None if sd_rad is None else float(np.rad2deg(np.median(sd_rad)))
 
 
-def roll_score_row(score: RollScore) -> dict[str, Any]:
-    """The score for machines: its fields, flat."""
+def spin_score_row(score: SpinScore) -> dict[str, Any]:
+    """Return the score for machines: its fields, flat."""
     named = {"recording": score.recording, "method": score.estimated, "against": score.against}
     skipped = ("recording", "estimated", "against")
     return (

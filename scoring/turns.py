@@ -26,7 +26,7 @@ class TurnError:
 
 
 def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnError, ...]:
-    """For each time in seconds, the errors of the turns over it. Both ends move; what lies between may rest.
+    """Return the errors of the turns over each time in seconds. Both ends move; what lies between may rest.
 
     Raises :class:`BadParameter` for a time that is not longer than half a step, or not finite, :class:`Unobservable`
     where no two samples are so far apart.

@@ -36,6 +36,7 @@ NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size s
 FORCE_OVERLAP = 5.0
 FORCE_ADVANTAGE = 0.1
 LEAST_FORCE = 0.5  # of gravity: a mean force that is smaller has no direction
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion wxyz
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,6 @@ READINGS = (
     Reading("xyzw", "it has its components as x, y, z, w", from_xyzw, (_FROM_XYZW,)),
     Reading("wxyz", "its components were taken for x, y, z, w and are w, x, y, z", to_xyzw, (_TO_XYZW,)),
 )
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)

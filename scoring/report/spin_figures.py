@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring.report.figures import REST_GREY, count_columns, draw_line, get_colour, thin_line
-from stillpoint.scoring.spin import RollComparison
+from stillpoint.scoring.spin import SpinComparison
 
 BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
 OBSERVATION = "observation"  # its noise is several times that of the rest
@@ -30,7 +30,7 @@ class RateSeries:
     rate_radps: Mapping[str, Floats]  # by method, (N,)
 
 
-def make_rate_series(truth: Encoder | RollReference, comparisons: Sequence[RollComparison], zero_ns: int) -> RateSeries:
+def make_rate_series(truth: Encoder | RollReference, comparisons: Sequence[SpinComparison], zero_ns: int) -> RateSeries:
     """Return the rates at the stamps that all comparisons share."""
     t_ns = reduce(np.intersect1d, (c.t_ns for c in comparisons))
     true = np.interp(t_ns, truth.t_ns, truth.rate_radps)
@@ -38,7 +38,7 @@ def make_rate_series(truth: Encoder | RollReference, comparisons: Sequence[RollC
     return RateSeries((t_ns - zero_ns) / 1e9, true, rates)
 
 
-def draw_error_band(axes: Sequence[Axes], c: RollComparison, colour: int, zero_ns: int) -> None:
+def draw_error_band(axes: Sequence[Axes], c: SpinComparison, colour: int, zero_ns: int) -> None:
     """Draw the errors of angle and rate, one axes each, over three standard deviations as the estimate states them."""
     parts = (
         ("angle (deg)", c.angle_error_rad, c.angle_sd_rad),

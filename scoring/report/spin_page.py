@@ -17,10 +17,10 @@ from stillpoint.scoring.report.templates import load_template
 from stillpoint.scoring.spin import (
     ZERO_WORDS,
     AngleZero,
-    RollComparison,
-    RollScore,
-    compare_roll,
-    roll_score_of,
+    SpinComparison,
+    SpinScore,
+    compare_spin,
+    score_spin_comparison,
     usual_zero,
 )
 
@@ -41,8 +41,8 @@ class SpinVerdict:
 
     against: str
     truth: Encoder | RollReference
-    comparisons: tuple[RollComparison, ...]
-    scores: tuple[RollScore, ...]
+    comparisons: tuple[SpinComparison, ...]
+    scores: tuple[SpinScore, ...]
 
 
 def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[SpinVerdict, ...]:
@@ -62,9 +62,9 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
         if truth is None or not judged:
             continue
         comparisons = tuple(
-            compare_roll(thing, truth, zero or usual_zero(thing, truth, name), name) for thing in judged
+            compare_spin(thing, truth, zero or usual_zero(thing, truth, name), name) for thing in judged
         )
-        scores = tuple(roll_score_of(c) for c in comparisons)
+        scores = tuple(score_spin_comparison(c) for c in comparisons)
         verdicts.append(SpinVerdict(comparisons[0].against, truth, comparisons, scores))
     return tuple(verdicts)
 
@@ -94,7 +94,7 @@ def make_spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, .
     )
 
 
-def _describe_zeros(scores: Sequence[RollScore]) -> str:
+def _describe_zeros(scores: Sequence[SpinScore]) -> str:
     """Return in words what is taken off the angles; by name where it differs."""
     zeros = dict.fromkeys(s.zero for s in scores)
     if len(zeros) == 1:
@@ -183,5 +183,5 @@ def _make_pictures(recording: Recording, verdict: SpinVerdict) -> list[Picture]:
     return [*shown, sensors]
 
 
-def _make_band_drawer(comparison: RollComparison, colour: int, zero_ns: int) -> Callable[[Sequence[Axes]], None]:
+def _make_band_drawer(comparison: SpinComparison, colour: int, zero_ns: int) -> Callable[[Sequence[Axes]], None]:
     return lambda axes: draw_error_band(axes, comparison, colour, zero_ns)

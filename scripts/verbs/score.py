@@ -16,7 +16,7 @@ from stillpoint.datasets.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
-from stillpoint.scoring.spin import RollScore, roll_score_row
+from stillpoint.scoring.spin import SpinScore, spin_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.shared.flags import Columns, Inputs
@@ -96,8 +96,8 @@ def score(
         )
     work = [(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
-    scores: list[Score | RollScore] = []
-    outcomes: list[Outcome[Score | RollScore]] = []
+    scores: list[Score | SpinScore] = []
+    outcomes: list[Outcome[Score | SpinScore]] = []
     for file, judge in track(work, "score"):
         outcome = run_one(partial(_score_file, against=judge, asked=asked), file)
         outcomes.append(outcome)
@@ -108,7 +108,7 @@ def score(
             rows.append({"recording": recording_name(file), "file": str(file), "error": outcome.error})
             continue
         scores.append(found)
-        row = roll_score_row(found) if isinstance(found, RollScore) else score_row(found)
+        row = spin_score_row(found) if isinstance(found, SpinScore) else score_row(found)
         made_from = {one.name: sha256(one) for one in (file, judge) if isinstance(one, Path)}
         rows.append({**row, "file": str(file), "made_from": made_from})
     if json != STDOUT:
@@ -116,7 +116,7 @@ def score(
         print_scores(attitudes, columns)
         if asked.over_s and attitudes:
             print_turns(attitudes)
-        print_roll_scores([s for s in scores if isinstance(s, RollScore)])
+        print_roll_scores([s for s in scores if isinstance(s, SpinScore)])
         for row in rows:
             if row["error"] is not None:
                 print(make_printable(f"not scored: {row['error']}"))
@@ -201,7 +201,7 @@ def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
     return () if against is None or inputs.file_exists(against) else words.get(str(against), ())
 
 
-def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | RollScore:
+def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | SpinScore:
     """Score one file against a file, against what lies beside it of one kind, or against the default beside it."""
     if is_trajectory(file):
         return _score_trajectory(file, against if isinstance(against, Path) else None, asked)

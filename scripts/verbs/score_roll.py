@@ -10,7 +10,7 @@ from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Encoder, Recording
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, RollScore, score_roll, usual_zero
+from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, SpinScore, score_roll, usual_zero
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.shared.tables import print_table
@@ -45,7 +45,7 @@ def is_roll(thing: object) -> bool:
     return isinstance(thing, RollReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
 
 
-def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path | None, align: AlignKind) -> RollScore:
+def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path | None, align: AlignKind) -> SpinScore:
     """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
     zero = zero_of(align, str(file))
     judge = roll_judge_of(_beside(file, thing) if against is None else against)
@@ -79,7 +79,7 @@ def roll_judge_of(path: Path) -> RollJudge:
     )
 
 
-def print_roll_scores(scores: Sequence[RollScore]) -> None:
+def print_roll_scores(scores: Sequence[SpinScore]) -> None:
     """A table per judge and per what is taken off, a section per recording, best rate first; then what was left out."""
     ordered = sorted(scores, key=lambda s: (s.against, s.recording, s.rate_rmse_degps))
     ordered.sort(key=lambda s: (s.against, s.zero))
@@ -113,14 +113,14 @@ def _beside(file: Path, thing: Estimate | RollReference) -> Path:
     )
 
 
-def _cells(s: RollScore) -> list[str]:
+def _cells(s: SpinScore) -> list[str]:
     figures = (s.angle_max_deg, s.angle_rmse_deg, s.rate_max_degps, s.rate_rmse_degps)
     fits = (s.angle_nees, s.rate_nees, s.angle_coverage95, s.rate_coverage95)
     shown = ["-" if value is None else f"{value:.2f}" for value in fits]
     return [s.recording, s.estimated, *(f"{value:.2f}" for value in figures), *shown]
 
 
-def _notes(s: RollScore) -> list[str]:
+def _notes(s: SpinScore) -> list[str]:
     notes = []
     left_out = {"outside": s.samples_outside, "in gaps": s.samples_in_gap, "not ready": s.samples_unready}
     counts = ", ".join(f"{count} {why}" for why, count in left_out.items() if count)

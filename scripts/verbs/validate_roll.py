@@ -11,7 +11,7 @@ from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
-from stillpoint.scoring.spin import RollScore, roll_score_row, score_roll, usual_zero
+from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import open_recording
@@ -35,7 +35,7 @@ def validate_roll(
     rows: list[dict[str, Any]] = [
         {"recording": source.stem, "method": name, "error": outcome.error}
         if outcome.value is None
-        else roll_score_row(outcome.value)
+        else spin_score_row(outcome.value)
         for (source, name), outcome in zip(work, outcomes, strict=True)
     ]
     write_json(json, rows)
@@ -47,7 +47,7 @@ def validate_roll(
     return exit_code(outcomes)
 
 
-def _score_source(job: tuple[Path, str], align: AlignKind) -> RollScore:
+def _score_source(job: tuple[Path, str], align: AlignKind) -> SpinScore:
     """Score one recording by one method or estimator."""
     source, name = job
     judge = roll_judge_of(source)

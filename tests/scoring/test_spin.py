@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
-from stillpoint.scoring.spin import compare_roll, roll_score_row, score_roll, usual_zero
+from stillpoint.scoring.spin import compare_spin, score_roll, spin_score_row, usual_zero
 
 T_NS = np.arange(0, 2_000_000_000, 4_000_000)
 T_S = T_NS / 1e9
@@ -108,11 +108,11 @@ def test_the_truth_is_read_between_its_stamps_and_the_estimate_is_not():
     """A cubic through angles and rates 8 ms apart misses a 3 Hz ripple by 1e-8 rad, a line by 1.4e-3 rad/s."""
     noise = np.random.default_rng(0).normal(0, 0.1, len(T_NS) - 3)
     late = T_NS[1:-2] + 1_300_000
-    c = compare_roll(made(0.0, noise, late), truth(T_NS[::2]))
+    c = compare_spin(made(0.0, noise, late), truth(T_NS[::2]))
     assert np.abs(c.angle_error_rad).max() < 1e-7
     assert c.rate_error_radps == pytest.approx(noise, abs=1.5e-3)  # (8 ms)^2 / 8 times 178 rad/s^3
     assert c.samples_interpolated == len(late)
-    assert compare_roll(made(), truth()).samples_interpolated == 0
+    assert compare_spin(made(), truth()).samples_interpolated == 0
 
 
 def test_every_sample_is_accounted_for():
@@ -160,7 +160,7 @@ def test_an_attitude_has_no_angle_to_score():
 
 
 def test_the_row_for_machines_has_every_figure():
-    row = roll_score_row(score_roll(made(0.1), truth()))
+    row = spin_score_row(score_roll(made(0.1), truth()))
     assert list(row)[:3] == ["recording", "method", "against"]
     assert {"angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps", "error"} <= set(row)
     json.dumps(row)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.scoring.spin import roll_score_row
+from stillpoint.scoring.spin import spin_score_row
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
@@ -120,5 +120,5 @@ def _make_rows(trials: Sequence[Trial]) -> list[list[str]]:
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
     place = {"noise": one.noise, "seed": one.seed}
-    scored = [{**place, **roll_score_row(score), "method": method} for method, score in one.scores.items()]
+    scored = [{**place, **spin_score_row(score), "method": method} for method, score in one.scores.items()]
     return scored + [{**place, "method": method, "error": error} for method, error in one.refused.items()]

@@ -17,7 +17,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.report.spin_figures import RateSeries
-from stillpoint.scoring.spin import RollScore, compare_roll, roll_score_of
+from stillpoint.scoring.spin import SpinScore, compare_spin, score_spin_comparison
 from stillpoint.smoother import reference
 
 NoiseKind = Literal["white", "vibration", "glitch", "replica"]
@@ -58,7 +58,7 @@ class Trial:
 
     noise: NoiseKind
     seed: int
-    scores: Mapping[str, RollScore]
+    scores: Mapping[str, SpinScore]
     refused: Mapping[str, str] = field(default_factory=dict)
     params: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     series: RateSeries | None = None
@@ -81,11 +81,11 @@ def run_trial(
         except StillpointError as error:
             refused[method] = str(error)
     assert recording.roll_truth is not None
-    compared = {method: compare_roll(thing, recording.roll_truth) for method, thing in made.items()}
+    compared = {method: compare_spin(thing, recording.roll_truth) for method, thing in made.items()}
     return Trial(
         noise,
         seed,
-        {method: roll_score_of(c) for method, c in compared.items()},
+        {method: score_spin_comparison(c) for method, c in compared.items()},
         refused,
         {method: dict(thing.params) for method, thing in made.items()},
         _make_series(recording, made),

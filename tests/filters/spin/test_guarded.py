@@ -15,7 +15,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.spin.guarded import Bias, Drive, correct_state, predict_state
 from stillpoint.filters.spin.sample import SpinMotion
-from stillpoint.scoring.spin import RollScore, compare_roll, score_roll
+from stillpoint.scoring.spin import SpinScore, compare_spin, score_roll
 
 
 def f5_bias(accel):
@@ -73,7 +73,7 @@ EVENTS = (
 )
 
 
-def scored(recording: Recording, name: str, settings=CONSTANT) -> RollScore:
+def scored(recording: Recording, name: str, settings=CONSTANT) -> SpinScore:
     assert recording.roll_truth is not None
     return score_roll(estimate(recording, name, settings), recording.roll_truth)
 
@@ -148,7 +148,7 @@ def test_a_motor_that_starts_with_a_jerk_is_followed():
 
     recording = noisy(exact(lambda t: 5 + 200 * np.clip(t - 1, 0, 0.15), accel))
     found = estimate(recording, "roll-guarded", CONSTANT)
-    c = compare_roll(found, recording.roll_truth)
+    c = compare_spin(found, recording.roll_truth)
     assert found.diagnostics["n_restarts"] == 0
     assert found.diagnostics["n_accel_refused"] == 4
     assert np.abs(found.rate_radps[300:] - recording.roll_truth.rate_radps[300:]).max() < 0.5
@@ -188,7 +188,7 @@ def test_one_that_is_stuck_at_first_costs_no_more_than_is_said(value, count):
     for seed in range(3):
         recording = spoilt(stuck, seed)
         found = estimate(recording, "roll-guarded", CONSTANT)
-        c = compare_roll(found, recording.roll_truth)
+        c = compare_spin(found, recording.roll_truth)
         assert (found.rate_radps[100:] > 30).all()
         assert np.abs(c.angle_error_rad[-1]) < 2 * c.angle_sd_rad[-1]
         assert count < 8 or np.abs(c.angle_error_rad).max() < np.deg2rad(1.2)
@@ -242,7 +242,7 @@ def test_over_a_gap_the_sd_grows_and_the_rate_is_found_again():
     spin = recording.spin
     cut = replace(spin, t_ns=spin.t_ns[kept], accel_mps2=spin.accel_mps2[kept], gyro_radps=spin.gyro_radps[kept])
     found = estimate(replace(recording, spin=cut), "roll-guarded", VARIABLE)
-    c = compare_roll(found, recording.roll_truth)
+    c = compare_spin(found, recording.roll_truth)
     assert found.diagnostics["n_spin_gaps"] == 1
     assert found.angle_sd_rad[3000] > 1.0 > found.angle_sd_rad[2999]
     assert np.abs(np.rad2deg(c.rate_error_radps[3020:])).max() < 15

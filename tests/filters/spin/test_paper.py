@@ -10,7 +10,7 @@ from spins import CONSTANT, VARIABLE
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
-from stillpoint.scoring.spin import compare_roll, score_roll
+from stillpoint.scoring.spin import compare_spin, score_roll
 
 
 def test_the_paper_s_numbers_of_white_noise():
@@ -64,7 +64,7 @@ def test_the_stated_sd_of_angle_and_rate_fit_white_noise(name):
     ends = []
     for seed in range(40):
         recording = simulate("spin-constant", seed=seed, minutes=0.1, sensor="white")
-        c = compare_roll(estimate(recording, name, CONSTANT), recording.roll_truth)
+        c = compare_spin(estimate(recording, name, CONSTANT), recording.roll_truth)
         ends.append((c.angle_error_rad[-1] / c.angle_sd_rad[-1], c.rate_error_radps[-1] / c.rate_sd_radps[-1]))
     for total in np.sum(np.square(ends), axis=0):
         assert chi2.ppf(0.001, 40) < total < chi2.ppf(0.999, 40)

@@ -12,7 +12,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.report.spin_figures import make_rate_series
 from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
-from stillpoint.scoring.spin import compare_roll
+from stillpoint.scoring.spin import compare_spin
 
 NAME = "spin-constant-glitch-seed0"
 
@@ -82,7 +82,7 @@ def test_the_page_shows_the_scores_and_asks_nothing_of_the_network(material):
 
 def test_rates_are_drawn_at_the_stamps_that_all_share(material):
     (truth, estimates) = (material.recording.roll_truth, material.estimates)
-    compared = [compare_roll(one, truth) for one in estimates]
+    compared = [compare_spin(one, truth) for one in estimates]
     series = make_rate_series(truth, compared, 0)
     t_ns = np.round(series.t_s * 1e9).astype(np.int64)
     assert len(t_ns) == min(len(c.t_ns) for c in compared)
