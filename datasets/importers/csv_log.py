@@ -25,9 +25,7 @@ from stillpoint.datasets.importers.columns import (
     parse_quaternion,
 )
 from stillpoint.datasets.importers.delimited import Table
-from stillpoint.datasets.importers.files import digests
-from stillpoint.datasets.importers.imported import Imported
-from stillpoint.datasets.importers.log import (
+from stillpoint.datasets.importers.delimited_log import (
     LogOptions,
     apply_config,
     order_series,
@@ -36,6 +34,8 @@ from stillpoint.datasets.importers.log import (
     read_table,
     shift_to_zero,
 )
+from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, make_gps, merge_imu
 from stillpoint.datasets.recording import Floats, Mag, Recording, Truth

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE, normalise_unit
 from stillpoint.datasets.importers.delimited import Table
+from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.files import digests, read_text, reading, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_mag
-from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
 from stillpoint.datasets.recording import Gps, Imu, Mag, Recording, Truth

@@ -11,9 +11,9 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
+from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported
-from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import Log
 from stillpoint.datasets.recording import Info, Mag, Recording, Spin, SpinGeometry

@@ -15,10 +15,10 @@ from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.clock import ISO
 from stillpoint.datasets.importers.columns import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.delimited import Table
+from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
 from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported, make_mag
-from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_imu, sort_by_time
 from stillpoint.datasets.recording import Gps, Mag, Recording

@@ -16,9 +16,7 @@ from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
 from stillpoint.datasets.importers.clock import Clock
 from stillpoint.datasets.importers.columns import ANGLE, FORCE, RATE, Columns, parse_columns
 from stillpoint.datasets.importers.delimited import Table
-from stillpoint.datasets.importers.files import digests
-from stillpoint.datasets.importers.imported import Imported
-from stillpoint.datasets.importers.log import (
+from stillpoint.datasets.importers.delimited_log import (
     LogOptions,
     apply_config,
     order_series,
@@ -28,6 +26,8 @@ from stillpoint.datasets.importers.log import (
     read_toml,
     shift_to_zero,
 )
+from stillpoint.datasets.importers.files import digests
+from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.nearest import nearest

@@ -12,12 +12,12 @@ from stillpoint.datasets.importers.bench import find_bench, read_bench
 from stillpoint.datasets.importers.broad import find_broad, read_broad
 from stillpoint.datasets.importers.clock import check_clock, note_disjoint_clocks
 from stillpoint.datasets.importers.csv_log import CsvOptions, read_csv
+from stillpoint.datasets.importers.delimited_log import list_logs
 from stillpoint.datasets.importers.euroc import find_euroc, read_euroc
 from stillpoint.datasets.importers.files import find_itself, reading
 from stillpoint.datasets.importers.flatball import read_flatball
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.kitti import find_kitti, read_kitti
-from stillpoint.datasets.importers.log import list_logs
 from stillpoint.datasets.importers.movella import MovellaOptions, read_movella
 from stillpoint.datasets.importers.options import Options, OwnOptions, PhoneOptions, TyrexOptions, apply_place_and_date
 from stillpoint.datasets.importers.phyphox import read_phyphox

@@ -13,10 +13,10 @@ import numpy as np
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.importers.columns import FIELD, FORCE, RATE
 from stillpoint.datasets.importers.delimited import Table
+from stillpoint.datasets.importers.delimited_log import read_table
 from stillpoint.datasets.importers.device_attitude import read_device_attitude
 from stillpoint.datasets.importers.files import digests, find_folders
 from stillpoint.datasets.importers.imported import Imported, make_mag
-from stillpoint.datasets.importers.log import read_table
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, sort_by_time
 from stillpoint.datasets.recording import Imu, Mag, Recording
