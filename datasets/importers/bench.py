@@ -1,6 +1,6 @@
 """Bench logs of an InvenSense MPU6050 and a Honeywell HMC5883L (sunsided/sensor-fusion): folders of MATLAB 7.3 files.
 
-The log keeps what the sensors said: gyro x has the wrong sign and gravity reads -1 g on the axis that points up.
+The log keeps the axes of the sensors: gyro x has the wrong sign and gravity reads -1 g on the axis that points up.
 The importer changes units and clocks only; axes and signs are for the doctor to find.
 """
 

@@ -36,7 +36,7 @@ def find_euroc(source: Path) -> list[Path]:
     require_existing(source)
     files = sorted(source.rglob("imu0/data.csv")) if source.is_dir() else []
     if not files:
-        raise BadSource(f"{source}: is empty of imu0/data.csv; name a folder in the ASL format, as MH_01_easy")
+        raise BadSource(f"{source}: holds no imu0/data.csv; name a folder in the ASL format, as MH_01_easy")
     return [file.parents[1] for file in files]
 
 

@@ -28,7 +28,7 @@ def find_kitti(source: Path) -> list[Path]:
     files = sorted(source.rglob("timestamps.txt")) if source.is_dir() else []
     folders = [file.parent for file in files if (file.parent / "data").is_dir() and _is_oxts(file.parent)]
     if not folders:
-        raise BadSource(f"{source}: is empty of oxts/timestamps.txt with oxts/data/; name a drive of KITTI's raw data")
+        raise BadSource(f"{source}: holds no oxts/timestamps.txt with oxts/data/; name a drive of KITTI's raw data")
     return folders
 
 

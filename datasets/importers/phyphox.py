@@ -144,7 +144,7 @@ def _read_clock(table: Table, starts: Floats) -> Times:
 
 
 def _read_starts(bundle: Bundle, log: Log) -> Floats:
-    """Return (K, 2) experiment time and system time, in s, of every start; K = 0 where they are not said."""
+    """Return (K, 2) experiment time and system time, in s, of every start; K = 0 where they are not known."""
     name = bundle.find("meta/time.csv")
     if name is None:
         log.noted("no meta/time.csv: times count from the start of the experiment, without its pauses")

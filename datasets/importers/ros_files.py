@@ -27,7 +27,7 @@ from stillpoint.datasets.mcap.reader import Container, Log, read_columns
 from stillpoint.datasets.mcap.scan import Block, Scan, unpack
 
 BAG_MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG_HEADER, CHUNK, CONNECTION = 0x02, 0x03, 0x05, 0x07  # operations of ROS 1 bags
+MESSAGE, CHUNK, CONNECTION = 0x02, 0x05, 0x07  # operations of ROS 1 bags
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 BLOCK_BYTES = 4 << 20  # messages of a bag are handed out in blocks of about this size
 LONGEST_HEADER = 1 << 20  # bytes: connection headers hold a message definition of some kB

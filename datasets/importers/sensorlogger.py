@@ -97,7 +97,9 @@ def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
             "give --platform ios or --platform android"
         )
     if "standardisation" not in metadata and platform == "ios":
-        log.noted("whether units and frames were standardised is not said; taken as off, the app's default")
+        log.noted(
+            "Metadata.csv does not state whether units and frames were standardised; taken as off, the app's default"
+        )
     standardised = metadata.get("standardisation", "").strip().lower() == "true"
     return Phone(platform, standardised, metadata.get("device name", ""))
 

@@ -45,7 +45,7 @@ def find_ulog(source: Path) -> list[Path]:
     require_existing(source)
     files = sorted(source.glob("*.ulg")) if source.is_dir() else [source]
     if not files:
-        raise BadSource(f"{source}: is empty of .ulg files; name a log of PX4")
+        raise BadSource(f"{source}: holds no .ulg file; name a log of PX4")
     return files
 
 

@@ -23,7 +23,7 @@ from stillpoint.datasets.recording import Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
 XYZ = "XYZ"
-EMPTY = "name a folder that is not empty, as the device's GUI logs it"
+NAME_A_FOLDER = "name a folder as the device's software logs it"
 ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
 
 
@@ -49,7 +49,7 @@ XIMU3 = Device(
 
 def find_ngimu(source: Path) -> list[Path]:
     """Return the NGIMU folders at or below a source. Raises :class:`BadSource`."""
-    return find_folders(source, NGIMU.imu, EMPTY)
+    return find_folders(source, NGIMU.imu, NAME_A_FOLDER)
 
 
 def read_ngimu(folder: Path, options: OwnOptions) -> Imported:
@@ -59,7 +59,7 @@ def read_ngimu(folder: Path, options: OwnOptions) -> Imported:
 
 def find_ximu3(source: Path) -> list[Path]:
     """Return the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
-    return find_folders(source, XIMU3.imu, EMPTY)
+    return find_folders(source, XIMU3.imu, NAME_A_FOLDER)
 
 
 def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
