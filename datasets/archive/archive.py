@@ -140,8 +140,10 @@ class Archive:
         incoming = Incoming(self.home)
         try:
             yield incoming
-        finally:
-            incoming.close()
+        except BaseException:
+            incoming.abandon()  # what is complete happens with the next command
+            raise
+        incoming.close()
 
     def finish_interrupted(self) -> int:
         """Complete or delete what killed processes left; returns how many there were."""
@@ -169,11 +171,12 @@ class Archive:
                     put_object(connection, kept, described, self._link(kept))
 
     def _move_in(self, change: Change) -> None:
+        """Put object and record in their places; the record stays in the journal until the catalogue has it, too."""
         record = change.record
         if change.object_file is not None and change.object_file.exists() and not self.storage.has(record.object_key):
             self.storage.move_in(change.object_file, record.object_key)
         if change.record_file.exists() and (change.replaces or not self.storage.has(record.record_key)):
-            self.storage.move_in(change.record_file, record.record_key)
+            self.storage.copy_in(change.record_file, record.record_key)
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
@@ -271,7 +274,7 @@ class Archive:
             raise BadParameter("--reason: say why; the reason stays in the archive")
         wanted = dict.fromkeys(sha256s)
         for sha256 in list(wanted):
-            derived = [entry for entry in self._derived(sha256) if entry.sha256 not in wanted]
+            derived = [entry for entry in self.derived(sha256) if entry.sha256 not in wanted]
             if derived and not with_derived:
                 names = ", ".join(entry.file_name for entry in derived[:5])
                 raise BadParameter(
@@ -300,7 +303,8 @@ class Archive:
             freed += record.size
         return freed
 
-    def _derived(self, sha256: str) -> list[Entry]:
+    def derived(self, sha256: str) -> list[Entry]:
+        """Everything that was made from an object, and from that in turn, and is not removed."""
         found: dict[str, Entry] = {}
         left = [sha256]
         while left:

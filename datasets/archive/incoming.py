@@ -1,8 +1,9 @@
 """Changes under way: each process writes what it wants to keep into a folder of its own first, then moves it in.
 
-``incoming/TOKEN/`` is a journal. A change is complete when its record lies there; then the record and the object are
-moved to their places and the catalogue is told. A process that dies leaves its folder and a lock file that nobody
-holds: the next command moves in what is complete and deletes the rest, so that nothing is lost and nothing half done.
+``incoming/TOKEN/`` is a journal. A change is complete when its record lies there; then the object is moved to its
+place, the record is copied to its own, and the catalogue is told; after that the folder is deleted. A process that dies
+leaves its folder and a lock file that nobody holds: the next command moves in what is complete and deletes the rest, so
+that nothing is lost and nothing half done.
 """
 
 import hashlib
@@ -68,8 +69,12 @@ class Incoming:
         self.folder = base / token
         self.folder.mkdir()
 
+    def abandon(self) -> None:
+        """Leave the folder to the next command, which moves in what is complete and deletes the rest."""
+        self._lock.release()
+
     def close(self) -> None:
-        """Delete the folder; what was not moved in is given up."""
+        """Delete the folder, whose changes are in their places and in the catalogue."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self._lock.release()
 

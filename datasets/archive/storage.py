@@ -26,6 +26,9 @@ class Storage(Protocol):
     def move_in(self, file: Path, key: str) -> None:
         """Keep a local file under this key and delete it where it was; its bytes are on the disk already."""
 
+    def copy_in(self, file: Path, key: str) -> None:
+        """Keep a small local file under this key, in place of one that may be there; it stays where it was."""
+
     def delete(self, key: str) -> None:
         """Delete the file under this key; nothing happens when there is none."""
 
@@ -61,11 +64,26 @@ class FolderStorage:
 
     def move_in(self, file: Path, key: str) -> None:
         """Rename a file of the same file system, and make the new name durable."""
+        os.replace(file, self._make_room(key))
+
+    def copy_in(self, file: Path, key: str) -> None:
+        """Write a copy beside the file, then rename it; the copy is flushed with its folder."""
+        target = self._make_room(key)
+        part = file.with_suffix(".copy")
+        part.unlink(missing_ok=True)
+        try:
+            os.link(file, part)  # the same bytes, which are on the disk already
+        except OSError:  # a file system without hard links
+            part.write_bytes(file.read_bytes())
+        os.replace(part, target)
+
+    def _make_room(self, key: str) -> Path:
+        """The place of a key, whose folder is there."""
         target = self.root / key
         if target.parent not in self._made:
             target.parent.mkdir(parents=True, exist_ok=True)
             self._made.add(target.parent)
-        os.replace(file, target)
+        return target
 
     def delete(self, key: str) -> None:
         """Delete the file under this key."""
@@ -103,12 +121,16 @@ class RemoteStorage:
 
     def move_in(self, file: Path, key: str) -> None:
         """Upload a file, then delete the local one."""
+        self.copy_in(file, key)
+        file.unlink()
+
+    def copy_in(self, file: Path, key: str) -> None:
+        """Upload a file."""
         try:
             self._fs.makedirs(f"{self._root}/{key.rpartition('/')[0]}", exist_ok=True)
             self._fs.put_file(str(file), f"{self._root}/{key}")
         except Exception as error:  # every protocol has exceptions of its own
             raise BadFile(f"{self.name}/{key}: cannot be written ({error}); check the connection") from error
-        file.unlink()
 
     def delete(self, key: str) -> None:
         """Delete the file under this key."""

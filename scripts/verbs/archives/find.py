@@ -1,5 +1,6 @@
 """``stillpoint archive find``, ``list`` and ``show``: what reads an archive."""
 
+import json as json_text
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -94,11 +95,12 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
 
 
 def _scores_of(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
-    """Rows of score tables and leaderboards that are about this object."""
+    """Rows of score tables and leaderboards that are about this object, or about an estimate of this recording."""
+    derived = json_text.dumps([one.sha256 for one in archive.derived(entry.sha256)] + [entry.sha256])
     rows = archive.catalogue.select(
-        "SELECT s.* FROM scores s WHERE s.sha256 = ? OR (s.sha256 IN (SELECT child FROM parents WHERE parent = ?) "
-        "AND (s.recording = ? OR s.file = ? OR s.file LIKE '%/' || ?))",
-        (entry.sha256, entry.sha256, entry.name, entry.file_name, entry.file_name),
+        "SELECT s.* FROM scores s WHERE s.sha256 IN (SELECT value FROM json_each(?)) "
+        "AND (s.sha256 = ? OR s.recording = ?) ORDER BY s.recording, s.estimator, s.against",
+        (derived, entry.sha256, entry.name),
     )
     if entry.kind == "estimate":
         rows = [row for row in rows if row["estimator"] == entry.columns.get("estimator")]

@@ -189,6 +189,70 @@ def test_killed_adders_lose_nothing_that_was_said_to_be_kept(archive, tmp_path):
     assert verify_archive(archive).faults == ()
 
 
+DIE_AT = """
+import os, signal, sys
+from pathlib import Path
+from stillpoint.datasets.archive import archive, catalogue, open_archive
+left = int(sys.argv[3])
+def die_in_turn(function):
+    def wrapped(*args, **kwargs):
+        global left
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        result = function(*args, **kwargs)
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return result
+    return wrapped
+with open_archive(sys.argv[1]) as opened:
+    for owner, name in ((os, "replace"), (os, "link"), (os, "symlink"), (Path, "rename"), (Path, "unlink"),
+                        (archive, "put_object"), (catalogue.Catalogue, "change"), (os, "rmdir")):
+        setattr(owner, name, die_in_turn(getattr(owner, name)))
+    print([one.sha256 for one in opened.add(sorted(Path(sys.argv[2]).glob("*.mcap")))], flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_process_killed_at_any_step_leaves_all_or_nothing_of_each_file(tmp_path):
+    files = tmp_path / "files"
+    files.mkdir()
+    write_family(files)
+    counts = set()
+    for step in range(1, 200, 2):
+        home = tmp_path / f"archive{step}"
+        create_archive(home).close()
+        words = [sys.executable, "-c", DIE_AT, str(home), str(files), str(step)]
+        ended = subprocess.run(words, capture_output=True, text=True)
+        with open_archive(home) as archive:
+            levels = {fault.level for fault in verify_archive(archive).faults}
+            assert levels <= {"provenance"}, step  # the estimate may be there and its recording not yet
+            assert not list((home / "incoming").iterdir()), step
+            counts.add(len(archive.find("all")))
+            list(archive.add(sorted(files.glob("*.mcap"))))
+            assert verify_archive(archive).faults == (), step
+        if ended.returncode == 0:
+            break
+    assert ended.returncode == 0
+    assert step > 20
+    assert {0, 3} <= counts
+
+
+def test_an_interrupted_command_is_completed_by_the_next(archive, family, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("stillpoint.datasets.archive.archive.put_object", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            list(archive.add(family))
+    assert archive.find("all") == []
+    assert archive.finish_interrupted() == 1
+    assert len(archive.find("all")) == 3
+    assert verify_archive(archive).faults == ()
+
+
 def _add_all(archive_dir, files, results):
     with open_archive(archive_dir) as archive:
         results.put([one.status for one in archive.add(files)])

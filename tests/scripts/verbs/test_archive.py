@@ -57,6 +57,20 @@ def test_show_draws_what_an_object_was_made_from_and_what_was_made_from_it(lab, 
     assert row["facts"]["info"]["sensor"] == "iPhone 5"
 
 
+def test_show_has_the_scores_of_a_recording_and_of_its_estimates(lab, call, capsys, tmp_path):
+    assert call("score", lab / "names", "--align", "none", "--json", tmp_path / "scores.json") == 0
+    assert call("archive", "add", tmp_path / "scores.json") == 0
+    capsys.readouterr()
+    for name in ("walk", "walk.ekf.estimate.mcap", "scores.json"):
+        assert call("archive", "show", name, "--json", "-") == 0
+        (row,) = json.loads(capsys.readouterr().out)["rows"]
+        assert [(one["estimator"], one["total_rmse_deg"]) for one in row["scores"]] == [
+            ("ekf", pytest.approx(0.0, abs=1e-6))
+        ]
+    assert call("archive", "find", "total_rmse_deg < 1 and kind:score") == 0
+    assert call("archive", "verify") == 0
+
+
 def test_verify_ends_with_0_when_clean_and_with_1_when_not(lab, call, capsys):
     assert call("archive", "verify") == 0
     assert "3 objects" in capsys.readouterr().out
