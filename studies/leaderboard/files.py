@@ -9,7 +9,7 @@ from glob import escape
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadRecording
-from stillpoint.datasets.mcap.store import read_estimate
+from stillpoint.datasets.mcap.store import read_estimate, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectories import read_trajectory
 from stillpoint.datasets.trajectory import Estimate
@@ -48,8 +48,13 @@ def find_file(source: Path, label: str) -> Path:
 def read_estimate_of(source: Path, label: str, recording: Recording) -> Estimate:
     """Read the trajectory with this label beside a recording.
 
-    Raises :class:`BadRecording` when there is none, :class:`BadSource` or :class:`BadFile` when it cannot be read.
+    Raises :class:`BadRecording` when there is none or it says that it was made from another recording,
+    :class:`BadSource` or :class:`BadFile` when it cannot be read.
     """
     file = find_file(source, label)
     made = read_estimate(file) if file.name.endswith(ESTIMATE) else read_trajectory(file, name=label)
+    if made.made_from and sha256(source) not in made.made_from.values():
+        raise BadRecording(
+            f"{file.name}: was made from another recording than {source.name}; make it again from this one"
+        )
     return replace(made, name=label, recording=recording.name)

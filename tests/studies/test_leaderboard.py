@@ -84,6 +84,15 @@ def test_file_beside_one_recording_is_found_and_listed_unranked(board):
     assert "slam failed on 3 of 4" in board.tables[0].conclusion
 
 
+def test_estimate_of_another_recording_is_refused(files, tmp_path):
+    made = simulate("phone-3", seed=9, minutes=1.5)
+    write(tmp_path / "run.mcap", made)
+    other = Estimate(made.truth.t_ns, "mine", q_nb=made.truth.q_nb, made_from={"other.mcap": "00"})
+    write(tmp_path / "run.mine.estimate.mcap", other)
+    board = leaderboard([tmp_path / "run.mcap"], ["mine"], tmp_path / "out")
+    assert "was made from another recording" in board.failures[0].error
+
+
 def test_every_run_is_listed(board):
     assert len(board.runs) == 4 * 5
     assert {run.samples for run in board.runs if run.recording == "run1" and run.error is None} != {None}
