@@ -4,6 +4,11 @@ A message says what is wrong, where, and what to do about it: ``run7.mcap: time 
 (0.010000 s); sort or drop the sample first``. Any other exception is a defect of stillpoint (exit code 1).
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+SIMILAR = 0.5  # share of common letters, in runs, above which a name counts as a slip of the pen
+
 
 class StillpointError(Exception):
     """Base of all errors that a user can correct; ``str(error)`` is the one line to show."""
@@ -27,3 +32,22 @@ class BadParameter(StillpointError):
 
 class Unobservable(StillpointError):
     """The data does not determine the requested quantity."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``"did you mean ...?"`` or the list of known names; for dotted names the last part counts first."""
+    names = list(known)
+    if not names:
+        return "there are none"
+    near = [one for one in names if one.rpartition(".")[2] == name.rpartition(".")[2]]
+    near = near or get_close_matches(name, names, n=1, cutoff=SIMILAR)
+    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
+
+
+def require_known(name: str, known: Iterable[str], what: str) -> None:
+    """Raise :class:`BadParameter` with the nearest known name when ``name`` is unknown; ``what`` names the kind of
+    thing.
+    """
+    names = list(known)
+    if name not in names:
+        raise BadParameter(f"no {what} {name!r}; {nearest(name, names)}")

@@ -7,8 +7,7 @@ from math import isfinite, radians
 from numbers import Real
 from typing import Any, Literal, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import nearest
+from stillpoint.datasets.errors import BadParameter, nearest
 
 TRUTH_VALUES = {"true": True, "false": False}
 UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_radps_rts": "deg/s/√s"}

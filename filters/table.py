@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol, TypeAlias
 
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import require_known
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.filters import peers

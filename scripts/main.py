@@ -43,7 +43,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }
 HELP, VERSION = ["--help", "-h"], ["--version"]
-# Flags of every verb: the traceback of an error, and inputs above the limits of datasets/limits.py.
+# Flags of every verb: the traceback of an error, and inputs above the limits of datasets/files/limits.py.
 DEBUG, LARGE = "--debug", "--large"
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     tokens = list(sys.argv[1:] if argv is None else argv)
     debug = DEBUG in tokens
     if LARGE in tokens:
-        from stillpoint.datasets import limits
+        from stillpoint.datasets.files import limits
 
         os.environ[limits.LARGE] = "1"
     tokens = [token for token in tokens if token not in (DEBUG, LARGE)]
@@ -98,7 +98,7 @@ def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be UTF-8
     if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
-        from stillpoint.datasets.nearest import nearest
+        from stillpoint.datasets.errors import nearest
 
         _stop(f"no verb {tokens[0]!r}; {nearest(tokens[0], VERBS)}")
     try:

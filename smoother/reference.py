@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from stillpoint.datasets.errors import BadParameter, BadRecording
+from stillpoint.datasets.errors import BadParameter, BadRecording, require_known
 from stillpoint.datasets.measurements import drop_non_measurements
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, RollReference

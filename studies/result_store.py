@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.atomic import write_atomically
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.atomic import write_atomically
 
 FACTS = "facts"
 DECIDING = ("datasets", "filters", "smoother", "scoring")  # packages whose code decides a result

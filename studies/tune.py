@@ -16,9 +16,8 @@ from typing import Any, Literal
 import numpy as np
 
 from stillpoint.datasets.calibration import apply_calibration, load_calibration
-from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
+from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable, require_known
 from stillpoint.datasets.mcap.store import read_recording
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.recording import Floats, Recording, Truth
 from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.trajectory import Reference

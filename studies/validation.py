@@ -10,8 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
-from stillpoint.datasets.errors import StillpointError, Unobservable
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import StillpointError, Unobservable, require_known
 from stillpoint.datasets.recording import Recording, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import ESTIMATORS, estimate

@@ -43,7 +43,7 @@ from stillpoint.datasets.archive.record import (
 )
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.remote import open_binary, url_of
+from stillpoint.datasets.files.remote import open_binary, url_of
 
 MARK = "stillpoint-archive.txt"
 MARK_TEXT = """This folder is an archive of stillpoint, format 1.

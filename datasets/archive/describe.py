@@ -10,12 +10,12 @@ import numpy as np
 
 from stillpoint.datasets.archive.record import SHA256
 from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.files.remote import open_binary
 from stillpoint.datasets.mcap.facts import KINDS, from_json
 from stillpoint.datasets.mcap.reader import Log, read_log
 from stillpoint.datasets.mcap.store import RECORD
 from stillpoint.datasets.mcap.topics import TOPICS
 from stillpoint.datasets.recording import Times, rate_hz
-from stillpoint.datasets.remote import open_binary
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import total_sd_rad
 

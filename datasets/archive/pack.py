@@ -18,7 +18,7 @@ from stillpoint.datasets.archive.bundle import CHECKSUMS, FORMAT, MANIFEST
 from stillpoint.datasets.archive.incoming import Given
 from stillpoint.datasets.archive.record import SHA256
 from stillpoint.datasets.errors import BadFile, BadParameter
-from stillpoint.datasets.remote import open_binary
+from stillpoint.datasets.files.remote import open_binary
 
 BLOCK = 1 << 20
 LARGEST_MANIFEST = 256 << 20  # bytes: 600 bytes an object, so 400,000 objects

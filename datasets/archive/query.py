@@ -13,8 +13,7 @@ from functools import cache
 from typing import Any
 
 from stillpoint.datasets.archive.catalogue import DESCRIBED, NUMBERS, SCORE_FIGURES
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import nearest
+from stillpoint.datasets.errors import BadParameter, nearest
 
 GRAMMAR = r"""
 start: alternatives

@@ -10,7 +10,7 @@ from stillpoint.datasets.archive.record import Record, record_from_bytes, record
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
 from stillpoint.datasets.archive.verify import Fault, hash_file
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.remote import open_binary
+from stillpoint.datasets.files.remote import open_binary
 
 
 class Copies:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.remote import is_url, open_binary, open_url, url_of
+from stillpoint.datasets.files.remote import is_url, open_binary, open_url, url_of
 
 
 class Storage(Protocol):

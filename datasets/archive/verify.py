@@ -15,7 +15,7 @@ from stillpoint.datasets.archive.describe import Description, describe_object
 from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
 from stillpoint.datasets.archive.storage import FolderStorage
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.remote import open_binary
+from stillpoint.datasets.files.remote import open_binary
 
 MADE = ("reference", "roll reference", "estimate", "score", "leaderboard")  # kinds that are made from others
 BLOCK = 1 << 20

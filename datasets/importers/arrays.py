@@ -12,7 +12,7 @@ import numpy as np
 import scipy.io
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
 from stillpoint.datasets.recording import Floats
 
 HEADER, MATRIX, COMPRESSED = 128, 14, 15  # of MATLAB 5 files: bytes before the first element, kinds of elements

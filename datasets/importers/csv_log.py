@@ -38,8 +38,8 @@ from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, make_gps, merge_imu
+from stillpoint.datasets.importers.trajectories import read_poses
 from stillpoint.datasets.recording import Floats, Mag, Recording, Truth
-from stillpoint.datasets.trajectories import read_poses
 
 SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
 FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not

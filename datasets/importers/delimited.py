@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadSource
+from stillpoint.datasets.files.limits import LARGEST_LINE, limited
 from stillpoint.datasets.importers.clock import BLANK, Clock, parse_times
-from stillpoint.datasets.limits import LARGEST_LINE, limited
 from stillpoint.datasets.recording import Floats, Times
 
 DELIMITERS = ("\t", ";", "|", ",")  # before commas, which may also be decimal signs

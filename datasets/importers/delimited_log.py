@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
-from stillpoint.datasets.errors import BadParameter, BadSource
+from stillpoint.datasets.errors import BadParameter, BadSource, nearest
 from stillpoint.datasets.importers.clock import (
     ISO,
     TIME_EXPONENT,
@@ -22,7 +22,6 @@ from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.files import read_text, require_existing
 from stillpoint.datasets.importers.options import OwnOptions
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, sort_by_time
-from stillpoint.datasets.nearest import nearest
 
 SUFFIXES = (".csv", ".tsv", ".txt")
 TIME_WORDS = ("time", "stamp", "timestamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms", "date")

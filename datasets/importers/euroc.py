@@ -19,8 +19,8 @@ from stillpoint.datasets.importers.files import digests, read_text, reading, req
 from stillpoint.datasets.importers.imported import Imported, make_mag
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
+from stillpoint.datasets.importers.trajectories import read_poses
 from stillpoint.datasets.recording import Gps, Imu, Mag, Recording, Truth
-from stillpoint.datasets.trajectories import read_poses
 
 TRUTHS = (
     "state_groundtruth_estimate0",

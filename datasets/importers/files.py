@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stillpoint.datasets.errors import BadSource, StillpointError
-from stillpoint.datasets.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
 from stillpoint.datasets.mcap.store import sha256
 
 RESTORE = "it may be damaged: restore it from a copy, or export it again"

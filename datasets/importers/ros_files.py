@@ -20,8 +20,8 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadSource
+from stillpoint.datasets.files.limits import LARGEST_CHUNK, limited
 from stillpoint.datasets.importers.files import reading
-from stillpoint.datasets.limits import LARGEST_CHUNK, limited
 from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD
 from stillpoint.datasets.mcap.reader import Container, Log, read_columns
 from stillpoint.datasets.mcap.scan import Block, Scan, unpack

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
+from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, nearest
 from stillpoint.datasets.importers.clock import Clock
 from stillpoint.datasets.importers.columns import ANGLE, FORCE, RATE, Columns, parse_columns
 from stillpoint.datasets.importers.delimited import Table
@@ -30,7 +30,6 @@ from stillpoint.datasets.importers.files import digests
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series
-from stillpoint.datasets.nearest import nearest
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import bench, five_accelerometers
 

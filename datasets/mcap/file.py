@@ -12,8 +12,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.atomic import write_atomically
 from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.files.atomic import write_atomically
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8")])

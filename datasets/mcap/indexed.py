@@ -17,6 +17,7 @@ from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex, Statistics
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
+from stillpoint.datasets.files.remote import RangedFile, is_url
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, MAGIC, RECORD_HEAD
 from stillpoint.datasets.mcap.reader import Columns, Log, Part, Topic, read_columns
 from stillpoint.datasets.mcap.scan import (
@@ -28,7 +29,6 @@ from stillpoint.datasets.mcap.scan import (
     parse_record,
     unpack_chunk,
 )
-from stillpoint.datasets.remote import RangedFile, is_url
 
 FIRST_FETCH = 64 << 10  # bytes of the end of the file: the summary of an hour's recording
 LARGEST_GAP = 32 << 10  # bytes between two chunks that are fetched with them, because a request costs as much
@@ -84,8 +84,8 @@ def read_part(
     """Read some topics, or the messages within a range of log times, through the index at the end of the file.
 
     ``source`` is where the bytes come from (by default the path itself, local or a URL); a
-    :class:`~stillpoint.datasets.remote.RangedFile` counts what it fetched. Raises :class:`BadFile` when the file is
-    damaged or has no index.
+    :class:`~stillpoint.datasets.files.remote.RangedFile` counts what it fetched. Raises :class:`BadFile` when the
+    file is damaged or has no index.
     """
     source = source or open_source(path)
     log = read_columns(IndexedScan(Path(path), source, topics, window), topics, columns)

@@ -36,9 +36,9 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.limits import largest_chunk
+from stillpoint.datasets.files.limits import largest_chunk
+from stillpoint.datasets.files.remote import open_binary
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
-from stillpoint.datasets.remote import open_binary
 
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
 _HEAD = struct.Struct("<BQ")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadRecording
+from stillpoint.datasets.files.remote import open_binary
 from stillpoint.datasets.mcap.facts import (
     KINDS,
     Kept,
@@ -30,7 +31,6 @@ from stillpoint.datasets.mcap.reader import Log, read_log, survey
 from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS, Topic, extra_topic, microtesla, tesla
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Series, Spin, Truth
-from stillpoint.datasets.remote import open_binary
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
 
 OneKind = TypeVar("OneKind", Recording, Reference, RollReference, Estimate)

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import auv, car, phone, scenes, servo, spin, spin_sensor
 from stillpoint.datasets.simulate.sensor import PERFECT, PHONE, SENSORS, Sensor

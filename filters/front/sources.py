@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets import BadParameter, BadRecording, Gps, Imu, Mag, Recording
 from stillpoint.datasets.earth import local_declination
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import require_known
 from stillpoint.datasets.recording import Times
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.front import front, guard, heading_source

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.remote import is_url, list_files
+from stillpoint.datasets.files.remote import is_url, list_files
 from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.files.remote import is_url, list_files
 from stillpoint.datasets.mcap.store import provenance
 from stillpoint.datasets.mcap.topics import TOPICS
-from stillpoint.datasets.remote import is_url, list_files
 from stillpoint.scripts.shared.names import make_printable
 
 SUFFIX = ".mcap"

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.datasets.atomic import write_atomically
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.atomic import write_atomically
 
 STDOUT = "-"
 

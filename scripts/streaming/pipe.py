@@ -12,7 +12,7 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any, BinaryIO, TextIO
 
-from stillpoint.datasets.limits import LARGEST_LINE, limited
+from stillpoint.datasets.files.limits import LARGEST_LINE, limited
 from stillpoint.filters import SpinAnswer
 from stillpoint.filters.sample import Output
 from stillpoint.scripts.streaming.latency import Latency

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import require_known
 from stillpoint.scripts.shared.flags import Columns, parse_whole_number
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.tables import print_table

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.mcap.store import Kept, read
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.tables import csv_text, tables_of
-from stillpoint.datasets.trajectories import format_tum
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.shared import inputs

@@ -11,12 +11,11 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from cyclopts import App, Parameter
 from rich.console import Console
 
-from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError
+from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError, require_known
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.store import sha256, write
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.parts import split_recording
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.shared.flags import OutDir, read_span

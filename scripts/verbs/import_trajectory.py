@@ -10,9 +10,9 @@ from cyclopts import Parameter
 from stillpoint.datasets import Estimate, write
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import EulerFrame
+from stillpoint.datasets.importers.trajectories import Format, read_trajectory
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectories import Format, read_trajectory
 from stillpoint.filters.table import ESTIMATORS
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 

@@ -8,11 +8,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.files.remote import is_url
 from stillpoint.datasets.mcap.facts import info_from
 from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.mcap.summary import FileSummary, summarise
 from stillpoint.datasets.recording import Floats, Info, Recording, Spin, Times, rate_hz
-from stillpoint.datasets.remote import is_url
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets import Reference, RollReference, write
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import read_reference, sha256
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs

@@ -10,9 +10,9 @@ from typing import Any
 from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
+from stillpoint.datasets.importers.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.mcap.store import is_own_file, read_recording, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.trajectory import RollReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against

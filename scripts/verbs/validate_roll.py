@@ -5,8 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import StillpointError, require_known
 from stillpoint.datasets.trajectory import Estimate, RollReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS

@@ -9,8 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import nearest
+from stillpoint.datasets.errors import BadParameter, nearest
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import choose_settings, names_of
 from stillpoint.datasets.trajectory import Estimate

@@ -9,9 +9,9 @@ from glob import escape
 from pathlib import Path
 
 from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.importers.trajectories import read_trajectory
 from stillpoint.datasets.mcap.store import read_estimate, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectories import read_trajectory
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters.table import ESTIMATORS
 

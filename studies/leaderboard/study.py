@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.nearest import nearest, require_known
-from stillpoint.datasets.remote import is_url
+from stillpoint.datasets.errors import BadParameter, nearest, require_known
+from stillpoint.datasets.files.remote import is_url
 from stillpoint.scoring import ALIGN_KINDS, AlignKind
 
 Against = Literal["auto", "truth", "reference", "both"]

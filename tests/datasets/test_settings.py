@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import BadParameter
-from stillpoint.datasets.nearest import nearest, require_known
+from stillpoint.datasets.errors import nearest, require_known
 from stillpoint.datasets.settings import Settings, choice, choose_settings, degrees, describe, names_of, number
 from stillpoint.filters import ESTIMATORS
 from stillpoint.smoother import METHODS

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import BadParameter, Estimate, write
+from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.trajectories import format_tum
 from stillpoint.studies import leaderboard
 from stillpoint.studies.leaderboard import Study, entrants, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.job_runner import run_here

@@ -25,7 +25,7 @@ from fuzz_seeds import Seed, list_seeds
 
 from stillpoint.datasets import StillpointError, read, write
 from stillpoint.datasets.importers.table import IMPORTERS
-from stillpoint.datasets.trajectories import read_poses
+from stillpoint.datasets.importers.trajectories import read_poses
 
 LONGEST_S = 10.0
 LARGEST_BYTES = 512 << 20

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.archive import create_archive
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.remote import is_url
+from stillpoint.datasets.files.remote import is_url
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Inputs, read_span
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json

@@ -14,9 +14,8 @@ from stillpoint.datasets.archive import Archive, Entry
 from stillpoint.datasets.archive.bundle import STUDY_SUFFIX, bundle_files
 from stillpoint.datasets.archive.pack import LARGEST_BUNDLE, open_bundle, write_bundle
 from stillpoint.datasets.archive.selection import About, Item, select_items
-from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
-from stillpoint.datasets.nearest import require_known
 from stillpoint.datasets.trajectory import Reference, RollReference
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from stillpoint.datasets.nearest import require_known
+from stillpoint.datasets.errors import require_known
 from stillpoint.scoring.score import score_row
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, write_json, write_text

@@ -11,9 +11,9 @@ from stillpoint.datasets.archive import create_archive, open_archive
 from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import verify_archive
 from stillpoint.datasets.errors import BadFile, BadParameter
+from stillpoint.datasets.files.remote import RangedFile, is_url, list_files, url_of
 from stillpoint.datasets.mcap.indexed import Window, read_part
 from stillpoint.datasets.mcap.reader import read_log
-from stillpoint.datasets.remote import RangedFile, is_url, list_files, url_of
 
 fsspec = pytest.importorskip("fsspec")
 

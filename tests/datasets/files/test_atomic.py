@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from stillpoint.datasets.atomic import remove_stale_parts, write_atomically
+from stillpoint.datasets.files.atomic import remove_stale_parts, write_atomically
 
 WRITE_AND_WAIT = """
 import sys, time
 from pathlib import Path
-from stillpoint.datasets.atomic import write_atomically
+from stillpoint.datasets.files.atomic import write_atomically
 with write_atomically(Path(sys.argv[1])) as file:
     file.write(b"half")
     file.flush()
@@ -66,7 +66,7 @@ def test_killed_writer_leaves_a_part_that_the_next_write_removes(tmp_path):
     writer.wait()
     assert len(list_parts(tmp_path)) == 1
     assert not (tmp_path / "a.mcap").exists()
-    code = "import sys; from pathlib import Path; from stillpoint.datasets.atomic import write_atomically\n"
+    code = "import sys; from pathlib import Path; from stillpoint.datasets.files.atomic import write_atomically\n"
     code += "with write_atomically(Path(sys.argv[1])) as file: file.write(b'whole')"
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "b.mcap")], check=True)
     assert [file.name for file in tmp_path.iterdir()] == ["b.mcap"]

@@ -16,11 +16,11 @@ from fuzz import fuzz, judge
 from fuzz_seeds import list_seeds
 
 from stillpoint.datasets import BadSource
+from stillpoint.datasets.files.limits import LARGE, LARGEST_MEMBER, largest_chunk
 from stillpoint.datasets.importers import files as importer_files
 from stillpoint.datasets.importers.arrays import load_mat
 from stillpoint.datasets.importers.csv_log import CsvOptions
 from stillpoint.datasets.importers.table import IMPORTERS
-from stillpoint.datasets.limits import LARGE, LARGEST_MEMBER, largest_chunk
 
 LOG = CsvOptions(time="t:s", gyro="gx,gy,gz:rad/s", accel="ax,ay,az:m/s^2")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import read, write
+from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.trajectories import format_tum
 from stillpoint.studies.leaderboard.files import files_of_label
 
 

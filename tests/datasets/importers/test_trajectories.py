@@ -7,7 +7,7 @@ from known import START_NS, Known
 
 from stillpoint.datasets import BadParameter, BadSource, Estimate
 from stillpoint.datasets.frames import local_from_enu, quaternion, rotation, to_xyzw
-from stillpoint.datasets.trajectories import read_poses, read_trajectory
+from stillpoint.datasets.importers.trajectories import read_poses, read_trajectory
 
 POSITION = np.tile([1.0, 2.0, 3.0], (600, 1))
 
