@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stillpoint.datasets.frames import EulerFrame, local_from_enu, quaternion, rotation
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows
 from stillpoint.datasets.plausible import describe_field_size
-from stillpoint.datasets.recording import Floats, Mag, Recording, Times
+from stillpoint.datasets.recording import Floats, Mag, Recording, Times, Truth
 from stillpoint.datasets.trajectory import Estimate
 
 DEVICE = "device"  # the name of the estimate that the device made
@@ -35,6 +36,23 @@ def make_mag(series: Series, uncalibrated: bool, log: Log) -> tuple[Mag | None, 
     if doubt and not uncalibrated:
         log.noted(f"mag: {doubt}; marked as uncalibrated")
     return Mag(series.t_ns, series.values), uncalibrated or bool(doubt)
+
+
+def turn_truth(truth: Truth, frame: EulerFrame, inverse: bool) -> Truth:
+    """Return a truth that takes the body to East-North-Up.
+
+    ``frame`` is the local frame of the poses, ``inverse`` that their quaternions take it to the body; positions of
+    inverse poses are left out, since they are in the body's axes.
+    """
+    if frame == "enu" and not inverse:
+        return truth
+    to_enu = local_from_enu(frame).inv()
+    turned = rotation(truth.q_nb.copy())
+    q_nb = quaternion(to_enu * (turned.inv() if inverse else turned))
+    position_n_m = None
+    if truth.position_n_m is not None and not inverse:
+        position_n_m = truth.position_n_m @ to_enu.as_matrix().T
+    return Truth(truth.t_ns, q_nb, truth.moving, position_n_m)
 
 
 def make_device_estimate(

@@ -8,6 +8,7 @@ not give that part of the message.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.importers.clock import find_wild_stamps
 from stillpoint.datasets.importers.columns import FIELD, STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.files import digests, require_existing
-from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag
+from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag, turn_truth
 from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.ros_files import Leaves, Messages, RosFiles, collect_messages, open_ros
 from stillpoint.datasets.importers.ros_frames import StaticFrames, keep_frame, list_names
@@ -81,6 +82,8 @@ class RosOptions(OwnOptions):
     truth_topic: str | None = None
     truth_parent: str | None = None  # the fixed frame of the truth
     truth_child: str | None = None  # the moving frame to take from a TF topic
+    truth_frame: Literal["enu", "nwu", "ned"] = "enu"  # the axes of the fixed frame
+    truth_inverse: bool = False  # the poses take the fixed frame to the moving one
     frame: str | None = None  # the frame_id to take from a topic that holds several sensors
     imu_frame: str | None = None  # the sensors' frame in /tf_static, where the headers say another
     body_frame: str | None = None  # turn the sensors into this frame by /tf_static
@@ -115,6 +118,10 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
     truth = None
     if truth_topic is not None:
         truth = read_pose_topic(bag, truth_topic, logs, options.truth_parent, options.truth_child, log)
+        truth = turn_truth(truth, options.truth_frame, options.truth_inverse)
+        if options.truth_frame != "enu" or options.truth_inverse:
+            way = ", inverted" if options.truth_inverse else ""
+            log.converted(f"truth {options.truth_frame.upper()} -> East-North-Up{way}")
 
     sha256 = digests(bag.files, source.parent if source.is_file() else source)
     estimates: tuple[Estimate, ...] = ()

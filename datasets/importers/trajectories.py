@@ -32,15 +32,14 @@ from stillpoint.datasets.frames import (
     EULER_FRAMES,
     EulerFrame,
     from_xyzw,
-    local_from_enu,
     quaternion,
-    rotation,
     to_xyzw,
 )
 from stillpoint.datasets.importers.clock import ISO, TIME_EXPONENT, check_rate, repair_clock
 from stillpoint.datasets.importers.columns import normalise_unit, parse_quaternion, split
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.files import read_text, reading, require_existing
+from stillpoint.datasets.importers.imported import turn_truth
 from stillpoint.datasets.importers.ros import POSES, TF, read_pose_topic
 from stillpoint.datasets.importers.ros_files import open_ros
 from stillpoint.datasets.importers.series import Log, find_finite_rows
@@ -101,24 +100,11 @@ def read_poses(path: Path | str, log: Log | None = None, **options: Any) -> Trut
             poses = _read_bag(file, given, log) if _is_bag(file, given) else _read_text_poses(file, given, log)
     except BadRecording as error:
         raise BadSource(f"{path}: {error}") from None
-    return _turn(poses, given)
+    return turn_truth(poses, given.frame, given.inverse)
 
 
 def _is_bag(file: Path, options: PoseOptions) -> bool:
     return options.format == "bag" or (options.format is None and (file.is_dir() or file.suffix in BAGS))
-
-
-def _turn(poses: Truth, options: PoseOptions) -> Truth:
-    """Return poses that take the body to East-North-Up."""
-    if options.frame == "enu" and not options.inverse:
-        return poses
-    to_enu = local_from_enu(options.frame).inv()
-    turned = rotation(poses.q_nb.copy())
-    q_nb = quaternion(to_enu * (turned.inv() if options.inverse else turned))
-    position_n_m = None
-    if poses.position_n_m is not None and not options.inverse:
-        position_n_m = poses.position_n_m @ to_enu.as_matrix().T
-    return Truth(poses.t_ns, q_nb, poses.moving, position_n_m)
 
 
 def _read_bag(file: Path, options: PoseOptions, log: Log) -> Truth:

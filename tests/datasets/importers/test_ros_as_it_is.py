@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, BadSource
-from stillpoint.datasets.frames import rotation, to_xyzw
+from stillpoint.datasets.frames import local_from_enu, quaternion, rotation, to_xyzw
 from stillpoint.datasets.importers.ros import RosOptions
 from stillpoint.datasets.importers.table import IMPORTERS
 
@@ -127,6 +127,17 @@ def test_a_child_of_tf_with_two_parents_is_chosen_by_its_parent(known, tmp_path)
     truth = only("ros", file, RosOptions(truth_child="phone", truth_parent="odom")).truth
     assert (truth.t_ns == known.t_ns[1::2] + START_NS).all()
     assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb[1::2]).inv()).magnitude().max() < 1e-9
+
+
+def test_a_truth_in_north_east_down_and_inverted(known, tmp_path):
+    ros = Ros()
+    for t, gyro, accel, q in samples(known):
+        ros.imu("/imu", t, gyro, accel)
+        inverse_ned = quaternion((local_from_enu("ned") * rotation(q)).inv())
+        ros.tf("/tf", t, ("world_ned", "phone", inverse_ned))
+    options = RosOptions(truth_child="phone", truth_frame="ned", truth_inverse=True)
+    truth = only("ros", ros.write(tmp_path / "run.mcap"), options).truth
+    assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-9
 
 
 def test_static_transforms_turn_the_sensors_into_the_body(known, tmp_path):
