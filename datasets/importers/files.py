@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stillpoint.datasets.errors import BadSource, StillpointError
-from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, largest_chunk, limited
 from stillpoint.datasets.mcap.store import sha256
 
 RESTORE = "it may be damaged: restore it from a copy, or export it again"
@@ -147,10 +147,10 @@ def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
         for member in archive.infolist():
             if not member.filename.lower().endswith(suffixes) or "__MACOSX" in member.filename:
                 continue
-            if member.file_size > left:
+            if member.file_size > min(left, largest_chunk(member.compress_size)):
                 raise BadSource(
-                    f"{source}: {member.filename} claims {member.file_size} bytes, unpacked; the limit is "
-                    f"{limited(LARGEST_MEMBER)} for the whole zip: give --large if this is right"
+                    f"{source}: {member.filename} claims {member.file_size} bytes, unpacked, from {member.compress_size}; "
+                    f"the limit is {limited(LARGEST_MEMBER)} for the whole zip: give --large if this is right"
                 )
             with archive.open(member) as file:
                 data = file.read(member.file_size + 1)

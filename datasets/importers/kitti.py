@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillpoint.datasets.earth import enu_m
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import from_euler
 from stillpoint.datasets.importers.clock import ISO, parse_times
@@ -51,7 +52,12 @@ def read_kitti(folder: Path, options: OwnOptions) -> Imported:
     log.converted("oxts: roll, pitch, yaw (0 = east) -> quaternion, body (x forward, y left, z up) -> East-North-Up")
     log.noted("truth: the solution of the OXTS unit from this IMU and satellites; it is not independent of them")
     log.noted("times of KITTI have no zone; taken as UTC")
-    truth = Truth(t_ns, from_euler(rows[:, ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_))
+    lat_deg, lon_deg, alt_m = rows[:, PLACE].T
+    position_n_m = None
+    if (np.abs(lat_deg) <= 90).all() and (np.abs(lon_deg) <= 360).all():
+        position_n_m = enu_m(lat_deg, lon_deg, alt_m, (lat_deg[0], lon_deg[0], alt_m[0]))
+        log.converted("truth position: latitude, longitude, altitude -> East-North-Up from the first fix")
+    truth = Truth(t_ns, from_euler(rows[:, ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_), position_n_m)
     north, east = rows[:, NORTH_EAST].T
     course_deg = np.rad2deg(np.arctan2(east, north)) % 360
     gps = make_gps(Series(t_ns, np.column_stack([rows[:, PLACE], course_deg, np.hypot(north, east)])), log)

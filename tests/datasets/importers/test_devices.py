@@ -183,7 +183,7 @@ def test_kitti_oxts(known, tmp_path):
     lines = []
     for k in range(600):
         numbers = np.zeros(30)
-        numbers[:3] = 49.0, 8.4, 112.0
+        numbers[:3] = 49.0, 8.4 + k * 1e-6, 112.0  # 0.0732 m eastwards a sample
         numbers[3:6] = angles[k, ::-1]
         numbers[6:8] = 0.0, 5.0  # towards east
         numbers[11:14], numbers[17:20] = known.accel_b_mps2[k], known.gyro_b_radps[k]
@@ -199,6 +199,8 @@ def test_kitti_oxts(known, tmp_path):
     up = rotation(recording.truth.q_nb.copy()).apply(recording.imu.accel_b_mps2.copy())
     np.testing.assert_allclose(up, np.tile([0, 0, G], (600, 1)), atol=1e-5)
     np.testing.assert_allclose(recording.gps.course_rad, np.pi / 2)
+    np.testing.assert_allclose(recording.truth.position_n_m[:, 0], 0.0732 * np.arange(600), rtol=2e-3)
+    np.testing.assert_allclose(recording.truth.position_n_m[:, 1:], 0.0, atol=1e-3)
     assert any("not independent" in note for note in recording.info.notes)
 
 
