@@ -7,7 +7,7 @@ sets for a command and its worker processes, multiplies all of them by :data:`LA
 import os
 
 LARGEST_CHUNK = 64 << 20  # bytes of an MCAP or bag chunk, unpacked: recorders write 1-4 MiB
-MOST_COMPRESSION = 64  # a larger chunk must hold at least a 64th of what it claims: sensor data packs 2-10 times
+MOST_COMPRESSION = 64  # what claims more must have a 64th of it in bytes: sensor data packs 2-10 times
 LARGEST_MEMBER = 1 << 30  # bytes of one zip, unpacked, or of one text file: ten hours of a phone's sensors
 LARGEST_LINE = 1 << 20  # characters of one line of text: a row of a log has some hundred
 LARGE = "STILLPOINT_LARGE"
@@ -20,5 +20,5 @@ def limited(limit: int) -> int:
 
 
 def largest_chunk(packed: int) -> int:
-    """Return how many bytes a chunk of ``packed`` compressed bytes may claim to hold."""
+    """Return how many bytes a chunk, or a file in a zip, of ``packed`` compressed bytes may claim to hold."""
     return max(limited(LARGEST_CHUNK), MOST_COMPRESSION * packed)

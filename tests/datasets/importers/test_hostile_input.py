@@ -74,6 +74,17 @@ def test_a_zip_that_claims_too_much_is_not_unpacked(tmp_path):
     tracemalloc.stop()
 
 
+def test_a_small_zip_may_not_claim_hundreds_of_megabytes(tmp_path):
+    file = tmp_path / "zeros.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("Gyroscope.csv", "w") as out:
+        for _ in range(100):
+            out.write(b"0" * (1 << 20))
+    tracemalloc.start()
+    refuse("sensorlogger", file, "claims 104857600 bytes, unpacked, from 10", "--large")
+    assert tracemalloc.get_traced_memory()[1] < 10 << 20
+    tracemalloc.stop()
+
+
 def test_a_zip_that_claims_too_little_is_refused(tmp_path):
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
