@@ -150,7 +150,8 @@ def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
             if member.file_size > min(left, largest_chunk(member.compress_size)):
                 raise BadSource(
                     f"{source}: {member.filename} claims {member.file_size} bytes, unpacked, from "
-                    f"{member.compress_size}; the limit is {limited(LARGEST_MEMBER)} for the whole zip: give --large if this is right"
+                    f"{member.compress_size}; the limit is {limited(LARGEST_MEMBER)} for the whole zip: "
+                    "give --large if this is right"
                 )
             with archive.open(member) as file:
                 data = file.read(member.file_size + 1)
