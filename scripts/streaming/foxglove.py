@@ -24,7 +24,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME
 from stillpoint.filters import Stream
 from stillpoint.scripts.streaming.lines import Arrival
-from stillpoint.scripts.streaming.replay import replay_samples
+from stillpoint.scripts.streaming.streams import replay_samples
 
 ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
 POSES_HZ = 60.0  # of real time: no screen shows more

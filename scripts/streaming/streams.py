@@ -1,18 +1,21 @@
-"""The streams of ``stillpoint stream``: new ones, or those of a file of ``--save``."""
+"""The streams of ``stillpoint stream``, new or from a file of ``--save``, and the samples of a recording for them."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any
 
+from stillpoint.datasets import Recording
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters import Saved, SavedSpin, SpinStream, Stream
+from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.scripts.shared.estimator_choice import Run
 from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.streaming.lines import Arrival
 
 Live = Stream | SpinStream
 Make = Callable[..., Any]  # of a stream
@@ -77,3 +80,21 @@ def _read_saved(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
     if kept_kind != json.loads(json.dumps(kind)):
         raise BadParameter(f"--resume {resume}: was saved with other options ({json.dumps(kept_kind)}); give these")
     return states
+
+
+def replay_samples(recording: Recording) -> Iterator[Arrival]:
+    """Yield each IMU sample with the newest field and fix since the sample before, as a batch run takes them.
+
+    A magnetometer that is not calibrated is left out, the course of a fix that is not valid is NaN. Raises
+    :class:`BadRecording` without an IMU.
+    """
+    imu, (mag, _, _), gps = recording.require_imu(), choose_magnetometer(recording), recording.gps
+    field = None if mag is None else newest_rows(mag.t_ns, imu.t_ns)
+    fix = None if gps is None else newest_rows(gps.t_ns, imu.t_ns)
+    for k, t_ns in enumerate(imu.t_ns.tolist()):
+        here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
+        course = None
+        if gps is not None and fix is not None and fix[k] >= 0:
+            row = fix[k]
+            course = (float(gps.course_rad[row]) if gps.valid[row] else float("nan"), float(gps.speed_mps[row]))
+        yield Arrival(t_ns, tuple(imu.gyro_b_radps[k].tolist()), tuple(imu.accel_b_mps2[k].tolist()), here, course)

@@ -16,7 +16,7 @@ BENCHES = {
     "filters": "stillpoint.scripts.bench.filters:bench_filters",
     "mcap": "stillpoint.scripts.bench.mcap:bench_mcap",
     "roll": "stillpoint.scripts.bench.spin:bench_roll",
-    "roll-filters": "stillpoint.scripts.bench.spin_filters:bench_roll_filters",
+    "roll-filters": "stillpoint.scripts.bench.spin:bench_roll_filters",
     "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
     "start": "stillpoint.scripts.bench.start:bench_start",
 }

@@ -20,7 +20,7 @@ from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.streaming.lines import format_csv_lines
-from stillpoint.scripts.streaming.replay import replay_samples
+from stillpoint.scripts.streaming.streams import replay_samples
 
 Format = Literal["csv", "stream", "tum"]
 SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum"}
