@@ -185,9 +185,12 @@ class TimePlots {
     }
   }
 
-  setVisible(k, shown) {
+  setVisible(shown) {
+    // `shown` holds a Boolean for each series.
     for (const { drawn } of this.figures)
-      for (const part of [drawn[k].band, drawn[k].line, ...drawn[k].sides]) part.visible = shown;
+      drawn.forEach((one, k) => {
+        for (const part of [one.band, one.line, ...one.sides]) part.visible = shown[k];
+      });
     this.refine();
   }
 
@@ -308,10 +311,6 @@ function connectTimePlots(plots, data) {
     if (choice) choice.value = name;
     plots.show(recording);
     say();
-    for (const link of document.querySelectorAll("a[data-run-page]")) {
-      link.hidden = !recording.page;
-      link.href = recording.page ?? "#";
-    }
   };
   const [first] = Object.keys(data.recordings);
   const named = () => decodeURIComponent(location.hash.replace(/^#run=/, ""));
@@ -323,8 +322,15 @@ function connectTimePlots(plots, data) {
     document.getElementById("runs").scrollIntoView();
     document.getElementById("runs").focus({ preventScroll: true });
   });
-  for (const box of document.querySelectorAll("input[data-series]"))
-    box.addEventListener("change", () => plots.setVisible(Number(box.dataset.series), box.checked));
+  const boxes = [...document.querySelectorAll("input[data-series]")];
+  const showChecked = () => plots.setVisible(boxes.map((box) => box.checked));
+  for (const box of boxes) box.addEventListener("change", showChecked);
+  for (const button of document.querySelectorAll("button[data-show]"))
+    button.addEventListener("click", () => {
+      for (const box of boxes) box.checked = button.dataset.show === "all";
+      showChecked();
+    });
+  showChecked();
   for (const button of document.querySelectorAll("button[data-zoom]"))
     button.addEventListener("click", () => plots.zoom(Number(button.dataset.zoom), Number(button.dataset.shift ?? 0)));
   return plots;

@@ -76,7 +76,7 @@ def encode_errors(reduced: Mapping[str, Mapping[str, Curve]]) -> Curves:
 
 def make_recording_entry(span_s: tuple[float, float], rests_s: Floats, curves: Curves) -> dict[str, Any]:
     """Return the entry of one recording in a page's data: its span, its rests (R, 2), and its curves."""
-    return {"span": list(span_s), "rests": np.round(rests_s, 3).tolist(), "curves": curves, "page": None}
+    return {"span": list(span_s), "rests": np.round(rests_s, 3).tolist(), "curves": curves}
 
 
 def find_rest_spans(truth: Reference | Truth) -> Times:

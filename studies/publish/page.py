@@ -85,8 +85,8 @@ def _list_notes(board: Leaderboard) -> Iterator[str]:
     if left_out:
         reason = next(run.magnetometer_left_out for run in board.runs if run.magnetometer_left_out)
         yield (
-            f"The raw magnetometer was left out on {len(left_out)} of {len(board.sources)} recordings, so heading "
-            f"errors there say little ({reason})."
+            f"Estimators with uncalibrated input got no magnetometer on {len(left_out)} of {len(board.sources)} "
+            f"recordings, so their heading errors there say little ({reason})."
         )
     if any(run.against.startswith("reference") for run in board.runs):
         yield (

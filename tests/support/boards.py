@@ -69,7 +69,7 @@ def make_entries(board: Leaderboard, columns: int = 400, samples: int = 6000) ->
         curve = encode_curve(reduce_series(t_ns, error_deg, 0, columns, "rms"), "log")
         entry = entries.setdefault(
             run.recording,
-            {"span": [0.0, (samples - 1) / 100], "rests": [[0.0, 5.0]], "curves": {"total": {}}, "page": None},
+            {"span": [0.0, (samples - 1) / 100], "rests": [[0.0, 5.0]], "curves": {"total": {}}},
         )
         entry["curves"]["total"][run.label] = curve
     return entries

@@ -166,6 +166,19 @@ def test_an_estimator_can_be_taken_out_of_the_plots(shown) -> None:
     shown.evaluate(f"{box}.click()")
 
 
+def test_many_estimators_begin_with_the_best_six(tmp_path) -> None:
+    """All of 9 lines at once would be unreadable; a button shows them."""
+    board = make_board(recordings=3, estimators=9)
+    file = tmp_path / "index.html"
+    file.write_text(make_page_html(board, make_entries(board)), encoding="utf-8")
+    visible = f"{READY}[1].figures[0].drawn.filter((one) => one.line.visible).length"
+    with open_page(file, tmp_path / "profile") as page:
+        page.wait(READY)
+        assert page.evaluate(visible) == 6
+        page.evaluate("document.querySelector('button[data-show=all]').click()")
+        assert page.evaluate(visible) == 9
+
+
 def test_every_control_has_a_name_and_tables_have_headers(shown) -> None:
     """What a screen reader says of them."""
     nameless = (
