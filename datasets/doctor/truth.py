@@ -18,7 +18,7 @@ FEWEST = 50
 HELD_RADPS = np.deg2rad(5.0)  # faster than any bias leaves the median
 FROZEN_S, FEWEST_HELD = 0.3, 5
 SLIP_WINDOW_S = 1.0
-SLIP_RAD, SLIP_RATIO, MOST_SLIPS = np.deg2rad(5.0), 10.0, 0.3
+SLIP_RAD, SLIP_RATIO, MOST_SLIPS = np.deg2rad(10.0), 10.0, 0.3  # a second that parts by less spoils no score
 
 
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
