@@ -256,7 +256,13 @@ def _read_vectors(
     absent = int((~given).sum())
     if absent:
         log.noted(f"{what}: {absent} of {len(given)} messages of {messages.topic} do not give it (covariance -1)")
-    messages = keep_frame(messages.where(given), options.frame, "--frame")
+    messages = messages.where(given)
+    chosen = options.frame
+    if what == "mag" and len(set(messages.frames)) == 1:
+        chosen = (
+            None  # --frame tells sensors on one topic apart; a magnetometer alone on its topic has a frame of its own
+        )
+    messages = keep_frame(messages, chosen, "--frame")
     log.converted(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
     series = _settle_stamps(messages, messages.numbers[what], log)
     series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)

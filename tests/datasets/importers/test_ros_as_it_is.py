@@ -108,11 +108,13 @@ def test_two_imus_on_one_topic_are_told_apart_by_their_frames(known, tmp_path):
     for k, (t, gyro, accel, _) in enumerate(samples(known)):
         other = k % 2
         ros.imu("/imu", t, turn.apply(gyro) if other else gyro, accel, frame="imu_b" if other else "imu_a")
+        ros.mag("/mag", t, 1e-6 * known.mag_b_ut[k], frame="mag")
     file = ros.write(tmp_path / "run.mcap")
     refuse(file, None, BadParameter, "imu_a (300)", "imu_b (300)", "--frame")
     refuse(file, RosOptions(frame="imu_c"), BadParameter, "--frame imu_c", "imu_a (300)")
     recording = only("ros", file, RosOptions(frame="imu_b"))
     np.testing.assert_allclose(recording.imu.gyro_b_radps, turn.apply(known.gyro_b_radps[1::2]))
+    assert len(recording.mag.t_ns) == 600
 
 
 def test_a_child_of_tf_with_two_parents_is_chosen_by_its_parent(known, tmp_path):
