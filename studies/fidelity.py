@@ -19,16 +19,14 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.filters.table import ESTIMATORS
 from stillpoint.scoring import AlignKind
 from stillpoint.smoother import METHODS
+from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import Source
-from stillpoint.studies.leaderboard.cells import Cell, Line, list_lines, make_estimates, plan_cells
+from stillpoint.studies.leaderboard.cells import Cell, Line, list_lines, make_estimates, plan_cells, score_cells
 from stillpoint.studies.leaderboard.entrants import default_estimators, find_entrants
 from stillpoint.studies.leaderboard.files import without_trajectories
-from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
-from stillpoint.studies.leaderboard.judge_choice import judge_by_truth
-from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec
+from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec, judge_by_truth
 from stillpoint.studies.leaderboard.ranking import ScoredRuns
 from stillpoint.studies.leaderboard.references import KeptReference, find_references
-from stillpoint.studies.leaderboard.score_cells import score_cells
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import number_rows, survey_sources
 from stillpoint.studies.leaderboard.study import NONE

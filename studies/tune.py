@@ -26,13 +26,12 @@ from stillpoint.filters.table import ATTITUDES, ESTIMATORS
 from stillpoint.scoring import AlignKind, compare
 from stillpoint.scoring.errors import attitude_error
 from stillpoint.scoring.match import Mask
+from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import RankedBy, Source
 from stillpoint.studies.leaderboard.cells import find_calibration
 from stillpoint.studies.leaderboard.estimates import LEFT_OUT
 from stillpoint.studies.leaderboard.files import without_trajectories
-from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
-from stillpoint.studies.leaderboard.judge_choice import find_judge, needs_reference
-from stillpoint.studies.leaderboard.judges import load_judge
+from stillpoint.studies.leaderboard.judges import find_judge, load_judge, needs_reference
 from stillpoint.studies.leaderboard.references import References, find_references
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import number_rows, survey_sources

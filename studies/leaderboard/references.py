@@ -8,8 +8,8 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import provenance, read_recording, sha256
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
+from stillpoint.studies.job_runner import JobRunner
 from stillpoint.studies.leaderboard.board import Source
-from stillpoint.studies.leaderboard.job_runner import JobRunner
 from stillpoint.studies.result_store import ResultStore, key_of
 
 

@@ -10,16 +10,14 @@ from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
+from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source, Table
-from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, make_estimates, plan_cells
+from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, make_estimates, plan_cells, score_cells
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
-from stillpoint.studies.leaderboard.job_runner import JobRunner, run_here
-from stillpoint.studies.leaderboard.judge_choice import find_judge, needs_reference
-from stillpoint.studies.leaderboard.judges import TRUTH
+from stillpoint.studies.leaderboard.judges import TRUTH, find_judge, needs_reference
 from stillpoint.studies.leaderboard.ranking import build_table
 from stillpoint.studies.leaderboard.references import References, find_references
-from stillpoint.studies.leaderboard.score_cells import score_cells
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study

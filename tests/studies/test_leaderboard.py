@@ -10,8 +10,8 @@ from stillpoint.datasets import BadParameter, Estimate, write
 from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
 from stillpoint.studies import leaderboard
+from stillpoint.studies.job_runner import run_here
 from stillpoint.studies.leaderboard import Study, entrants, read_study, run_study, study_toml
-from stillpoint.studies.leaderboard.job_runner import run_here
 
 OWN = '''
 import numpy as np
