@@ -124,9 +124,13 @@ class Gps:
     course_rad: Floats  # (N,) direction of travel, clockwise from true north
     speed_mps: Floats  # (N,) over ground
     valid: NDArray[np.bool_]  # (N,)
+    position_sd_m: Floats | None = None  # (N,) horizontal accuracy that the receiver states; NaN where it does not
 
     def __post_init__(self) -> None:
         t = check_times("gps", self.t_ns)
+        if self.position_sd_m is not None:
+            stated = check_floats("gps", "position_sd_m", self.position_sd_m, (len(t),), finite=False)
+            freeze(self, position_sd_m=np.where(stated > 0, stated, np.nan))
         names = ("lat_deg", "lon_deg", "alt_m", "course_rad", "speed_mps")
         columns = {name: check_floats("gps", name, getattr(self, name), (len(t),), finite=False) for name in names}
         valid = check_bools("gps", "valid", self.valid, len(t))

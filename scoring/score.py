@@ -1,7 +1,7 @@
 """Score an estimate against a truth or a reference over the moving samples: one function, one frozen result."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
 from stillpoint.scoring.compare import Comparison, compare
 from stillpoint.scoring.conversions import ABSURD_DEG, find_conversion
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
+from stillpoint.scoring.position import PositionScore, score_position
 from stillpoint.scoring.score_table import format_score, format_score_html, make_score_frame
 from stillpoint.scoring.turns import TurnError, turn_errors
 
@@ -108,6 +109,7 @@ class Score:
 
     turns: tuple[TurnError, ...] = ()  # errors of turns over the times that were asked for
     conversion: str | None = None  # the fixed conversion that would explain an absurd error, in words
+    position: PositionScore | None = None  # where both have positions
 
     def __getattr__(self, name: str) -> float:
         if name not in FLAT:
@@ -142,7 +144,8 @@ def score(
     Raises :class:`BadParameter` for an unknown option, :class:`Unobservable` when nothing moves or overlaps,
     :class:`BadRecording` for a covariance that is none.
     """
-    return score_of(compare(estimated, truth, align, moving), frame, over_s)
+    scored = score_of(compare(estimated, truth, align, moving), frame, over_s)
+    return replace(scored, position=score_position(estimated, truth))
 
 
 def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence[float] = ()) -> Score:
@@ -221,6 +224,7 @@ def score_row(score: Score) -> dict[str, Any]:
         "frame": score.frame,
         **{name: getattr(score, name) for name in (*counts, *FLAT, *judged)},
         "conversion": score.conversion,
+        "position": None if score.position is None else asdict(score.position),
         "turns": [asdict(turn) for turn in score.turns],
         "found": score.alignment.found(),
         "error": None,

@@ -1,15 +1,17 @@
 """Make the reference trajectory of a recording; the table of methods."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
-from stillpoint.datasets.errors import BadParameter, BadRecording, require_known
+from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable, require_known
 from stillpoint.datasets.measurements import drop_non_measurements
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
-from stillpoint.smoother.attitude.params import PRESETS, GraphParams
+from stillpoint.smoother.attitude.params import PRESETS, GraphParams, allows_vehicle
+from stillpoint.smoother.attitude.preset import choose_preset
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.spin.params import SpinGraphParams
@@ -27,19 +29,16 @@ class Method:
     summary: str
 
 
-def _graph(recording: Recording, params: GraphParams) -> Reference:
-    """Run the factor graph; gtsam is imported only here, as it is not available everywhere."""
+def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] = ()) -> Reference:
+    """Make the reference by the factor graph; gtsam is loaded when it is needed, as it is not available everywhere."""
     try:
-        from stillpoint.smoother.attitude.graph import make_attitude_reference
-        from stillpoint.smoother.attitude.stretches import leave_out_islands
+        from stillpoint.smoother.attitude.method import make_graph_reference
     except ImportError as error:
         raise BadParameter(
             f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
             "use --method redistribution here"
         ) from error
-    whole, islands = leave_out_islands(recording)
-    made = make_attitude_reference(whole, params)
-    return replace(made, diagnostics={**made.diagnostics, "left_out": [asdict(island) for island in islands]})
+    return make_graph_reference(recording, params, generators)
 
 
 def _roll_graph(recording: Recording, params: SpinGraphParams) -> RollReference:
@@ -104,29 +103,73 @@ def reference(
     method: str | None = None,
     params: Settings | Mapping[str, Any] | None = None,
     calibration: Calibration | None = None,
+    factors: Sequence[Any] = (),
 ) -> Reference | RollReference:
     """Return the reference trajectory of a recording: attitude, or angle and rate of a spinning body.
 
-    ``method`` is one of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams. ``params`` is
-    an object of the method's settings class, or a mapping of dotted names to values
-    (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. ``calibration`` is what is known of the sensor, as
-    of an earlier reference: readings are corrected by it first. Raises :class:`BadParameter` for a method or setting
-    that is not there, :class:`Unobservable` when the recording does not fix a reference.
-
     Samples that are no measurement (zeros, sentinels and frozen values of a sensor that is not working) are dropped and
     counted in the diagnostics, as docs/streaming.md says.
+
+    Parameters
+    ----------
+    recording
+        With an IMU, or with a spin stream.
+    method
+        One of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams.
+    params
+        An object of the method's settings class, or a mapping of dotted names to values
+        (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. The defaults of the graph are those of the
+        preset that the recording speaks for (:func:`~stillpoint.smoother.attitude.preset.choose_preset`), which the
+        diagnostics name.
+    calibration
+        What is known of the sensor, as of an earlier reference: readings are corrected by it first.
+    factors
+        Generators of factors to add to the graph, see :mod:`stillpoint.smoother.attitude.outside.added`.
+
+    Raises
+    ------
+    BadParameter
+        A method or setting that is not there; a factor that cannot be added.
+    Unobservable
+        The recording does not determine a reference.
     """
     name = default_method(recording) if method is None else method
-    settings = settings_of(name, params)
     function = method_of(name).function
+    if factors:
+        if name != "graph":
+            raise BadParameter(f"factors: are for the method graph, not {name}")
+        function = partial(_graph, generators=factors)
     recording, dropped = drop_non_measurements(recording)
-    if calibration is None:
-        made = function(recording, settings)
+    chosen: dict[str, str] = {}
+    if name == "graph" and not isinstance(params, Settings):
+        preset = choose_preset(recording)
+        chosen = {"preset": preset.name, "preset_reason": preset.reason}
+        settings: Settings = choose_settings(PRESETS[preset.name], params, name)
     else:
-        made = function(corrected(recording, calibration), settings)
-        if isinstance(made, Reference):
-            made = in_raw_readings(made, calibration)
-    return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **dropped.counts()})
+        settings = settings_of(name, params)
+    try:
+        if calibration is None:
+            made = function(recording, settings)
+        else:
+            made = function(corrected(recording, calibration), settings)
+            if isinstance(made, Reference):
+                made = in_raw_readings(made, calibration)
+    except Unobservable as error:
+        raise _blame_preset(recording, settings, error) from error
+    return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **chosen, **dropped.counts()})
+
+
+def _blame_preset(recording: Recording, settings: Settings, error: Unobservable) -> Unobservable:
+    """Return the error that names the preset as the reason where the recording looks like a vehicle's."""
+    if not isinstance(settings, GraphParams) or allows_vehicle(settings):
+        return error
+    preset = choose_preset(recording)
+    if preset.name != "vehicle":
+        return error
+    found = str(error).removeprefix(f"{recording.name}: ")
+    return Unobservable(
+        f"{recording.name}: this looks like a vehicle ({preset.reason}): --preset vehicle; as it is, {found}"
+    )
 
 
 def attitude_reference(

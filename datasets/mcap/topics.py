@@ -124,8 +124,13 @@ TOPICS: tuple[Topic, ...] = (
         BODY_FRAME, {"status.service": 1},
     ),
     Topic(
-        "recording", "gps", "/gps/course", VECTOR, "x: course clockwise from true north, y: speed over ground",
-        (Column("course_rad", ("vector.x",), "rad"), Column("speed_mps", ("vector.y",), "m/s")),
+        "recording", "gps", "/gps/course", VECTOR,
+        "x: course clockwise from true north, y: speed over ground, z: accuracy as the receiver states it (0: not)",
+        (
+            Column("course_rad", ("vector.x",), "rad"),
+            Column("speed_mps", ("vector.y",), "m/s"),
+            Column("position_sd_m", ("vector.z",), "m"),
+        ),
         BODY_FRAME,
     ),
     Topic(

@@ -68,7 +68,7 @@ CAR = CarSensor(
     "car",
     gyro=GyroModel(noise_density_degps_rthz=0.05, turn_on_bias_degps=0.3, scale_error=0.003, misalignment_deg=0.2),
     accel=AccelModel(noise_density_ug_rthz=2000.0, turn_on_bias_mg=3.0, scale_error=0.003),
-    mag=MagModel(noise_density_ut_rthz=0.1, hard_iron_ut=10.0, soft_iron=0.02),
+    mag=MagModel(noise_density_ut_rthz=0.1, hard_iron_ut=5.0, soft_iron=0.02),
     imu_clock=ClockModel(jitter_s=1e-4),
     mag_clock=ClockModel(jitter_s=1e-3),
     gps=GpsModel(position_sd_m=1.5, velocity_sd_mps=0.1),

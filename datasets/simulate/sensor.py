@@ -89,7 +89,7 @@ class Sensor:
             if part == "name":
                 continue
             for name, value in values.items():
-                signed = name in ("lag_s", "skew_ppm")
+                signed = name in ("lag_s", "skew_ppm", "late_s") or name.startswith("antenna_")
                 if value is not None and not (np.isfinite(value) and (signed or value >= 0)):
                     raise BadParameter(f"sensor {self.name}, {part}.{name}: is {value:g}; give a finite value >= 0")
             limits = [value for name, value in values.items() if name.startswith("range_")]

@@ -23,7 +23,7 @@ def find_rests_at_default(recording: Recording) -> Times:
     Rests while satellites see the body under way are left out: an even course looks like rest to an IMU.
     """
     from stillpoint.smoother import find_rests
-    from stillpoint.smoother.attitude.satellite import not_under_way
+    from stillpoint.smoother.attitude.outside.satellite import not_under_way
 
     return not_under_way(find_rests(recording.require_imu()), recording.gps)
 

@@ -9,10 +9,11 @@ from typing import Literal
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.trajectories import format_tum
+from stillpoint.datasets.kml import kml_text
 from stillpoint.datasets.mcap.store import Kept, read
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.tables import csv_text, tables_of
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import Reference, RollReference
 from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
@@ -22,8 +23,8 @@ from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.streaming.lines import format_csv_lines
 from stillpoint.scripts.streaming.streams import replay_samples
 
-Format = Literal["csv", "stream", "tum"]
-SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum"}
+Format = Literal["csv", "stream", "tum", "kml"]
+SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum", "kml": "kml"}
 
 
 def export(
@@ -34,13 +35,13 @@ def export(
     format: Format = "csv",
     jobs: Jobs = None,
 ) -> int:
-    """Write what MCAP files hold as text: CSV tables, the samples that stream reads, or TUM trajectories.
+    """Write what MCAP files hold as text: CSV tables, the samples that stream reads, TUM trajectories, or KML.
 
     csv: NAME.imu.csv, NAME.mag.csv, ... of a recording NAME.mcap, a table per sensor and clock; NAME.reference.csv of
     NAME.reference.mcap; NAME.ESTIMATOR.estimate.csv of an estimate. Columns are in SI units (field: uT), every number
     in all its digits. stream: NAME.stream.csv of a recording, the samples of all sensors in one table, for the standard
     input of stillpoint stream. tum: NAME.truth.tum, NAME.reference.tum and NAME.ESTIMATOR.estimate.tum, as evo reads
-    them.
+    them. kml: NAME.reference.kml, the path of a reference with positions, for maps.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def export(
         Folder to write into; made when it is not there. By default beside each file.
     format
         csv: tables of everything; stream: what stillpoint stream reads, and prints the options to give it to stderr;
-        tum: attitudes (and positions, 0 where not known), one pose a line.
+        tum: attitudes (and positions, 0 where not known), one pose a line; kml: a path for maps.
     jobs
         Processes; by default one per core, fewer for few files.
     """
@@ -87,13 +88,18 @@ def _format_texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str
         return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
     if format == "stream":
         return [("stream", _format_samples(file, thing))]
+    if format == "kml":
+        if not isinstance(thing, Reference):
+            raise BadParameter(f"{file}: is no reference of an attitude; KML shows the path of one with positions")
+        return [("", kml_text(thing))]
     if isinstance(thing, Recording):
         if thing.truth is None:
             raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
         return [("truth", format_tum(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
     if isinstance(thing, RollReference) or thing.q_nb is None:
         raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
-    return [("", format_tum(thing.t_ns, thing.q_nb))]
+    position = thing.position_n_m if isinstance(thing, Reference) else None
+    return [("", format_tum(thing.t_ns, thing.q_nb, position))]
 
 
 def _format_samples(file: Path, thing: Kept) -> str:

@@ -26,6 +26,8 @@ from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
 
+AUTO = "auto"  # the preset that each recording's streams speak for
+
 COLUMNS = (
     "recording",
     "method",
@@ -99,7 +101,8 @@ def reference(
         How: graph (the default), redistribution (Elmi Aziz and Mohseni Araste 2021) or redistribution-earth; several
         with commas between. For spinning bodies roll-graph, the default for recordings of nothing else.
     preset
-        How the sensor is moved, for the method graph: handheld (the default), phone, vehicle or bench.
+        How the sensor is moved, for the method graph: auto (the default: chosen by each recording's streams, with the
+        reason printed), handheld, phone, vehicle or bench.
     set_
         A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them); on top
         of the preset.
@@ -138,15 +141,24 @@ def reference(
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
         print_refusals("without magnetometer", ((said[left_out], name) for name, said in made if left_out in said))
+        print_refusals("presets", ((_describe_preset(said), name) for name, said in made if "preset" in said))
+        print_refusals("satellites", ((_describe_fixes(said), name) for name, said in made if "fixes" in said))
         print_refusals("left out", ((_describe_islands(said), name) for name, said in made if said.get("left_out")))
     return code
 
 
-def _choose_settings(methods: Sequence[str], preset: str | None, changes: dict[str, str]) -> dict[str, Settings]:
-    """Return the settings of each method; raises :class:`BadParameter` for a preset that the method does not have."""
-    if preset is None:
-        return {name: settings_of(name, changes) for name in methods}
-    require_known(preset, PRESETS, "preset")
+def _choose_settings(
+    methods: Sequence[str], preset: str | None, changes: dict[str, str]
+) -> dict[str, Settings | Mapping[str, str]]:
+    """Return the settings of each method; of the graph with its automatic preset, the changes to it.
+
+    Raises :class:`BadParameter` for a preset that is not there or not the method's.
+    """
+    if preset in (None, AUTO) and (preset is None or list(methods) == ["graph"]):
+        checked = {name: settings_of(name, changes) for name in methods}
+        return {name: changes if name == "graph" else settings for name, settings in checked.items()}
+    assert preset is not None
+    require_known(preset, [AUTO, *PRESETS], "preset")
     others = [name for name in methods if name != "graph"]
     if others:
         raise BadParameter(f"--preset {preset}: is for the method graph, not {', '.join(others)}; leave one out")
@@ -182,7 +194,7 @@ def _read_calibration(path: Path) -> Calibration:
     return found
 
 
-def _make_one(job: _Job, settings: Mapping[str, Settings], known: _Known | None) -> dict[str, Any]:
+def _make_one(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None) -> dict[str, Any]:
     """Read a recording, make its reference, write it, and return the facts of the table."""
     recording = open_recording(job.source)
     begun = perf_counter()
@@ -192,6 +204,23 @@ def _make_one(job: _Job, settings: Mapping[str, Settings], known: _Known | None)
     made = replace(made, made_from=made_from)
     write(job.target, made)
     return {**(_list_facts(made) if isinstance(made, Reference) else _list_roll_facts(made)), "seconds": seconds}
+
+
+def _describe_preset(diagnostics: Mapping[str, Any]) -> str:
+    return f"{diagnostics['preset']}: {diagnostics['preset_reason']}"
+
+
+def _describe_fixes(diagnostics: Mapping[str, Any]) -> str:
+    """Return in words what became of the satellite fixes."""
+    fixes = diagnostics["fixes"]
+    said = [f"{fixes['used']} fixes used"]
+    said += [f"{fixes['n_jumps']} left out, as no vehicle jumps so far"] if fixes["n_jumps"] else []
+    said += [f"{fixes['n_doubtful']} with less than half of their weight"] if fixes["n_doubtful"] else []
+    if fixes["n_outages"]:
+        said.append(f"{fixes['n_outages']} outages, the longest of {fixes['longest_outage_s']:.0f} s")
+    if "late_s" in fixes:
+        said.append(f"their stamps are {fixes['late_s']:.2f} s late, which is corrected")
+    return ", ".join(said)
 
 
 def _describe_islands(diagnostics: Mapping[str, Any]) -> str:

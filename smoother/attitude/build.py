@@ -13,8 +13,8 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.smoother.attitude import factors
 from stillpoint.smoother.attitude.evidence import Evidence, gravity_mps2, has_known_base_pose
 from stillpoint.smoother.attitude.magnetometer import field_prior
+from stillpoint.smoother.attitude.outside.satellite import fix_factors, lone_stretch_factors
 from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.satellite import fix_factors, lone_stretch_factors
 
 UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
 DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import M, X
+from gtsam.symbol_shorthand import M, V, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
@@ -23,6 +23,8 @@ class Accuracy:
     attitude_b_rad2: Floats  # (m, 3, 3) of the chosen states, body axes, relative to the mean heading
     heading_rad2: float  # of the mean heading, an error that all states share
     calibration: Floats  # (19, 19)
+    position_n_m2: Floats  # (m, 3, 3) of the chosen states; of use only where there are satellites
+    velocity_n_m2ps2: Floats | None  # (m, 3, 3), None where it was not asked for
     closing_squares: tuple[float, ...]  # of each return: squared heading error over its variance
 
 
@@ -34,6 +36,7 @@ def compute_accuracy(
     returns: tuple[int, ...],
     name: str,
     params: GraphParams,
+    with_velocity: bool,
 ) -> Accuracy:
     """Return the covariances of ``states`` relative to the mean heading of the states ``counted``, and the closings.
 
@@ -43,11 +46,13 @@ def compute_accuracy(
     up_b = rotations_of(solution.values, counted)[:, 2]
     try:
         tree = _push_by_mean_heading(solution, counted, up_b).eliminateMultifrontal(solution.ordering)
-        attitude = np.array([tree.marginalCovariance(X(int(i)))[:3, :3] for i in states])
+        pose = np.array([tree.marginalCovariance(X(int(i))) for i in states])
+        velocity = np.array([_velocity_covariance(tree, int(i)) for i in states]) if with_velocity else None
         calibration = tree.marginalCovariance(M(0))
         closing = [_closing_square(tree, solution.values, base, state, params) for state in returns]
     except RuntimeError as error:
         raise make_unobservable(name) from error
+    attitude = pose[:, :3, :3]
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise make_unobservable(name)
     moved = tree.optimize()
@@ -56,10 +61,25 @@ def compute_accuracy(
         return np.array([moved.at(X(int(i)))[:3] - solution.last_step.at(X(int(i)))[:3] for i in which])
 
     variance = float(np.mean(np.sum(covariance_with_heading(counted) * up_b, axis=1)))
-    up_b, shared = rotations_of(solution.values, states)[:, 2], covariance_with_heading(states)
+    turn = rotations_of(solution.values, states)
+    up_b, shared = turn[:, 2], covariance_with_heading(states)
     cross = shared[:, :, None] * up_b[:, None, :]
     relative = attitude - cross - cross.transpose(0, 2, 1) + variance * up_b[:, :, None] * up_b[:, None, :]
-    return Accuracy(relative, variance, calibration, tuple(closing))
+    position = turn @ pose[:, 3:, 3:] @ turn.transpose(0, 2, 1)
+    return Accuracy(relative, variance, calibration, position, velocity, tuple(closing))
+
+
+def _velocity_covariance(tree: gtsam.GaussianBayesTree, state: int) -> Floats:
+    """Return the covariance (3, 3) of a velocity.
+
+    Where a velocity is hardly known, gtsam takes the last pivot of its own marginal for zero; together with the pose it
+    does not.
+    """
+    try:
+        return np.asarray(tree.marginalCovariance(V(state)))
+    except RuntimeError:
+        joint = tree.jointMarginalCovariance(gtsam.KeyVector([X(state), V(state)]))
+        return np.asarray(joint.at(V(state), V(state)))
 
 
 def covariance_factor(closing_squares: Sequence[float], params: GraphParams) -> float:

@@ -5,11 +5,12 @@ time: the error redistribution of Elmi Aziz and Mohseni Araste (2021), over 0.1 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from gtsam.symbol_shorthand import B, H, M
+from gtsam.symbol_shorthand import B, H, M, V, X
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.compiled import compiled
@@ -17,7 +18,7 @@ from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.quaternion import Quaternion, conjugate, exp, log, multiply
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.trajectory import Calibration
-from stillpoint.smoother.attitude.covariance import compute_accuracy
+from stillpoint.smoother.attitude.covariance import Accuracy, compute_accuracy
 from stillpoint.smoother.attitude.evidence import Evidence
 from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
@@ -26,6 +27,16 @@ from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import Solution, rotations_of
 
 COVARIANCE_STEP_S = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Position and velocity at the N samples of a window, with covariances, in East-North-Up of the first fix."""
+
+    position_n_m: Floats  # (N, 3)
+    velocity_n_mps: Floats  # (N, 3)
+    position_cov_n_m2: Floats  # (N, 3, 3)
+    velocity_cov_n_m2ps2: Floats  # (N, 3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +53,7 @@ class Piece:
     late_sd_s: float  # of the accelerometer's delay
     iterations: int
     cost: float
+    track: Track | None  # where there are satellites
 
 
 def sample_solution(window: Evidence, solution: Solution, until: int, name: str, params: GraphParams) -> Piece:
@@ -53,7 +65,8 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
     counted = held if resting.all() else held[~resting]
     base, returns = window.return_states()
     own = tuple(state for state in returns if state < until)
-    accuracy = compute_accuracy(solution, chosen, counted, base, own, name, params)
+    placed = window.fixes is not None
+    accuracy = compute_accuracy(solution, chosen, counted, base, own, name, params, with_velocity=placed)
 
     gyro_matrix = np.eye(3) - values.atVector(M(0))[9:18].reshape(3, 3)
     samples = slice(keys.row[held[0]], keys.row[held[-1]] + 1)
@@ -77,7 +90,32 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
         late_sd_s=float(np.sqrt(accuracy.calibration[18, 18])),
         iterations=len(solution.q_steps_rad),
         cost=solution.cost,
+        track=_sample_track(t_s, keys, solution, chosen, accuracy) if placed else None,
     )
+
+
+def _sample_track(t_s: Floats, keys: Keys, solution: Solution, chosen: NDArray[np.int64], accuracy: Accuracy) -> Track:
+    """Return position and velocity at the samples ``t_s`` (N,): cubic polynomials from state to state."""
+    held = np.array(keys.held)
+    held = held[[solution.values.exists(V(int(i))) for i in held]]
+    place = np.array([solution.values.atPose3(X(int(i))).translation() for i in held])
+    velocity = np.array([solution.values.atVector(V(int(i))) for i in held])
+    path = CubicHermiteSpline(keys.t_s[held], place, velocity)
+    assert accuracy.velocity_n_m2ps2 is not None
+    return Track(
+        position_n_m=path(t_s),
+        velocity_n_mps=path(t_s, 1),
+        position_cov_n_m2=_interpolate(t_s, keys.t_s[chosen], accuracy.position_n_m2),
+        velocity_cov_n_m2ps2=_interpolate(t_s, keys.t_s[chosen], accuracy.velocity_n_m2ps2),
+    )
+
+
+def _interpolate(t_s: Floats, key_t_s: Floats, values: Floats) -> Floats:
+    """Return values (N, ...) linear in time between those at keys (m, ...)."""
+    right = np.clip(np.searchsorted(key_t_s, t_s, side="right"), 1, len(key_t_s) - 1)
+    left = right - 1
+    share = ((t_s - key_t_s[left]) / (key_t_s[right] - key_t_s[left])).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1 - share) * values[left] + share * values[right])
 
 
 def join_pieces(pieces: Sequence[Piece], t_s: Floats) -> Piece:
@@ -117,7 +155,30 @@ def join_pieces(pieces: Sequence[Piece], t_s: Floats) -> Piece:
         heading_rad2=best,
         iterations=max(piece.iterations for piece in pieces),
         cost=sum(piece.cost for piece in pieces),
+        track=_join_tracks(pieces, t_s),
     )
+
+
+def _join_tracks(pieces: Sequence[Piece], t_s: Floats) -> Track | None:
+    """Return one track of all; in an overlap it goes over linearly in time from one window to the next."""
+    tracks = [piece.track for piece in pieces if piece.track is not None]
+    if len(tracks) < len(pieces):
+        return None
+    columns: dict[str, Floats] = {}
+    for each in fields(Track):
+        parts = [np.asarray(getattr(track, each.name)) for track in tracks]
+        whole = np.empty((len(t_s), *parts[0].shape[1:]))
+        done = 0
+        for piece, part in zip(pieces, parts, strict=True):
+            here, old = piece.samples, max(done - piece.samples.start, 0)
+            if old > 0:
+                span_s = t_s[here.start : done] - t_s[here.start]
+                share = (span_s / span_s[-1]).reshape(-1, *[1] * (part.ndim - 1))
+                whole[here.start : done] = (1 - share) * whole[here.start : done] + share * part[:old]
+            whole[here.start + old : here.stop] = part[old:]
+            done = here.stop
+        columns[each.name] = whole
+    return Track(**columns)
 
 
 @compiled

@@ -1,5 +1,6 @@
 """Gather what a recording shows before anything is solved: rests, returns, states, start value, field, fixes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,15 +12,18 @@ from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.smoother.attitude.keys import Keys, Motion, choose_keys, prepare_motion
 from stillpoint.smoother.attitude.magnetometer import FieldMeasurements, select_measurements, start_field
-from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.satellite import (
+from stillpoint.smoother.attitude.outside.added import Added, Generator, collect_added
+from stillpoint.smoother.attitude.outside.satellite import (
     Fixes,
-    fixes_at,
-    heading_of_fixes,
+    align_headings,
+    bias_by_satellites,
     not_under_way,
     path_of_fixes,
+    select_fixes,
     standing,
 )
+from stillpoint.smoother.attitude.outside.vehicle import calm_bias, vehicle_generators
+from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.start import Start, find_start
 from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
 from stillpoint.smoother.rest import find_rests
@@ -47,6 +51,7 @@ class Evidence:
     place_n_m: Floats  # (n, 3)
     velocity_n_mps: Floats  # (n, 3)
     field_start: Floats | None  # (16,) where field, hard iron, delay and matrix of the magnetometer begin
+    added: tuple[Added, ...] = ()  # factors of the user and of the vehicle's options, of all states
 
     def within(self, first: int, end: int) -> "Evidence":
         """Return the evidence for the window of the states ``first`` to ``end - 1``."""
@@ -89,8 +94,8 @@ def turn_start_round(evidence: Evidence) -> Evidence:
     return replace(evidence, q_nb=q_nb, place_n_m=place, velocity_n_mps=velocity, field_start=field_start)
 
 
-def gather_evidence(recording: Recording, params: GraphParams) -> Evidence:
-    """Return rests, returns, states, start value and measurements of field and satellites of a recording.
+def gather_evidence(recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()) -> Evidence:
+    """Return rests, returns, states, start value, measurements of field and satellites, and added factors.
 
     Raises :class:`Unobservable` for a recording that is too short to tell bias from motion.
     """
@@ -107,14 +112,22 @@ def gather_evidence(recording: Recording, params: GraphParams) -> Evidence:
     motion = prepare_motion(imu, rests_ns)
     keys = choose_keys(motion, params.keys)
     bias = motion.gyro_b_radps[motion.at_rest].mean(axis=0) if motion.at_rest.any() else None
-    start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias)
+    if bias is None and recording.gps is not None:
+        bias = bias_by_satellites(recording.gps, motion, int(imu.t_ns[0]), params.gps)
+    elif bias is None and allows_vehicle(params):
+        bias = calm_bias(motion)
+    # The start value takes accelerations of a vehicle for turns.
+    trusted = bias is not None and (recording.gps is not None or allows_vehicle(params))
+    start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias, trusted)
     measured = None
     if recording.mag is not None:
         measured = select_measurements(keys, motion, recording.mag, int(imu.t_ns[0]), params.magnetic)
-    fixes = None if recording.gps is None else fixes_at(keys, recording.gps, int(imu.t_ns[0]), params.gps)
+    fixes = None if recording.gps is None else select_fixes(keys, recording.gps, int(imu.t_ns[0]), params.gps)
     base, returns = _find_base_and_returns(recording, rests_ns, params)
-    turn = heading_rotation(_find_start_turn(recording, motion, start, base, measured, fixes))
+    turn = heading_rotation(_find_start_turn(recording, start, base, measured))
     q_nb = quaternion(turn * rotation(start.q_nb[keys.row]))
+    if fixes is not None and measured is None and (recording.base_pose is None or base is None):
+        q_nb = align_headings(fixes, motion, start.q_nb, keys)
     field_start = None
     if measured is not None:
         field_start = start_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
@@ -135,6 +148,7 @@ def gather_evidence(recording: Recording, params: GraphParams) -> Evidence:
         place,
         velocity,
         field_start,
+        collect_added(keys, int(imu.t_ns[0]), recording, [*vehicle_generators(params), *generators]),
     )
 
 
@@ -192,20 +206,13 @@ def gravity_mps2(info: Info) -> float:
 
 
 def _find_start_turn(
-    recording: Recording,
-    motion: Motion,
-    start: Start,
-    base: BasePose | None,
-    measured: FieldMeasurements | None,
-    fixes: Fixes | None,
+    recording: Recording, start: Start, base: BasePose | None, measured: FieldMeasurements | None
 ) -> float:
-    """Return the angle about up from the start's heading to that of n: of base pose, declination or course."""
+    """Return the angle about up from the start's heading to that of n: of base pose or declination."""
     if recording.base_pose is not None and base is not None:
         known, found = rotation(recording.base_pose), rotation(start.q_nb[base.start])
         difference = quaternion(known * found.inv())
         return float(2 * np.arctan2(difference[3], difference[0]))
     if measured is not None:
         return -local_declination(recording.info)[0]
-    if fixes is not None:
-        return heading_of_fixes(fixes, motion, start.q_nb) or 0.0
     return 0.0

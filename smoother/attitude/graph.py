@@ -8,12 +8,14 @@
 The factors stand in factors.py, magnetometer.py and satellite.py.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence
+from stillpoint.smoother.attitude.outside.added import Generator
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
@@ -29,22 +31,26 @@ from stillpoint.smoother.attitude.solve import NoOptimum
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 
 
-def make_attitude_reference(recording: Recording, params: GraphParams) -> Reference:
+def make_attitude_reference(
+    recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()
+) -> Reference:
     """Return the reference trajectory of a recording by the calibrating factor graph.
 
     If the magnetometer contradicts gyro and accelerometer, but its axes are right, the field is disturbed: the
     reference is then made without the magnetometer, provided that a return to the base pose or satellites test the
-    gyro instead. Raises :class:`Unobservable` when the recording does not determine the attitude, and its subclass
+    gyro instead. ``generators`` add factors (outside/added.py).
+
+    Raises :class:`Unobservable` when the recording does not determine the attitude, and its subclass
     :class:`Contradiction` when the sensors contradict each other.
     """
     recording = recording if params.magnetic.use else replace(recording, mag=None)
-    evidence = gather_evidence(recording, params)
+    evidence = gather_evidence(recording, params, generators)
     left_out = None
     try:
         solved = solve_with_priors(recording, evidence, priors_to_try(params, evidence))
     except (Contradiction, NoOptimum) as contradiction:
         recording, left_out = leave_out_magnetometer(recording, contradiction)
-        evidence = gather_evidence(recording, params)
+        evidence = gather_evidence(recording, params, generators)
         require_gyro_test(evidence, contradiction, recording.name)
         # Without magnetometer only the returns show the gyro's scale, so the wide priors of a raw sensor are used.
         widest = replace(priors_to_try(params, evidence)[-1], surprise_limit_sd=None)

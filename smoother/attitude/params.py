@@ -1,6 +1,7 @@
 """Settings of the attitude graph, and presets for kinds of motion."""
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 from stillpoint.smoother.base_pose import ReturnParams
@@ -54,6 +55,10 @@ class MotionPriors(Settings):
     rest_velocity_sd_mps: float = number(0.01, 1e-5, 1.0, "speed at rest")
     rest_turn_sd_rad: float = number(1e-3, 1e-5, 0.1, "between neighbouring keys at rest")
     return_position_sd_m: float = number(0.02, 1e-4, 1e5, "how well the place of the base pose is met again")
+    nonholonomic: bool = choice(False, "a wheeled vehicle: it moves along its forward axis only")
+    forward_axis: Literal["x", "-x", "y", "-y"] = choice("x", "the body axis that points forward then")
+    sideways_sd_mps: float = number(0.5, 0.01, 10.0, "speed across that axis, one draw a second")
+    stops: bool = choice(False, "the velocity is zero while the satellites see the vehicle stand")
 
 
 @dataclass(frozen=True)
@@ -74,9 +79,13 @@ class FieldParams(Settings):
 class GpsParams(Settings):
     """Satellite fixes, where a recording has them."""
 
-    position_sd_m: float = number(3.0, 0.01, 1000.0, "horizontally; three times that vertically")
+    position_sd_m: float = number(3.0, 0.01, 1000.0, "horizontally, at the least; three times that vertically")
     velocity_sd_mps: float = number(0.5, 0.01, 100.0, "velocity from the fixes' speed and course")
     course_speed_mps: float = number(2.0, 0.1, 50.0, "below this speed the course says nothing")
+    late_s: float = number(0.0, -2.0, 5.0, "by which the stamps of the fixes are late")
+    lever_x_m: float = number(0.0, -100.0, 100.0, "where the antenna is from the IMU, along body x")
+    lever_y_m: float = number(0.0, -100.0, 100.0, "along body y")
+    lever_z_m: float = number(0.0, -100.0, 100.0, "along body z")
 
 
 @dataclass(frozen=True)
@@ -105,3 +114,10 @@ PRESETS: dict[str, GraphParams] = {
     ),
     "bench": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=0.3, velocity_sd_mps=0.5)),
 }
+
+VEHICLE_MPS = 20.0  # a prior of the velocity from here on allows for a vehicle
+
+
+def allows_vehicle(params: GraphParams) -> bool:
+    """Return whether the settings allow for the velocities of a vehicle."""
+    return params.motion.velocity_sd_mps >= VEHICLE_MPS

@@ -12,12 +12,13 @@ magnets and with dipoles beside or amid the path it found the axes right 108 of 
 flipped axes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import H, M
+from numpy.typing import NDArray
 
 from stillpoint.datasets.doctor.witness import ask_mag
 from stillpoint.datasets.earth import local_field_n_ut
@@ -28,6 +29,7 @@ from stillpoint.datasets.trajectory import BasePoseReturn, Calibration
 from stillpoint.smoother.attitude.evidence import Evidence, with_bias_prior
 from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.magnetometer import compute_weights
+from stillpoint.smoother.attitude.outside.added import ADDED, CONTRADICTS
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import NoOptimum, Solution
 from stillpoint.smoother.base_pose import BasePose, Returns
@@ -141,6 +143,8 @@ def refuse_contradictions(
     """
     inertial = _find_inertial_contradiction(fit, solution, bias_b_radps, params)
     found = inertial or _find_field_contradiction(fit, params)
+    if found and (doubtful := find_contradicting_factors(fit.squares)):
+        found = f"{found}; {', '.join(doubtful)} contradict the rest"
     if found:
         raise Contradiction(name, found, of_field=not inertial)
     upside_down = _find_wrong_dip(fit, solution, info)
@@ -148,10 +152,15 @@ def refuse_contradictions(
         raise Unobservable(f"{name}: {upside_down}; {ADVICE}")
 
 
-def refuse_fixes(believed_share: float, name: str) -> None:
-    """Raise :class:`Contradiction` when most of a window's satellite fixes lost their weight."""
-    if believed_share < INLIER_SHARE:
-        useless = 100 * (1 - believed_share)
+def find_contradicting_factors(squares: Mapping[str, float]) -> list[str]:
+    """Return the generators of added factors ("added NAME") whose residuals contradict the rest."""
+    return [name for name, square in squares.items() if name.startswith(ADDED) and square > CONTRADICTS]
+
+
+def refuse_fixes(believed: NDArray[np.bool_], name: str) -> None:
+    """Raise :class:`Contradiction` when most of a window's satellite fixes (K,) lose their weight."""
+    if len(believed) and believed.mean() < INLIER_SHARE:
+        useless = 100 * (1 - believed.mean())
         raise Contradiction(name, f"the satellite fixes contradict gyro and accelerometer ({useless:.0f} % are off)")
 
 

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
 from stillpoint.smoother.attitude.covariance import covariance_factor
-from stillpoint.smoother.attitude.every_sample import Piece, join_pieces
+from stillpoint.smoother.attitude.every_sample import Piece, Track, join_pieces
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
+from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
 from stillpoint.smoother.attitude.plausibility import judge_returns_again, measure_surprise
 from stillpoint.smoother.attitude.windows import Solved
 
@@ -42,7 +43,45 @@ def report_reference(
         rests_ns=evidence.rests_ns,
         returns=verdicts,
         diagnostics=diagnostics,
+        **_state_track(evidence, whole.track),
     )
+
+
+def _state_track(evidence: Evidence, track: Track | None) -> dict[str, Any]:
+    """Return the columns of position and velocity, none where there are no satellites.
+
+    Errors of fixes wander over minutes and do not average out: the variance of one fix is added to the position's.
+    """
+    if track is None or evidence.fixes is None:
+        return {}
+    wander = np.diag([1.0, 1.0, VERTICAL**2]) * float(np.median(evidence.fixes.sd_m)) ** 2
+    return {
+        "position_n_m": track.position_n_m,
+        "velocity_n_mps": track.velocity_n_mps,
+        "position_cov_n_m2": track.position_cov_n_m2 + wander,
+        "velocity_cov_n_m2ps2": track.velocity_cov_n_m2ps2,
+        "origin_lat_lon_alt": evidence.fixes.origin,
+    }
+
+
+def _describe_fixes(evidence: Evidence, solved: Solved, q_nb: Floats) -> dict[str, Any]:
+    """Return what became of the satellite fixes."""
+    fixes = evidence.fixes
+    if fixes is None:
+        return {}
+    out_s = outages(fixes)
+    return {
+        "fixes": {
+            "used": len(fixes.state),
+            "n_jumps": fixes.jumps,
+            "n_without_imu": fixes.without_state,
+            "n_doubtful": solved.n_doubtful_fixes,
+            "n_outages": len(out_s),
+            "longest_outage_s": float(out_s.max(initial=0.0)),
+            "sd_m": float(np.median(fixes.sd_m)),
+            "delay_s": estimate_delay(fixes, evidence.motion, q_nb),
+        }
+    }
 
 
 def _select_closing_squares(
@@ -81,4 +120,5 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "field_inlier_share": solved.fit.field_inlier_share,
         "field_misfit_ut": solved.fit.field_misfit_ut,
         "convention": CONVENTION,
+        **_describe_fixes(evidence, solved, whole.q_nb),
     }

@@ -57,8 +57,16 @@ class _Means:
     drift: Floats  # (W, 3, 3) rotation by a unit bias since the block's start
 
 
-def find_start(motion: Motion, mag: Mag | None, t0_ns: int, rest_bias_b_radps: Floats | None) -> Start:
-    """Return the start value; ``rest_bias_b_radps`` (3,) is the gyro's mean at rest, None without a rest."""
+def find_start(
+    motion: Motion, mag: Mag | None, t0_ns: int, rest_bias_b_radps: Floats | None, trusted: bool = False
+) -> Start:
+    """Return the start value; ``rest_bias_b_radps`` (3,) is the gyro's mean at rest, None without a rest.
+
+    A ``trusted`` bias is kept as it is where there is no magnetometer.
+    """
+    if trusted and mag is None and rest_bias_b_radps is not None:
+        iron = np.zeros(3)
+        return Start(_compute_attitudes(motion, None, rest_bias_b_radps, iron), rest_bias_b_radps, iron, 0.0)
     field_b = None if mag is None else _interpolate_field(motion, mag, t0_ns)
     guesses = [rest_bias_b_radps] if rest_bias_b_radps is not None else [np.median(motion.gyro_b_radps, axis=0)]
     if rest_bias_b_radps is None:

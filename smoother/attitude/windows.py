@@ -10,7 +10,7 @@ hard iron, base pose). The result is a Gaussian on these unknowns with all corre
 counted twice or forgotten. A window's own answer uses the future only as far as the overlap.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -25,6 +25,8 @@ from stillpoint.smoother.attitude.every_sample import Piece, sample_solution
 from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
 from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.outside.added import Added, measure_added, select_added
+from stillpoint.smoother.attitude.outside.satellite import believed
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
@@ -34,7 +36,6 @@ from stillpoint.smoother.attitude.plausibility import (
     refuse_contradictions,
     refuse_fixes,
 )
-from stillpoint.smoother.attitude.satellite import believed_share
 from stillpoint.smoother.attitude.solve import Solution, linearise, solve
 
 
@@ -45,6 +46,7 @@ class Solved:
     pieces: list[Piece]
     fit: Fit
     params: GraphParams  # with the sensor priors that were used
+    n_doubtful_fixes: int = 0  # fixes that lose more than half of their weight, summed over the windows
 
 
 LEAST_OVERLAP = 2  # states
@@ -84,24 +86,32 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
     pieces: list[Piece] = []
     fits: list[Fit] = []
     past: Past | None = None
+    n_doubtful_fixes = 0
     for first, until, end in split_windows(evidence.keys, params.keys):
         window, closed = evidence.within(first, end), evidence.within(first, until)
         start_bias = evidence.start.gyro_bias_b_radps
         bias = start_bias if past is None else past.gyro_bias_b_radps
         before = build_graph(recording, closed, bias, params)
         after = build_graph(recording, evidence.within(until, end), bias, params) if until < end else None
-        graph = join_graphs(before, after, past)
+        added = select_added(evidence.added, window.keys.states, window.keys.held)
+        graph = push_added(join_graphs(before, after, past), added)
         values = start_window(window, past, params)
         solution = solve(graph, values, window.keys.held, window.measured, recording.name, params)
-        inherited = 0 if past is None else len(past.factors)
-        fits.append(measure_fit(graph, inherited, solution, window.keys, params))
+        inherited = len(added) + (0 if past is None else len(past.factors))
+        fit = measure_fit(graph, inherited, solution, window.keys, params)
+        fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
         refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
         if window.fixes is not None:
-            refuse_fixes(believed_share(window.fixes, solution.values, params.gps), recording.name)
+            kept = believed(window.fixes, solution.values, params.gps)
+            refuse_fixes(kept, recording.name)
+            n_doubtful_fixes += int((~kept).sum())
         pieces.append(sample_solution(window, solution, until, recording.name, params))
         if until < end:
-            past = hand_over(join_graphs(before, None, past), closed, window.keys, solution, params)
-    return Solved(pieces, average_fits(fits), params)
+            closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
+            past = hand_over(
+                push_added(join_graphs(before, None, past), closing), closed, window.keys, solution, params
+            )
+    return Solved(pieces, average_fits(fits), params, n_doubtful_fixes)
 
 
 def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
@@ -120,6 +130,13 @@ def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     end[:-1] = np.minimum(np.maximum(end[:-1], first[1:-1] + LEAST_OVERLAP), n)  # a gap may take up the overlap
     windows = np.flatnonzero(np.diff(first) > 0)  # or a whole window
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in windows]
+
+
+def push_added(graph: gtsam.NonlinearFactorGraph, added: list[Added]) -> gtsam.NonlinearFactorGraph:
+    """Return the graph with the added factors at its end."""
+    for one in added:
+        graph.push_back(one.factor)
+    return graph
 
 
 def join_graphs(

@@ -12,8 +12,8 @@ from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
+from stillpoint.smoother.attitude.outside.satellite import not_under_way
 from stillpoint.smoother.attitude.params import PRESETS
-from stillpoint.smoother.attitude.satellite import not_under_way
 
 PLACE = (48.0, 11.0, 500.0)
 RATE_HZ, SECONDS = 50.0, 120.0

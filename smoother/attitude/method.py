@@ -1,0 +1,75 @@
+"""``method="graph"`` as users call it: what stands around the graph.
+
+Islands between gaps are left out, a vehicle without anything that tells its acceleration from gravity is refused, and
+satellite fixes whose stamps are late are corrected.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from stillpoint.datasets.errors import Unobservable
+from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.trajectory import Reference
+from stillpoint.smoother.attitude.graph import make_attitude_reference
+from stillpoint.smoother.attitude.outside.added import Generator, name_generator
+from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
+from stillpoint.smoother.attitude.plausibility import find_contradicting_factors
+from stillpoint.smoother.attitude.stretches import leave_out_islands
+
+PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s says what it is
+
+
+def make_graph_reference(recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()) -> Reference:
+    """Return the reference of a recording by the calibrating factor graph, with added factors.
+
+    Raises :class:`Unobservable` as :func:`~stillpoint.smoother.attitude.graph.make_attitude_reference` does.
+    """
+    alone = recording.gps is None and recording.mag is None and not generators
+    if allows_vehicle(params) and alone and not params.motion.nonholonomic:
+        raise Unobservable(
+            f"{recording.name}: a vehicle's acceleration cannot be told from gravity without satellites or a "
+            "magnetometer; import its fixes, add factors such as a wheel speed, or set motion.nonholonomic"
+        )
+    whole, islands = leave_out_islands(recording)
+    try:
+        made = _correct_delay(whole, params, generators)
+    except Unobservable as error:
+        raise _blame_generator(whole, params, generators, error) from error
+    doubtful = find_contradicting_factors(made.diagnostics["residuals"])
+    found = {"left_out": [asdict(island) for island in islands], "contradicting_factors": doubtful}
+    return replace(made, diagnostics={**made.diagnostics, **found})
+
+
+def _blame_generator(
+    recording: Recording, params: GraphParams, generators: Sequence[Generator], error: Unobservable
+) -> Unobservable:
+    """Return the error that names the added factors without which there is a reference."""
+    for one in generators:
+        others = [other for other in generators if other is not one]
+        try:
+            make_attitude_reference(recording, params, others)
+        except Unobservable:
+            continue
+        found = str(error).removeprefix(f"{recording.name}: ")
+        return Unobservable(
+            f"{recording.name}: the added factors of {name_generator(one)} contradict the rest, which agrees without "
+            f"them; correct their units, signs or noise; with them, {found}"
+        )
+    return error
+
+
+def _correct_delay(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> Reference:
+    """Return the reference, made once more with the delay of the fixes that the first one shows if it is large."""
+    made = make_attitude_reference(recording, params, generators)
+    delay_s = made.diagnostics.get("fixes", {}).get("delay_s")
+    if params.gps.late_s != 0.0 or delay_s is None or abs(delay_s) <= PUNCTUAL_S:
+        return made
+    late = replace(params, gps=replace(params.gps, late_s=float(np.clip(delay_s, -2.0, 5.0))))
+    again = make_attitude_reference(recording, late, generators)
+    left_s = again.diagnostics["fixes"]["delay_s"]
+    if left_s is None or abs(left_s) >= abs(delay_s):
+        return made
+    applied = again.diagnostics["fixes"] | {"late_s": late.gps.late_s}
+    return replace(again, diagnostics={**again.diagnostics, "fixes": applied})
