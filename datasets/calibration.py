@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillpoint.datasets.device_calibration import read_device
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
@@ -39,9 +40,18 @@ def calibration_of(reference: Reference) -> SensorCalibration:
 
 
 def load_calibration(path: Path) -> SensorCalibration:
-    """Read the calibration in ``NAME.reference.mcap``; raises :class:`BadParameter` when there is none."""
+    """Read the calibration in ``NAME.reference.mcap`` or ``NAME.calibration.toml``.
+
+    Raises :class:`BadParameter` when there is none, :class:`BadFile` for a file that is damaged.
+    """
     if not path.is_file():
-        raise BadParameter(f"{path}: there is no such file; name a reference of the same sensor (NAME.reference.mcap)")
+        raise BadParameter(
+            f"{path}: there is no such file; name a reference of the same sensor (NAME.reference.mcap), or a "
+            "calibration of the device (NAME.calibration.toml)"
+        )
+    if path.suffix == ".toml":
+        device = read_device(path)
+        return SensorCalibration(device.calibration, None, path.name, sha256(path), device.made_from)
     return replace(calibration_of(read_reference(path)), name=path.name, sha256=sha256(path))
 
 

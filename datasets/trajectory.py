@@ -47,6 +47,7 @@ class Calibration:
     gyro_matrix_sd: Floats | None = None  # (3, 3)
     accel_matrix: Floats | None = None  # (3, 3)
     accel_matrix_sd: Floats | None = None  # (3, 3)
+    matrix_covariance: Floats | None = None  # (18, 18) of the elements by rows, accelerometer first
     accel_bias_b_mps2: Floats | None = None  # (3,)
     mag_matrix: Floats | None = None  # (3, 3)
     hard_iron_b_ut: Floats | None = None  # (3,)

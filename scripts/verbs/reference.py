@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets import Reference, RollReference, write
+from stillpoint.datasets.calibration import load_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
-from stillpoint.datasets.mcap.store import read_reference, sha256
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
@@ -107,7 +108,8 @@ def reference(
         A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them); on top
         of the preset.
     calibration
-        A reference of the same sensor, NAME.reference.mcap: readings are corrected first by the calibration in it.
+        A reference of the same sensor, NAME.reference.mcap, or a calibration of the device, NAME.calibration.toml:
+        readings are corrected first by the calibration in it.
     jobs
         Processes; by default one per core, fewer for few recordings.
     columns
@@ -185,13 +187,8 @@ def _plan_jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[
 
 
 def _read_calibration(path: Path) -> Calibration:
-    """Read the calibration of a reference; raises :class:`BadParameter` for a file that has none."""
-    if not path.is_file():
-        raise BadParameter(f"--calibration {path}: there is no such file; name a reference of the same sensor")
-    found = read_reference(path).calibration
-    if found.gyro_matrix is None:
-        raise BadParameter(f"--calibration {path}: holds no calibration; name a reference by the method graph")
-    return found
+    """Return the calibration in a reference or a calibration file; raises :class:`BadParameter` when there is none."""
+    return load_calibration(path).calibration
 
 
 def _make_one(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None) -> dict[str, Any]:

@@ -259,6 +259,7 @@ def _read_calibration(solution: Solution, bias_step: int, covariance: Floats) ->
         gyro_matrix_sd=sd[9:18].reshape(3, 3),
         accel_matrix=np.eye(3) - vector[:9].reshape(3, 3),
         accel_matrix_sd=sd[:9].reshape(3, 3),
+        matrix_covariance=covariance[:18, :18],
         accel_bias_b_mps2=solution.values.atConstantBias(B(bias_step)).accelerometer(),
         mag_matrix=None if field is None else np.asarray(np.linalg.inv(field_matrix(field)), dtype=np.float64),
         hard_iron_b_ut=None if field is None else field[3:6],
