@@ -11,9 +11,8 @@ from stillpoint.datasets.allan import AllanDeviation, find_allan_deviation
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.shared.text_file import write_text
 from stillpoint.smoother.rest import find_rests
 
 COLUMNS = ("sensor", "axis", "noise density", "bias instability", "at, s", "random walk of the bias", "unit")

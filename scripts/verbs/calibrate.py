@@ -15,7 +15,7 @@ from stillpoint.datasets.mcap.store import sha256
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.json_file import STDOUT, JsonFile, write_document
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import attitude_reference
 from stillpoint.smoother.device import PARTS, DeviceCalibration, calibrate_device
