@@ -6,16 +6,15 @@ is counted twice, and a recording that shows an element well outweighs one that 
 the matrices are pooled: an antisymmetric part is a turn of the sensor's axes, which no recording shows (its sd stays
 at 0.35-0.4 of the prior's).
 
-Two devices, or a device before and after a fall, must not be pooled. The scatter of the recordings about their mean is
-compared with what their covariances allow; if it is too large, the split into two groups that explains it best is
-named.
+Two devices, or a device before and after a fall, must not be pooled. Every split of the recordings into two groups by
+one element is tried; the best one is compared with the best splits of recordings that differ by chance alone.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats
@@ -24,8 +23,10 @@ from stillpoint.datasets.trajectory import Reference
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARTS = tuple(f"{sensor}_{'xyz'[i]}{'xyz'[j]}" for sensor in ("gyro", "accel") for i, j in PAIRS)
 DEVICE_SD = 2e-4  # by which a matrix element of one device changes from day to day
-BIAS_SD_MPS2 = 0.01  # by which its accelerometer's bias does
-IMPROBABLE = 1e-4  # chance at which scatter is taken for two devices
+BIAS_SD_MPS2 = 0.015  # by which its accelerometer's bias does, as in 12 BROAD trials of two sensors
+ELEMENTS = (*PARTS, "accel_bias_x", "accel_bias_y", "accel_bias_z")
+LEAST_LEARNT = 0.01  # share of an element's prior variance that the data of a recording must remove to tell anything
+DRAWS, IMPROBABLE = 400, 0.005  # of recordings of one device, and the share of them that may split as clearly
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +43,8 @@ class DeviceCalibration:
     parts: Floats  # (R, 12) of each recording alone, named by PARTS: deviation of the matrix from identity
     parts_sd: Floats  # (R, 12)
     biases_b_mps2: Floats  # (R, 3)
-    chi_square: float  # of the scatter about the mean
-    degrees: int
+    split: float  # drop of chi-square by the best split into two groups
+    split_of_one: float  # what it rarely exceeds when all are of one device
 
 
 def calibrate_device(references: Sequence[Reference]) -> DeviceCalibration:
@@ -58,9 +59,14 @@ def calibrate_device(references: Sequence[Reference]) -> DeviceCalibration:
     names = tuple(made.name for made in references)
     biases = np.array([made.calibration.accel_bias_b_mps2 for made in references])
     pooled = _pool(found)
-    chi_square, degrees = _scatter(found, biases)
-    if chi_square > chdtri(degrees, IMPROBABLE):
-        raise BadParameter(_name_split(found, biases, names, chi_square, degrees))
+    split = _find_split(found, biases)
+    if split.drop > split.usual:
+        first, second = (", ".join(names[k] for k in np.flatnonzero(group)) for group in (~split.group, split.group))
+        raise BadParameter(
+            f"calibrate: the recordings are not of one device (two groups explain them better by {split.drop:.0f} in "
+            f"chi-square; {split.usual:.0f} may be chance): {first} and {second} differ most in {split.element}; "
+            "calibrate each group by itself"
+        )
     gyro, accel = _matrix(pooled.mean[:6]), _matrix(pooled.mean[6:])
     sd = np.sqrt(np.diagonal(pooled.covariance))
     return DeviceCalibration(
@@ -74,8 +80,8 @@ def calibrate_device(references: Sequence[Reference]) -> DeviceCalibration:
         parts=np.array([each.mean for each in found]),
         parts_sd=np.array([np.sqrt(np.diagonal(each.covariance)) for each in found]),
         biases_b_mps2=biases,
-        chi_square=chi_square,
-        degrees=degrees,
+        split=split.drop,
+        split_of_one=split.usual,
     )
 
 
@@ -122,44 +128,52 @@ def _pool(found: Sequence[_Parts]) -> _Parts:
     return _Parts(covariance @ vector, covariance, prior)
 
 
-def _scatter(found: Sequence[_Parts], biases: Floats) -> tuple[float, int]:
-    """Return the chi-square of the recordings about their weighted mean, and its degrees of freedom.
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """The best split of recordings into two groups."""
 
-    Each is taken with its own covariance, widened by what changes from day to day. An element that a recording does not
-    show stays at its prior's mean in all of them, and adds next to nothing.
+    group: NDArray[np.bool_]  # (R,)
+    drop: float  # of chi-square
+    usual: float  # which recordings of one device exceed with the chance IMPROBABLE
+    element: str  # in which the groups differ most
+
+
+def _find_split(found: Sequence[_Parts], biases: Floats) -> _Split:
+    """Return the split that explains the recordings best, and what chance alone gives.
+
+    Compared are the values that the data alone show, without the pull of the prior: x / s with the variance P / s,
+    where s = 1 - P / P0 is the share of the prior's variance that the data removed.
     """
-    vectors, variances = _vectors(found, biases)
-    mean = (vectors / variances).sum(axis=0) / (1 / variances).sum(axis=0)
-    return float(((vectors - mean) ** 2 / variances).sum()), (len(vectors) - 1) * vectors.shape[1]
+    own = np.array([np.diagonal(each.covariance) for each in found])
+    prior = np.array([each.prior_var for each in found])
+    learnt = np.maximum(1 - own / prior, LEAST_LEARNT)
+    values = np.hstack([np.array([each.mean for each in found]) / learnt, biases])
+    variances = np.hstack([own / learnt + DEVICE_SD**2, np.full_like(biases, BIAS_SD_MPS2**2)])
+    group, gains = _best_split(values, variances)
+    draw = np.random.default_rng(0)
+    chance = [
+        float(_best_split(draw.normal(size=values.shape) * np.sqrt(variances), variances)[1].sum())
+        for _ in range(DRAWS)
+    ]
+    return _Split(group, float(gains.sum()), float(np.quantile(chance, 1 - IMPROBABLE)), ELEMENTS[int(gains.argmax())])
 
 
-def _vectors(found: Sequence[_Parts], biases: Floats) -> tuple[Floats, Floats]:
-    """Return the parts and biases (R, 15) of the recordings with their variances."""
-    vectors = np.hstack([np.array([each.mean for each in found]), biases])
-    own = np.array([np.diagonal(each.covariance) for each in found]) + DEVICE_SD**2
-    return vectors, np.hstack([own, np.full_like(biases, BIAS_SD_MPS2**2)])
-
-
-def _name_split(found: Sequence[_Parts], biases: Floats, names: Sequence[str], chi_square: float, degrees: int) -> str:
-    """Return the message that names the two groups that explain the scatter best, and by which element they differ."""
-    vectors, variances = _vectors(found, biases)
-    scaled = vectors / np.sqrt(variances)
-    direction = np.linalg.svd(scaled - scaled.mean(axis=0), full_matrices=False)[2][0]
-    order = np.argsort(scaled @ direction)
-    left: list[float] = []
-    for k in range(1, len(order)):
-        groups = (order[:k], order[k:])
-        left.append(sum(float(((scaled[g] - scaled[g].mean(axis=0)) ** 2).sum()) for g in groups))
-    cut = int(np.argmin(left)) + 1
-    groups = order[:cut], order[cut:]
-    apart = (vectors[groups[0]].mean(axis=0) - vectors[groups[1]].mean(axis=0)) / np.sqrt(variances.mean(axis=0))
-    most = int(np.abs(apart).argmax())
-    element = (*PARTS, "accel_bias_x", "accel_bias_y", "accel_bias_z")[most]
-    first, second = (", ".join(names[k] for k in sorted(group)) for group in groups)
-    return (
-        f"calibrate: the recordings are not of one device (chi-square {chi_square:.0f} with {degrees} degrees of "
-        f"freedom): {first} and {second} differ most in {element}; calibrate each group by itself"
-    )
+def _best_split(values: Floats, variances: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """Return the group (R,) and by how much each element (15,) lowers chi-square, for the best split."""
+    n = len(values)
+    order = np.argsort(values, axis=0).T  # (15, R)
+    above = np.zeros((*order.shape, n), dtype=np.bool_)
+    for cut in range(1, n):
+        np.put_along_axis(above[:, cut], order[:, cut:], True, axis=1)
+    groups = above[:, 1:].reshape(-1, n)
+    weight = 1 / variances
+    total, second = weight.sum(axis=0), groups @ weight
+    sums, of_second = (weight * values).sum(axis=0), groups @ (weight * values)
+    first = total - second
+    difference = of_second / second - (sums - of_second) / first
+    gains = difference**2 * first * second / total
+    best = int(gains.sum(axis=1).argmax())
+    return groups[best], gains[best]
 
 
 def _matrix(parts: Floats) -> Floats:

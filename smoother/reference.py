@@ -139,14 +139,13 @@ def reference(
         if name != "graph":
             raise BadParameter(f"factors: are for the method graph, not {name}")
         function = partial(_graph, generators=factors)
+    settings = settings_of(name, params)  # first: a wrong setting needs no recording to be refused
     recording, dropped = drop_non_measurements(recording)
     chosen: dict[str, str] = {}
     if name == "graph" and not isinstance(params, Settings):
         preset = choose_preset(recording)
         chosen = {"preset": preset.name, "preset_reason": preset.reason}
-        settings: Settings = choose_settings(PRESETS[preset.name], params, name)
-    else:
-        settings = settings_of(name, params)
+        settings = choose_settings(PRESETS[preset.name], params, name)
     try:
         if calibration is None:
             made = function(recording, settings)

@@ -65,7 +65,7 @@ def calibrate(
         _draw(plot, device)
     if json != STDOUT:
         print_table(f"{out}: the device by {len(made)} recordings, deviation ± sd", COLUMNS, [_table(device)], texts=1)
-        print(f"scatter between recordings: chi-square {device.chi_square:.0f}, {device.degrees} degrees of freedom")
+        print(f"two devices would explain them better by {device.split:.0f}; {device.split_of_one:.0f} may be chance")
     write_document(json, {"file": str(out), "parts": PARTS, "recordings": rows, **_facts(device)})
     return 2 if refused else 0
 
@@ -117,7 +117,7 @@ def _drift(device: DeviceCalibration) -> list[dict[str, Any]]:
 def _facts(device: DeviceCalibration) -> dict[str, Any]:
     names = ("gyro_matrix", "gyro_matrix_sd", "accel_matrix", "accel_matrix_sd", "accel_bias_b_mps2")
     columns = {name: getattr(device, name).tolist() for name in (*names, "accel_bias_sd_mps2")}
-    return {**columns, "chi_square": device.chi_square, "degrees": device.degrees}
+    return {**columns, "split": device.split, "split_of_one": device.split_of_one}
 
 
 def _table(device: DeviceCalibration) -> list[list[str]]:

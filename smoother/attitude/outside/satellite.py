@@ -141,10 +141,11 @@ def find_jumps(t_s: Floats, position_n_m: Floats, sd_m: Floats) -> NDArray[np.bo
 def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFactor]:
     """Yield the position of each fix, robustly, and the velocity of each that has a course.
 
-    The velocity is that of the antenna too; what it differs by in a turn is small beside its sd.
+    The velocity is that of the antenna too; what it differs by in a turn is small beside its sd. A course says nothing
+    of the climb, which is taken for zero with a larger sd.
     """
     arm = np.array([params.lever_x_m, params.lever_y_m, params.lever_z_m])
-    speed = gtsam.noiseModel.Isotropic.Sigma(3, params.velocity_sd_mps)
+    speed = gtsam.noiseModel.Diagonal.Sigmas(params.velocity_sd_mps * np.array([1.0, 1.0, VERTICAL]))
     rows = zip(fixes.state.tolist(), fixes.position_n_m, fixes.velocity_n_mps, fixes.sd_m, strict=True)
     for state, position, velocity, sd_m in rows:
         place = gtsam.noiseModel.Diagonal.Sigmas(sd_m * np.array([1.0, 1.0, VERTICAL]))
