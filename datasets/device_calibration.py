@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.errors import BadFile, BadParameter
-from stillpoint.datasets.mcap.file import write_file
+from stillpoint.datasets.files.atomic import write_atomically
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.trajectory import Calibration
 
@@ -76,7 +76,7 @@ def write_device(path: Path, device: DeviceFile) -> None:
     ]
     for one in device.drift:
         lines += ["", "[[recording]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
-    with write_file(path) as file:
+    with write_atomically(path) as file:
         file.write(("\n".join(lines) + "\n").encode())
 
 
