@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick fuzz test-data test-wheel lint types format docs clean
+.PHONY: demo test quick kernels wheel fuzz test-data test-wheel lint types format docs clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -25,6 +25,14 @@ fuzz: .venv/.dev
 
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data
+
+# Compile all estimators beforehand, for any processor of this platform (about three minutes).
+kernels: .venv/.run
+	$(BIN)/python -m stillpoint.scripts.kernels
+
+# A wheel that carries them: its first estimate does not compile, with the Python and numba it was built with.
+wheel: kernels
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 test-wheel: .venv/.dev
 	$(PYTEST) -q -m wheel

@@ -3,9 +3,7 @@
 No fast maths: reassociated sums would make a batch run differ from the same samples one by one.
 """
 
-import hashlib
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -17,10 +15,11 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.untyped_passes import IRProcessing
 from numba.extending import overload
 
+from stillpoint.datasets.machine_code import find_top_folder, hash_sources, keep_on_disk
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 STAMP = "stillpoint-sources.sha256"
-SHARED = ("compiled.py", "quaternion.py")
 
 
 def compiled(function: Function) -> Function:
@@ -56,19 +55,20 @@ def compiled_apart(function: Function) -> Function:
 
 
 def _compiled(function: Function, inline: bool, has_entry: bool = True) -> Function:
+    dispatcher = _with_numba(function, inline, has_entry)
     try:
-        dispatcher = _with_numba(function, inline, has_entry, cache=True)
+        keep_on_disk(dispatcher, ships=has_entry)
     except RuntimeError:  # numba found no folder to write to
-        return cast(Function, _with_numba(function, inline, has_entry, cache=False))
+        return cast(Function, dispatcher)
     drop_stale(Path(dispatcher.stats.cache_path), Path(function.__code__.co_filename))
     return cast(Function, dispatcher)
 
 
-def _with_numba(function: Callable[..., Any], inline: bool, has_entry: bool, cache: bool) -> Any:
+def _with_numba(function: Callable[..., Any], inline: bool, has_entry: bool) -> Any:
     # Steps are chains of small functions that hand structures on: without inlining these go through memory. Nothing
     # takes a function as an argument, so none needs the entry for that.
     wrappers: dict[str, Any] = {"no_cpython_wrapper": not has_entry, "no_cfunc_wrapper": True}
-    options: dict[str, Any] = {"cache": cache, "error_model": "numpy", "nogil": True, "forceinline": inline}
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "forceinline": inline}
     return njit(pipeline_class=_Compiler, **options, **wrappers)(function)
 
 
@@ -149,7 +149,7 @@ def drop_stale(cache_folder: Path, source: Path) -> None:
         return
     _CHECKED.add(cache_folder)
     stamp = cache_folder / STAMP
-    sources = _fingerprint(_find_top_folder(source))
+    sources = hash_sources(find_top_folder(source))
     try:
         if stamp.exists() and stamp.read_text() == sources:
             return
@@ -158,22 +158,6 @@ def drop_stale(cache_folder: Path, source: Path) -> None:
         stamp.write_text(sources)
     except OSError:
         return  # a cache that cannot be written is not one that numba uses
-
-
-def _find_top_folder(source: Path) -> Path:
-    """Return the outermost folder of packages that holds the source file."""
-    folder = source.parent
-    while (folder.parent / "__init__.py").exists():
-        folder = folder.parent
-    return folder
-
-
-@cache
-def _fingerprint(folder: Path) -> str:
-    sources = hashlib.sha256()
-    for path in (*sorted(folder.rglob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)):
-        sources.update(path.name.encode() + b"\0" + path.read_bytes())
-    return sources.hexdigest()
 
 
 _CHECKED: set[Path] = set()

@@ -78,6 +78,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 
         os.environ[limits.LARGE] = "1"
     tokens = [token for token in tokens if token not in (DEBUG, LARGE)]
+    if argv is None:  # a user waits; see datasets/machine_code.py, which would import numba here
+        os.environ["STILLPOINT_SAY_COMPILING"] = "1"
     before = signal.signal(signal.SIGTERM, _end_by_signal)
     try:
         _run(tokens, debug)
