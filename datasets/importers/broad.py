@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.importers.arrays import load_mat, read_array, to_floats
+from stillpoint.datasets.importers.arrays import read_array, to_floats
 from stillpoint.datasets.importers.files import digests, reading, require_existing
 from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.matlab import load_mat
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
@@ -84,7 +85,7 @@ def _read_fields(file: Path) -> dict[str, Floats]:
                 raw = {key: read_array(trial[key], file) for key in FIELDS if key in trial}
                 raw |= {key: trial.attrs[key] for key in FIELDS if key in trial.attrs}
         else:
-            raw = load_mat(file, FIELDS)
+            raw = {key: value for key, value in load_mat(file).items() if key in FIELDS}
     missing = [key for key in FIELDS if key not in raw]
     if missing:
         raise BadSource(

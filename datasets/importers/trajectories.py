@@ -131,7 +131,8 @@ def _read_text_poses(file: Path, options: PoseOptions, log: Log) -> Truth:
     table = parse(_read_or_refuse(file), str(file))
     form = options.format or _recognise(table, file, options)
     readers = {"tum": _read_tum, "kitti": _read_kitti, "euroc": _read_euroc, "csv": _read_csv}
-    return readers[form](table, file, options, log)
+    with reading(file, "a trajectory"):
+        return readers[form](table, file, options, log)
 
 
 def _read_or_refuse(file: Path) -> str:
@@ -174,6 +175,8 @@ def _largest(cell: str) -> float:
 
 def _read_tum(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
     wanted = "a TUM pose is eight numbers: seconds x y z qx qy qz qw"
+    if len(table.columns) != TUM_WIDTH:
+        raise BadSource(f"{file}: its first line has {len(table.columns)} words; {wanted}")
     for row, line in zip(table.rows, table.lines, strict=True):
         if len(row) != TUM_WIDTH:
             raise BadSource(f"{file}, line {line}: has {len(row)} words; {wanted}")
@@ -185,6 +188,8 @@ def _read_tum(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth
 
 def _read_euroc(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
     names = table.columns
+    if len(names) < EUROC_WIDTH:
+        raise BadSource(f"{file}: its header has {len(names)} names; a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
     t_ns = table.times(names[0], "ns")
     values = table.floats(names[1:8])
     return _make_poses(t_ns, values[:, 3:], values[:, :3], table, log, "a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")

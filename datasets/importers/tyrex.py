@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.frames import from_xyzw, quaternion
-from stillpoint.datasets.importers.arrays import load_mat, to_floats
+from stillpoint.datasets.importers.arrays import to_floats
 from stillpoint.datasets.importers.files import digests, find_folders, read_text, reading
 from stillpoint.datasets.importers.imported import Imported, make_device_estimate
+from stillpoint.datasets.importers.matlab import load_mat
 from stillpoint.datasets.importers.options import TyrexOptions
 from stillpoint.datasets.importers.series import (
     Log,
@@ -131,13 +132,13 @@ def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]
         log.noted(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
         return None, None, ""
     with reading(path, "a Qualisys export"):
-        motion = next(iter(load_mat(path, squeeze_me=True, struct_as_record=False).values()))
-        body = motion.RigidBodies
-        columns = to_floats(body.Rotations, f"{path}: Rotations")
-        position_n_m = to_floats(body.Positions, f"{path}: Positions").T / 1e3
-        residual = np.atleast_1d(to_floats(body.Residual, f"{path}: Residual"))
-        rate_hz = float(motion.FrameRate)
-        recorded = str(motion.Timestamp)[:10]
+        motion = next(iter(load_mat(path).values()))
+        body = motion["RigidBodies"]
+        columns = to_floats(body["Rotations"], f"{path}: Rotations").squeeze()
+        position_n_m = to_floats(body["Positions"], f"{path}: Positions").squeeze().T / 1e3
+        residual = np.atleast_1d(to_floats(body["Residual"], f"{path}: Residual").squeeze())
+        rate_hz = float(motion["FrameRate"].squeeze())
+        recorded = str(motion["Timestamp"])[:10]
     if not 1.0 <= rate_hz <= 1e4:
         raise BadSource(f"{path}: its FrameRate is {rate_hz:g} Hz; download it again")
     late_s = _read_alignment(folder / "timeAlignment.txt")
