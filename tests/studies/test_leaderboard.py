@@ -1,7 +1,9 @@
 """A leaderboard over simulated recordings: rows, failures, reuse, own estimators, files and judges."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -171,6 +173,15 @@ def test_instance_is_refused_because_its_state_would_be_kept(files):
 
     with pytest.raises(BadParameter, match="give the class"):
         leaderboard(files[1:2], [Keeps()])
+
+
+def test_example_of_the_page_runs_and_holds_tilt(files, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    example = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class Mine" in block)
+    (tmp_path / "mine.py").write_text(example)
+    row = row_of(leaderboard(files[1:2], [f"{tmp_path}/mine.py:Mine"], tmp_path / "out"), "Mine")
+    assert row.failed == 0
+    assert row.inclination_rmse_deg.worst < 5, "a hand that swings: several degrees for a filter of 2 s"
 
 
 def test_entry_point_of_a_package_is_found_by_its_name(folder, files, monkeypatch):
