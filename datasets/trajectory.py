@@ -74,6 +74,8 @@ class Reference:
     velocity_cov_n_m2ps2: Floats | None = None  # (N, 3, 3)
     origin_lat_lon_alt: tuple[float, float, float] | None = None  # deg, deg, m of position 0 0 0
     heading_sd_rad: float = 0.0  # of a heading error that all samples share; not contained in cov_b_rad2
+    mounting_cov_b_rad2: Floats = field(default_factory=lambda: np.zeros((3, 3)))  # of a turn in body axes that all
+    # samples share; not contained in cov_b_rad2
     calibration: Calibration = field(default_factory=Calibration)
     rests_ns: Times = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))  # (R, 2) first, last stamp
     returns: tuple[BasePoseReturn, ...] = ()
@@ -86,10 +88,12 @@ class Reference:
         q_nb = check_quaternions("reference", "q_nb", self.q_nb, (len(t), 4))
         cov = check_floats("reference", "cov_b_rad2", self.cov_b_rad2, (len(t), 3, 3))
         bias = check_floats("reference", "gyro_bias_b_radps", self.gyro_bias_b_radps, (len(t), 3))
+        mounting = check_floats("reference", "mounting_cov_b_rad2", self.mounting_cov_b_rad2, (3, 3))
         rests = np.asarray(self.rests_ns, dtype=np.int64).reshape(-1, 2)
         if not _has_variances(cov):
             raise BadRecording("reference.cov_b_rad2: a variance is not positive; a reference states its accuracy")
         freeze(self, t_ns=t, q_nb=q_nb, cov_b_rad2=cov, gyro_bias_b_radps=bias, rests_ns=rests)
+        freeze(self, mounting_cov_b_rad2=mounting)
         shapes = {
             "position_n_m": (3,), "velocity_n_mps": (3,), "position_cov_n_m2": (3, 3), "velocity_cov_n_m2ps2": (3, 3),
         }  # fmt: skip

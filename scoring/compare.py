@@ -50,8 +50,8 @@ def compare(
     alignment = find_alignment(source, judge, counted, align)
     pairs = pair_up(source, judge, counted, alignment.time_offset_ns)
     cov = pairs.cov_b_rad2
-    if cov is not None and align == "none" and isinstance(estimated, Reference):
-        cov = cov + heading_covariance(pairs.q_est, estimated.heading_sd_rad)
+    if cov is not None and isinstance(estimated, Reference):
+        cov = cov + _shared_covariance(estimated, pairs.q_est, align)
     matched = match(source, truth.t_ns[counted] + alignment.time_offset_ns)
     return Comparison(
         estimated=name_of(estimated),
@@ -78,6 +78,16 @@ def heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
     """
     up_b = rotation(q_nb).as_matrix()[:, 2]
     return heading_sd_rad**2 * up_b[:, :, None] * up_b[:, None, :]
+
+
+def _shared_covariance(reference: Reference, q_nb: Floats, align: AlignKind) -> Floats:
+    """Return the covariance (N, 3, 3), at attitudes (N, 4), of the shared errors that were not aligned away."""
+    cov = np.zeros((len(q_nb), 3, 3))
+    if "mounting" not in align:
+        cov += reference.mounting_cov_b_rad2
+    if align == "none":
+        cov += heading_covariance(q_nb, reference.heading_sd_rad)
+    return cov
 
 
 def name_of(thing: Estimate | Reference | Truth) -> str:

@@ -28,6 +28,8 @@ class ReturnParams(Settings):
 
     lead_s: float = number(2.0, 0.0, 60.0, "the first rest must begin within this time of the first sample")
     repeat_sd_rad: float = degrees(0.4, 0.001, 10.0, "how well the sensor is put back, per axis")
+    heading_sd_rad: float = degrees(0.25, 0.001, 10.0, "how well its heading is put back in the graph, where it is")
+    heading_kernel: float = number(1.0, 0.1, 100.0, "a return turned by so many sd has half its weight (Cauchy)")
     tilt_gate_rad: float = degrees(3.0, 0.1, 30.0, "largest difference of gravity's direction from the base's")
     heading_gate_rad: float = degrees(10.0, 0.1, 90.0, "a heading difference below this is always accepted")
     heading_gate_sd: float = number(4.0, 1.0, 20.0, "and so is one below this multiple of the gyro's drift")

@@ -79,6 +79,7 @@ def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
         "calibration": Calibration(**calibration),
         "returns": tuple(BasePoseReturn(**one) for one in facts["returns"]),
         "rests_ns": np.array(facts["rests_ns"], np.int64).reshape(-1, 2),
+        "mounting_cov_b_rad2": np.array(facts.get("mounting_cov_b_rad2", np.zeros((3, 3))), np.float64),
         "origin_lat_lon_alt": None if (origin := facts.get("origin_lat_lon_alt")) is None else tuple(origin),
     }
 

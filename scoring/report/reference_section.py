@@ -38,6 +38,9 @@ def _list_facts(reference: Reference) -> dict[str, str]:
     }
     if reference.heading_sd_rad > 0:
         facts["sd of the mean heading"] = f"{np.rad2deg(reference.heading_sd_rad):.2f} deg, an error all samples share"
+    mounting_sd_deg = np.rad2deg(np.sqrt(np.trace(reference.mounting_cov_b_rad2)))
+    if mounting_sd_deg > 0:
+        facts["sd of the mean mounting"] = f"{mounting_sd_deg:.2f} deg, an error all samples share in body axes"
     late = reference.calibration.clock_offset_s.items()
     facts["clocks"] = ", ".join(f"{stream} {1e3 * seconds:+.1f} ms late against the gyro" for stream, seconds in late)
     return {title: fact for title, fact in facts.items() if fact}

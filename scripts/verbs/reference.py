@@ -240,6 +240,7 @@ def _list_facts(made: Reference) -> dict[str, Any]:
         "sd_median_deg": float(np.median(sd_deg)),
         "sd_max_deg": float(sd_deg.max()),
         "heading_sd_deg": float(np.rad2deg(made.heading_sd_rad)),
+        "mounting_sd_deg": float(np.rad2deg(np.sqrt(np.trace(made.mounting_cov_b_rad2)))),
         "diagnostics": dict(made.diagnostics),
     }
 

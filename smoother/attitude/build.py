@@ -5,7 +5,7 @@ from itertools import chain
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import H
+from gtsam.symbol_shorthand import H, L, X
 
 from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import rotation
@@ -23,7 +23,7 @@ DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
 def build_graph(
     recording: Recording, evidence: Evidence, bias_b_radps: Floats, params: GraphParams
 ) -> gtsam.NonlinearFactorGraph:
-    """Return all factors on the states of ``evidence``, except those of the magnetometer's readings.
+    """Return all factors on the states of ``evidence`` but those of the magnetometer and of the returns' votes.
 
     Two disjoint stretches of states have no factor in common. ``bias_b_radps`` (3,) is the gyro bias about which the
     IMU is preintegrated.
@@ -57,13 +57,16 @@ def build_start_values(evidence: Evidence, q_nb: Floats, bias_b_radps: Floats, p
     )
     if evidence.field_start is not None:
         values.insert(H(0), evidence.field_start)
+    base = evidence.return_states()[0]
+    if evidence.find_votes() is not None and base in evidence.keys.held:
+        values.insert(L(0), values.atPose3(X(base)))
     return values
 
 
 def _find_anchors(recording: Recording, evidence: Evidence, params: GraphParams) -> factors.Anchors:
     """Return the states in the base pose, and how well the first attitude is known."""
     keys = evidence.keys
-    base, returns = evidence.return_states()
+    base = evidence.return_states()[0]
     known_pose = has_known_base_pose(recording, evidence)
     absolute = evidence.field_start is not None or evidence.fixes is not None or known_pose
     spread = np.diag([UNKNOWN_RAD**2, UNKNOWN_RAD**2, UNKNOWN_RAD**2 if absolute else DEFINED_RAD**2])
@@ -72,7 +75,6 @@ def _find_anchors(recording: Recording, evidence: Evidence, params: GraphParams)
         base=base,
         base_q_nb=recording.base_pose if base in keys.states else None,
         base_sd_rad=params.returns.repeat_sd_rad,
-        returns=returns,
         first_q_nb=evidence.q_nb[0] if keys.first == 0 else None,
         first_cov_b_rad2=turn.T @ spread @ turn,
     )

@@ -8,20 +8,23 @@ import numpy as np
 from gtsam.symbol_shorthand import M, V, X
 from numpy.typing import NDArray
 
+from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.attitude.factors import RETURN_LOSS
 from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.returns import closing_square
 from stillpoint.smoother.attitude.solve import Solution, make_unobservable, rotations_of
 
 MOST_RETURNS = 6  # that count in the covariance factor
+LEAST_SHARE = 1e-3  # of the largest eigenvalue: heading and mounting are not told apart where attitudes hardly change
 
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """Covariances at the optimum, before :func:`covariance_factor`."""
+    """Covariances at the optimum, before :func:`choose_factors`."""
 
-    attitude_b_rad2: Floats  # (m, 3, 3) of the chosen states, body axes, relative to the mean heading
+    attitude_b_rad2: Floats  # (m, 3, 3) of the chosen states, body axes, relative to mean heading and mounting
     heading_rad2: float  # of the mean heading, an error that all states share
+    mounting_b_rad2: Floats  # (3, 3) of the mean mounting, an error that all states share in body axes
     calibration: Floats  # (19, 19)
     position_n_m2: Floats  # (m, 3, 3) of the chosen states; of use only where there are satellites
     velocity_n_m2ps2: Floats | None  # (m, 3, 3), None where it was not asked for
@@ -32,41 +35,50 @@ def compute_accuracy(
     solution: Solution,
     states: NDArray[np.int64],
     counted: NDArray[np.int64],
-    base: int | None,
     returns: tuple[int, ...],
     name: str,
     params: GraphParams,
     with_velocity: bool,
 ) -> Accuracy:
-    """Return the covariances of ``states`` relative to the mean heading of the states ``counted``, and the closings.
+    """Return the covariances of ``states`` relative to mean heading and mounting of the states ``counted``.
 
-    Raises :class:`Unobservable` when there are none: the iterations also converge where the graph does not determine
-    all unknowns.
+    An error d (3,) of a state in body axes is A t + what it does not share with the others: A = [up, 1] (3, 4) and t a
+    heading and a mounting, fitted to all counted states. Raises :class:`Unobservable` when there are no covariances:
+    the iterations also converge where the graph does not determine all unknowns.
     """
-    up_b = rotations_of(solution.values, counted)[:, 2]
+    shared = _shared_errors(rotations_of(solution.values, counted))  # (K, 3, 4)
     try:
-        tree = _push_by_mean_heading(solution, counted, up_b).eliminateMultifrontal(solution.ordering)
-        pose = np.array([tree.marginalCovariance(X(int(i))) for i in states])
-        velocity = np.array([_velocity_covariance(tree, int(i)) for i in states]) if with_velocity else None
-        calibration = tree.marginalCovariance(M(0))
-        closing = [_closing_square(tree, solution.values, base, state, params) for state in returns]
+        trees = [
+            _push(solution, counted, shared[:, :, column]).eliminateMultifrontal(solution.ordering)
+            for column in range(shared.shape[2])
+        ]
+        pose = np.array([trees[0].marginalCovariance(X(int(i))) for i in states])
+        velocity = np.array([_velocity_covariance(trees[0], int(i)) for i in states]) if with_velocity else None
+        calibration = trees[0].marginalCovariance(M(0))
+        closing = [closing_square(trees[0], solution.values, state, params) for state in returns]
     except RuntimeError as error:
         raise make_unobservable(name) from error
     attitude = pose[:, :3, :3]
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise make_unobservable(name)
-    moved = tree.optimize()
+    moved = [tree.optimize() for tree in trees]
 
-    def covariance_with_heading(which: NDArray[np.int64]) -> Floats:
-        return np.array([moved.at(X(int(i)))[:3] - solution.last_step.at(X(int(i)))[:3] for i in which])
+    def covariance_with_means(which: NDArray[np.int64]) -> Floats:
+        """Return cov(d, mean of A' d), (n, 3, 4)."""
+        keys = [X(int(i)) for i in which]
+        before = np.array([solution.last_step.at(key)[:3] for key in keys])
+        return np.stack([np.array([each.at(key)[:3] for key in keys]) - before for each in moved], axis=2)
 
-    variance = float(np.mean(np.sum(covariance_with_heading(counted) * up_b, axis=1)))
+    of_means = np.mean(shared.transpose(0, 2, 1) @ covariance_with_means(counted), axis=0)  # cov of the means, (4, 4)
+    with_means, here = covariance_with_means(states), _shared_errors(rotations_of(solution.values, states))
+    of_heading = _subtract_shared(attitude, with_means[:, :, :1], of_means[:1, :1], here[:, :, :1])
+    fit = np.linalg.pinv(np.mean(shared.transpose(0, 2, 1) @ shared, axis=0), rcond=LEAST_SHARE, hermitian=True)
+    relative = _subtract_shared(attitude, with_means @ fit, fit @ of_means @ fit, here)
+    mounting = _nearest_covariance(np.mean(of_heading - relative, axis=0))
     turn = rotations_of(solution.values, states)
-    up_b, shared = turn[:, 2], covariance_with_heading(states)
-    cross = shared[:, :, None] * up_b[:, None, :]
-    relative = attitude - cross - cross.transpose(0, 2, 1) + variance * up_b[:, :, None] * up_b[:, None, :]
     position = turn @ pose[:, 3:, 3:] @ turn.transpose(0, 2, 1)
-    return Accuracy(relative, variance, calibration, position, velocity, tuple(closing))
+    heading_rad2 = float(of_means[0, 0])
+    return Accuracy(relative, heading_rad2, mounting, calibration, position, velocity, tuple(closing))
 
 
 def _velocity_covariance(tree: gtsam.GaussianBayesTree, state: int) -> Floats:
@@ -82,50 +94,67 @@ def _velocity_covariance(tree: gtsam.GaussianBayesTree, state: int) -> Floats:
         return np.asarray(joint.at(V(state), V(state)))
 
 
-def covariance_factor(closing_squares: Sequence[float], params: GraphParams) -> float:
-    """Return the factor on all covariances, from the closing squares of the returns.
+@dataclass(frozen=True)
+class Factors:
+    """Factors on the variances of tilt and heading around the mean heading, and of the mean heading."""
 
-    A sensor whose heading closes better than its noise promises is better than its noise. Any number of returns counts
-    as MOST_RETURNS at most: an error that is the same each time does not show in them.
+    tilt: float
+    heading: float
+    mean_heading: float
+
+
+def choose_factors(closing_squares: Sequence[float], has_rest: bool, has_gap: bool, params: GraphParams) -> Factors:
+    """Return the factors on the covariances: calibrated ones, that of the heading updated by the closing squares.
+
+    The expectation of a closing square is the factor of the heading. The calibrated factor counts as ``prior_returns``
+    of them, and any number of returns as MOST_RETURNS at most: an error that is the same each time does not show. The
+    factors were calibrated on recordings without gaps: with a gap they are at least 1.
     """
-    trust, count = params.prior_returns, min(len(closing_squares), MOST_RETURNS)
-    mean = float(np.mean(closing_squares)) if count else 0.0
-    return params.variance_factor * (trust + count * mean) / (trust + count)
+    heading, count = params.heading_variance_factor, min(len(closing_squares), MOST_RETURNS)
+    if count:
+        closing = count * float(np.mean(closing_squares))
+        heading = (params.prior_returns * heading + closing) / (params.prior_returns + count)
+    tilt = params.rest_variance_factor if has_rest else params.variance_factor
+    least = 1.0 if has_gap else 0.0
+    return Factors(max(tilt, least), max(heading, least), max(params.variance_factor, least))
 
 
-def _closing_square(
-    tree: gtsam.GaussianBayesTree, values: gtsam.Values, base: int | None, state: int, params: GraphParams
-) -> float:
-    """Return the normalised square of the heading's closing error at a return, as if the return had not been used.
-
-    Let e be the closing error in the solution, C its covariance there, and R the variance of the return (widened by its
-    robust weight). Without the return the error is R/(R - C) e with variance R^2/(R - C): its normalised square is
-    e^2 / (R - C).
-    """
-    assert base is not None
-    closing = values.atPose3(X(base)).between(values.atPose3(X(state)))
-    between = closing.rotation()
-    keys = gtsam.KeyVector([X(base), X(state)])
-    joint = tree.jointMarginalCovariance(keys)
-    up_b = values.atPose3(X(state)).rotation().matrix()[2]
-    both = [joint.at(X(i), X(j))[:3, :3] for i in (base, state) for j in (base, state)]
-    left = float(up_b @ gtsam.Rot3.Logmap(between))
-    covariance = float(up_b @ (both[0] - both[1] - both[2] + both[3]) @ up_b)
-    turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
-    distance = np.linalg.norm(gtsam.Pose3.Logmap(closing) / np.repeat([turn, place], 3))
-    variance = turn**2 / RETURN_LOSS.weight(float(distance))
-    return left**2 / max(variance - covariance, 1e-3 * variance)
+def scale_covariances(cov_b_rad2: Floats, q_nb: Floats, factors: Factors) -> Floats:
+    """Return covariances (N, 3, 3) in body axes at attitudes (N, 4), with tilt and heading scaled by their factors."""
+    up_b = rotation(q_nb).as_matrix()[:, 2]
+    along = up_b[:, :, None] * up_b[:, None, :]
+    root = np.sqrt(factors.tilt) * (np.eye(3) - along) + np.sqrt(factors.heading) * along
+    return np.asarray(root @ cov_b_rad2 @ root)
 
 
-def _push_by_mean_heading(solution: Solution, counted: NDArray[np.int64], up_b: Floats) -> gtsam.GaussianFactorGraph:
-    """Return the system with another right side, which moves its solution by the covariance with the mean heading s.
+def _shared_errors(rotations: Floats) -> Floats:
+    """Return A = [up, 1], (K, 3, 4): what a heading and a mounting that all states share do to states (K, 3, 3)."""
+    identity = np.broadcast_to(np.eye(3), rotations.shape)
+    return np.concatenate([rotations[:, 2, :, None], identity], axis=2)
 
-    s = b' d with b = up / K at the K states that count: with b added to the right side the solution moves by P b, which
-    is cov(d, s). Covariances do not change.
+
+def _subtract_shared(covariance: Floats, with_shared: Floats, of_shared: Floats, by_shared: Floats) -> Floats:
+    """Return the covariance (n, 3, 3) of d - A t, given cov(d, t) (n, 3, k), cov(t) (k, k) and A (n, 3, k)."""
+    back = by_shared.transpose(0, 2, 1)
+    cross = with_shared @ back
+    return np.asarray(covariance - cross - cross.transpose(0, 2, 1) + by_shared @ of_shared @ back)
+
+
+def _nearest_covariance(matrix: Floats) -> Floats:
+    """Return a symmetric matrix (3, 3) without its negative eigenvalues."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _push(solution: Solution, counted: NDArray[np.int64], columns: Floats) -> gtsam.GaussianFactorGraph:
+    """Return the system with another right side, which moves its solution by the covariance with a mean s.
+
+    s = b' d with b = column / K at the K states that count: with b added to the right side the solution moves by P b,
+    which is cov(d, s). Covariances do not change.
     """
     pushed = solution.system.clone()
     nothing = np.zeros((6, 6))
-    for i, up in zip(counted, up_b, strict=True):
-        gradient = np.concatenate([up / len(counted), np.zeros(3)])
+    for i, column in zip(counted, columns, strict=True):
+        gradient = np.concatenate([column / len(counted), np.zeros(3)])
         pushed.push_back(gtsam.HessianFactor(X(int(i)), nothing, gradient, 0.0))
     return pushed

@@ -7,8 +7,9 @@ time: the error redistribution of Elmi Aziz and Mohseni Araste (2021), over 0.1 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
+import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, H, M, V, X
+from gtsam.symbol_shorthand import B, H, L, M, V, X
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -45,12 +46,15 @@ class Piece:
 
     samples: slice
     q_nb: Floats  # (N, 4)
-    cov_b_rad2: Floats  # (N, 3, 3) relative to the mean heading
+    cov_b_rad2: Floats  # (N, 3, 3) relative to the mean heading and the mean mounting
     gyro_bias_b_radps: Floats  # (N, 3)
     heading_rad2: float  # variance of the mean heading
-    closing_squares: tuple[float, ...]  # of the returns, see covariance.py
+    mounting_b_rad2: Floats  # (3, 3) covariance of the mean mounting
+    closing_squares: tuple[float, ...]  # of the returns, see returns.py
+    common_q_nb: Floats | None  # (4,) common attitude of the rests in the base pose; None without returns
     calibration: Calibration
     late_sd_s: float  # of the accelerometer's delay
+    field_widening: float  # factor on the sd of the magnetometer, whose errors last
     iterations: int
     cost: float
     track: Track | None  # where there are satellites
@@ -63,10 +67,9 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
     chosen = choose_covariance_states(keys)
     resting = np.append(keys.at_rest, keys.at_rest[-1])[held]
     counted = held if resting.all() else held[~resting]
-    base, returns = window.return_states()
-    own = tuple(state for state in returns if state < until)
+    own = tuple(state for state in window.return_states()[1] if state < until)
     placed = window.fixes is not None
-    accuracy = compute_accuracy(solution, chosen, counted, base, own, name, params, with_velocity=placed)
+    accuracy = compute_accuracy(solution, chosen, counted, own, name, params, with_velocity=placed)
 
     gyro_matrix = np.eye(3) - values.atVector(M(0))[9:18].reshape(3, 3)
     samples = slice(keys.row[held[0]], keys.row[held[-1]] + 1)
@@ -85,9 +88,12 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
         cov_b_rad2=cov,
         gyro_bias_b_radps=biases[of_sample],
         heading_rad2=accuracy.heading_rad2,
+        mounting_b_rad2=accuracy.mounting_b_rad2,
         closing_squares=accuracy.closing_squares,
+        common_q_nb=_read_common_pose(values),
         calibration=_read_calibration(solution, int(step[0]), accuracy.calibration),
         late_sd_s=float(np.sqrt(accuracy.calibration[18, 18])),
+        field_widening=solution.field_widening,
         iterations=len(solution.q_steps_rad),
         cost=solution.cost,
         track=_sample_track(t_s, keys, solution, chosen, accuracy) if placed else None,
@@ -122,7 +128,7 @@ def join_pieces(pieces: Sequence[Piece], t_s: Floats) -> Piece:
     """Return one piece of all; in an overlap the answer goes over linearly in time from one window to the next.
 
     The mean heading is as well known as in the best window; the excess variance of another window's mean heading is
-    added to its own covariance. The calibration is that of the last window, which has seen all data.
+    added to its own covariance. Mounting and calibration are those of the last window, which has seen all data.
     """
     if len(pieces) == 1:
         return pieces[0]
@@ -248,6 +254,12 @@ def interpolate_covariances(
     covariance_n = (1 - share)[:, None, None] * key_cov_n[left] + share[:, None, None] * key_cov_n[right]
     turn = rotation(q_nb).as_matrix()
     return np.asarray(turn.transpose(0, 2, 1) @ covariance_n @ turn)
+
+
+def _read_common_pose(values: gtsam.Values) -> Floats | None:
+    if not values.exists(L(0)):
+        return None
+    return quaternion(Rotation.from_matrix(values.atPose3(L(0)).rotation().matrix()))
 
 
 def _read_calibration(solution: Solution, bias_step: int, covariance: Floats) -> Calibration:

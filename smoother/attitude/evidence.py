@@ -24,6 +24,7 @@ from stillpoint.smoother.attitude.outside.satellite import (
 )
 from stillpoint.smoother.attitude.outside.vehicle import calm_bias, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
+from stillpoint.smoother.attitude.returns import Votes
 from stillpoint.smoother.attitude.start import Start, find_start
 from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
 from stillpoint.smoother.rest import find_rests
@@ -73,13 +74,26 @@ class Evidence:
         base, *returns = (after - nearer).tolist()
         return base, tuple(state for state in returns if state in self.keys.states)
 
+    def find_votes(self) -> Votes | None:
+        """Return the rests in the base pose that lie in the window; None where there is none, or no return at all."""
+        base, returns = self.return_states()
+        if base is None or self.returns is None or not self.returns.spans:
+            return None
+        states = (*((base,) if base in self.keys.states else ()), *returns)
+        return Votes(states, rotation(self.q_nb[base]).as_matrix()[2]) if states else None
 
-def with_bias_prior(params: GraphParams, evidence: Evidence) -> GraphParams:
-    """Return the settings with a wider prior of the gyro's bias if no rest supports its start value."""
+
+def with_free_priors(params: GraphParams, evidence: Evidence) -> GraphParams:
+    """Return the settings with wider priors of the gyro's bias and matrix if there is no rest.
+
+    Without a rest nothing supports the start value of the bias. Recordings without any rest are of phones and the like,
+    whose gyro scales scatter more than those of instruments.
+    """
     if len(evidence.rests_ns):
         return params
     p = params.inertial
-    return replace(params, inertial=replace(p, gyro_bias_sd_radps=max(p.gyro_bias_sd_radps, p.free_bias_sd_radps)))
+    bias, matrix = max(p.gyro_bias_sd_radps, p.free_bias_sd_radps), max(p.gyro_matrix_sd, p.free_matrix_sd)
+    return replace(params, inertial=replace(p, gyro_bias_sd_radps=bias, gyro_matrix_sd=matrix))
 
 
 def turn_start_round(evidence: Evidence) -> Evidence:

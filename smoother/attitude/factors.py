@@ -8,7 +8,7 @@
            X0 -- C0 -- X1 -- C1 -- X2 ...
            V0 --------- V1 -------- V2 ...      M touches every C_i
             |           |           |
-        bounded     at rest:    X0 = X2 at a return to the base pose
+        bounded     at rest:    X0 = L = X2 at a return to the base pose
         motion      V = 0, X1 = X2
 
 All factors are gtsam's own. The calibration enters the preintegrated IMU factor through its bias.
@@ -28,7 +28,6 @@ from stillpoint.smoother.attitude.params import GraphParams
 
 CALIBRATION = 19  # unknowns: 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
-RETURN_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
 FREE = gtsam.imuBias.ConstantBias()
 
 _isotropic = gtsam.noiseModel.Isotropic.Sigma
@@ -42,7 +41,6 @@ class Anchors:
     base: int | None  # index of the state in the base pose
     base_q_nb: Floats | None  # (4,) its attitude, if the recording carries one
     base_sd_rad: float
-    returns: tuple[int, ...]  # states in the middle of the returns
     first_q_nb: Floats | None  # (4,) weak prior of the first state's attitude
     first_cov_b_rad2: Floats  # (3, 3) its covariance
 
@@ -64,10 +62,11 @@ def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float,
         kind: gtsam.PreintegratedImuMeasurements(_noise(gyro**2 * eye, accel**2 * eye, g_mps2, params), start)
         for kind, (gyro, accel) in sizes.items()
     }
-    accel, gyro, dt_s, clipped = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s, keys.clipped
+    accel, gyro, dt_s = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
+    own_noise = keys.clipped | (keys.gyro_sampling_rad > 0).any(axis=1)
     for i in keys.intervals(~keys.gap):
-        if clipped[i]:
-            between = gtsam.PreintegratedImuMeasurements(_clipped_noise(keys, i, g_mps2, params), start)
+        if own_noise[i]:
+            between = gtsam.PreintegratedImuMeasurements(_interval_noise(keys, i, g_mps2, params), start)
         else:
             between = summed["rest" if keys.at_rest[i] else "moving"]
         between.resetIntegration()
@@ -85,10 +84,11 @@ def _noise(gyro_rad2ps: Floats, accel_m2ps3: Floats, g_mps2: float, params: Grap
     return noise
 
 
-def _clipped_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
-    """Return the noise of an interval with replaced readings, which are wrong by a share of their excess."""
+def _interval_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
+    """Return the noise of an interval with readings that are replaced, wrong by a share of their excess, or slow."""
     p, seconds = params.inertial, keys.t_s[i + 1] - keys.t_s[i]
-    gyro = p.gyro_radps_rthz**2 + (p.gyro_beyond * keys.gyro_clipped_rad[i]) ** 2 / seconds
+    gyro_rad2 = (p.gyro_beyond * keys.gyro_clipped_rad[i]) ** 2 + keys.gyro_sampling_rad[i] ** 2
+    gyro = p.gyro_radps_rthz**2 + gyro_rad2 / seconds
     accel = p.accel_mps2_rthz**2 + (p.accel_beyond * keys.accel_clipped_mps[i]) ** 2 / seconds
     return _noise(np.diag(gyro), np.diag(accel), g_mps2, params)
 
@@ -96,9 +96,8 @@ def _clipped_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gt
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
     """Tie the effective bias of an interval to bias and calibration: C = B + M [mean force, mean rate, jerk]."""
     noise, eye, step = _diagonal(EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
-    origin = (
-        gtsam.Values()
-    )  # without a linearisation point gtsam applies the factors to changes, and never sees a violation
+    # Without a linearisation point gtsam applies the factors to changes, and never sees a violation.
+    origin = gtsam.Values()
     origin.insert(M(0), np.zeros(CALIBRATION))
     for i in keys.intervals(~keys.gap):
         by_matrix = np.zeros((6, CALIBRATION))
@@ -164,22 +163,15 @@ def gap_factors(keys: Keys, params: GraphParams) -> Iterator:
 
 
 def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
-    """Tie returns to the base pose, robustly as it may have been knocked, and the first state to its attitude."""
+    """Tie the first state to its start attitude, and the base pose to a known one."""
     if anchors.first_q_nb is not None:
         first = gtsam.Pose3(_make_rot3(anchors.first_q_nb), np.zeros(3))
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = anchors.first_cov_b_rad2, np.diag([100.0] * 3)
         yield gtsam.PriorFactorPose3(X(0), first, gtsam.noiseModel.Gaussian.Covariance(covariance))
-    if anchors.base is None:
-        return
-    if anchors.base_q_nb is not None:
+    if anchors.base is not None and anchors.base_q_nb is not None:
         noise = _diagonal(np.concatenate([np.full(3, anchors.base_sd_rad), np.full(3, 100.0)]))
         yield gtsam.PriorFactorPose3(X(anchors.base), gtsam.Pose3(_make_rot3(anchors.base_q_nb), np.zeros(3)), noise)
-    turn, place = params.returns.repeat_sd_rad, params.motion.return_position_sd_m
-    noise = _diagonal(np.concatenate([np.full(3, turn), np.full(3, place)]))
-    robust = gtsam.noiseModel.Robust.Create(RETURN_LOSS, noise)
-    for state in anchors.returns:
-        yield gtsam.BetweenFactorPose3(X(anchors.base), X(state), gtsam.Pose3(), robust)
 
 
 def start_values(

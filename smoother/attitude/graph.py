@@ -20,8 +20,10 @@ from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
     SensorPriors,
+    describe_disturbed_field,
     leave_out_magnetometer,
     priors_to_try,
+    refuse_disturbed_field,
     refuse_surprise,
     refuse_wrong_axes,
     require_gyro_test,
@@ -36,28 +38,27 @@ def make_attitude_reference(
 ) -> Reference:
     """Return the reference trajectory of a recording by the calibrating factor graph.
 
-    If the magnetometer contradicts gyro and accelerometer, but its axes are right, the field is disturbed: the
-    reference is then made without the magnetometer, provided that a return to the base pose or satellites test the
-    gyro instead. ``generators`` add factors (outside/added.py).
+    If the magnetometer contradicts gyro and accelerometer, but its axes are right, the field is disturbed. The
+    reference is then made without the magnetometer if a return to the base pose or satellites test the gyro instead,
+    and otherwise with the readings that fit. ``generators`` add factors (outside/added.py).
 
     Raises :class:`Unobservable` when the recording does not determine the attitude, and its subclass
     :class:`Contradiction` when the sensors contradict each other.
     """
     recording = recording if params.magnetic.use else replace(recording, mag=None)
     evidence = gather_evidence(recording, params, generators)
-    left_out = None
+    solved, left_out = None, None
     try:
         solved = solve_with_priors(recording, evidence, priors_to_try(params, evidence))
+        refuse_disturbed_field(solved.fit, recording.name, solved.params)
     except (Contradiction, NoOptimum) as contradiction:
-        recording, left_out = leave_out_magnetometer(recording, contradiction)
-        evidence = gather_evidence(recording, params, generators)
-        require_gyro_test(evidence, contradiction, recording.name)
-        # Without magnetometer only the returns show the gyro's scale, so the wide priors of a raw sensor are used.
-        widest = replace(priors_to_try(params, evidence)[-1], surprise_limit_sd=None)
         try:
-            solved = solve_with_priors(recording, evidence, [widest])
+            recording, evidence, solved, left_out = _solve_without_magnetometer(
+                recording, params, generators, contradiction
+            )
         except Unobservable:
-            raise contradiction from None
+            if solved is None:
+                raise
     refuse_wrong_axes(recording, solved.fit.field_inlier_share)
     return report_reference(recording, evidence, solved, left_out)
 
@@ -74,15 +75,47 @@ def reference_from_evidence(recording: Recording, evidence: Evidence, params: Gr
 def solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:
     """Solve the graph with the first of several sensor priors that the data do not contradict.
 
-    Raises the :class:`Unobservable` of the last priors when the data contradict all of them.
+    If the field is disturbed with all priors, the narrowest ones are used. Raises :class:`Unobservable` when the data
+    contradict all priors: the first error that blames the field, if there is one, and otherwise that of the narrowest.
     """
-    *narrower, widest = priors
-    for prior in narrower:
+    disturbed: Solved | None = None
+    failure: Unobservable | None = None
+    for prior in priors:
         try:
-            return _solve_and_judge(recording, evidence, prior)
-        except Unobservable:
+            solved = _solve_and_judge(recording, evidence, prior)
+        except Unobservable as error:
+            blames_field = isinstance(error, Contradiction) and error.of_field
+            if failure is None or (blames_field and not (isinstance(failure, Contradiction) and failure.of_field)):
+                failure = error
             continue
-    return _solve_and_judge(recording, evidence, widest)
+        if not describe_disturbed_field(solved.fit, prior.params):
+            return solved
+        disturbed = disturbed or solved
+    if disturbed is not None:
+        return disturbed
+    assert failure is not None
+    raise failure
+
+
+def _solve_without_magnetometer(
+    recording: Recording,
+    params: GraphParams,
+    generators: Sequence[Generator],
+    contradiction: Contradiction | NoOptimum,
+) -> tuple[Recording, Evidence, Solved, str]:
+    """Return recording, evidence and solution without the magnetometer, and why it is left out.
+
+    Raises ``contradiction`` where its axes are wrong, nothing tests the gyro instead, or the rest is contradictory too.
+    """
+    recording, why = leave_out_magnetometer(recording, contradiction)
+    evidence = gather_evidence(recording, params, generators)
+    require_gyro_test(evidence, contradiction, recording.name)
+    # Only the returns show the gyro's scale then, so the priors of a raw sensor are used without a test of the gyro.
+    raw = replace(priors_to_try(params, evidence)[:2][-1], surprise_limit_sd=None)
+    try:
+        return recording, evidence, solve_with_priors(recording, evidence, [raw]), why
+    except Unobservable:
+        raise contradiction from None
 
 
 def _solve_and_judge(recording: Recording, evidence: Evidence, prior: SensorPriors) -> Solved:

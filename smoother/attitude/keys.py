@@ -14,6 +14,10 @@ from stillpoint.smoother.missing import LONG_GAP_S, bridge_gaps
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
+SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
+SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
+SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
+GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,7 @@ class Motion:
     at_rest: NDArray[np.bool_]  # (N,)
     gyro_beyond_radps: Floats  # (N, 3) by how much a replaced reading may be wrong, 0 elsewhere
     accel_beyond_mps2: Floats  # (N, 3)
+    gyro_sampling_radps: Floats  # (N, 3) by how much a slowly sampled rate may be wrong, 0 where that is not noticed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +47,10 @@ class Keys:
     at_rest: NDArray[np.bool_]  # (n - 1,) no motion in the interval
     gap: NDArray[np.bool_]  # (n - 1,) samples are missing for more than LONG_GAP_S
     gyro_clipped_rad: (
-        Floats  # (n - 1, 3) by how much an axis may be wrong, summed over the time it was clipped or missing
+        Floats  # (n - 1, 3) by how much an axis may be wrong, integrated over clipped and missing readings
     )
     accel_clipped_mps: Floats  # (n - 1, 3)
+    gyro_sampling_rad: Floats  # (n - 1, 3) by how much an axis may be wrong because it was sampled slowly
     gyro_b_radps: Floats  # (n - 1, 3) mean over the interval
     accel_b_mps2: Floats  # (n - 1, 3) mean over the interval
     jerk_b_mps3: Floats  # (n - 1, 3) change of the specific force over the interval
@@ -93,7 +99,25 @@ def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     gyro, gyro_missed = bridge_gaps(dt_s, gyro, ~at_rest)
     accel, accel_missed = bridge_gaps(dt_s, accel, ~at_rest)
     beyond = np.maximum(gyro_beyond, gyro_missed), np.maximum(accel_beyond, accel_missed)
-    return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond)
+    return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond, estimate_sampling_error(gyro, dt_s, at_rest))
+
+
+def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray[np.bool_]) -> Floats:
+    """Return by how much (N, 3) a rate may differ from the mean rate of its interval because it is sampled slowly.
+
+    Half of the curvature |w+ - 2 w + w-| / 12 and of the coning term |w- x w| dt / 12 (both vanish with the square of
+    the interval). Zero in the whole recording where the gyro's noise covers it.
+    """
+    before, after = np.vstack([gyro_b_radps[:1], gyro_b_radps[:-1]]), np.vstack([gyro_b_radps[1:], gyro_b_radps[-1:]])
+    curvature = np.abs(after - 2 * gyro_b_radps + before) / 12
+    coning = np.abs(np.cross(before, gyro_b_radps)) * dt_s[:, None] / 12
+    error = SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
+    if at_rest.all():
+        return np.zeros_like(error)
+    step_s = float(np.median(dt_s))
+    in_interval_rad = error[~at_rest] * step_s * max(1, round(SAMPLING_INTERVAL_S / step_s))
+    noticed_rad = SAMPLING_NOTICED * GYRO_DENSITY_RADPS_RTHZ * np.sqrt(SAMPLING_INTERVAL_S)
+    return error if np.sqrt(np.mean(in_interval_rad**2)) > noticed_rad else np.zeros_like(error)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:
@@ -112,6 +136,7 @@ def choose_keys(motion: Motion, params: KeyParams) -> Keys:
         gap=longest > max(LONG_GAP_S, GAP_STEPS * float(np.median(motion.dt_s))),
         gyro_clipped_rad=_sum_intervals(motion.gyro_beyond_radps * motion.dt_s[:, None], first),
         accel_clipped_mps=_sum_intervals(motion.accel_beyond_mps2 * motion.dt_s[:, None], first),
+        gyro_sampling_rad=_sum_intervals(motion.gyro_sampling_radps * motion.dt_s[:, None], first),
         gyro_b_radps=(turned[last] - turned[first]) / span_s,
         accel_b_mps2=(pushed[last] - pushed[first]) / span_s,
         jerk_b_mps3=(motion.accel_b_mps2[rows[1:]] - motion.accel_b_mps2[rows[:-1]]) / span_s,

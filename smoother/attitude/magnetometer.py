@@ -24,6 +24,8 @@ FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 SHRINK = 0.6  # from iteration to iteration
 UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
 HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
+LONGEST_S = 10.0  # over which errors of the field are compared with each other
+LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
 LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
 
 
@@ -116,15 +118,21 @@ def compute_weights(residual: Floats, scale_ut: float, params: FieldParams) -> F
 
 
 def linearise_measurements(
-    measured: FieldMeasurements, rotations: Floats, field: Floats, scale_ut: float, params: FieldParams
+    measured: FieldMeasurements,
+    rotations: Floats,
+    field: Floats,
+    scale_ut: float,
+    params: FieldParams,
+    widening: float = 1.0,
 ) -> list[gtsam.JacobianFactor]:
     """Return the measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
+    ``widening`` multiplies the sd, but leaves the robust weights as they are.
     With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
     residual, seen = compute_residuals(measured, rotations, field), _predict_field(measured, rotations, field)
     matrix = field_matrix(field)
-    root = compute_weights(residual, scale_ut, params) / scale_ut
+    root = compute_weights(residual, scale_ut, params) / (scale_ut * widening)
     back = _turn_back(measured, field[6])
     cross = np.zeros((len(seen), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]
@@ -143,6 +151,23 @@ def linearise_measurements(
         gtsam.JacobianFactor(X(int(state)), by_pose[k], H(0), by_field[k], target[k], unit)
         for k, state in enumerate(measured.state)
     ]
+
+
+def measure_widening(rotations: Floats, residual_ut: Floats, scale_ut: float, params: FieldParams) -> float:
+    """Return by how much the magnetometer's sd grows for the covariance, as its errors last for seconds.
+
+    Iron stands still and the sensor passes it, so errors of neighbouring readings are alike in the axes of n: K
+    readings count as K / (1 + 2 sum of autocorrelation). ``rotations`` (K, 3, 3) body to n, ``residual_ut`` (K, 3).
+    """
+    root = compute_weights(residual_ut, scale_ut, params)
+    error = np.einsum("kij,kj->ki", rotations, residual_ut * root[:, None])
+    n, total = len(error), float((error**2).sum())
+    if total == 0.0:
+        return 1.0
+    lags = range(1, min(n // 4, int(LONGEST_S / params.step_s)))
+    alike = np.array([float((error[k:] * error[:-k]).sum()) / total * n / (n - k) for k in lags])
+    ends = np.flatnonzero(alike < LEAST_CORRELATION)
+    return float(np.sqrt(max(1.0, 1 + 2 * alike[: ends[0] if len(ends) else None].sum())))
 
 
 def shrink_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:

@@ -27,7 +27,7 @@ class InertialNoise(Settings):
     """
 
     gyro_radps_rthz: float = number(0.003, 1e-6, 1.0, "gyro in motion, white")
-    accel_mps2_rthz: float = number(0.2, 1e-4, 10.0, "accelerometer in motion, white")
+    accel_mps2_rthz: float = number(0.1, 1e-4, 10.0, "accelerometer in motion, white")
     gyro_rest_radps_rthz: float = number(0.001, 1e-6, 1.0, "gyro at rest")
     accel_rest_mps2_rthz: float = number(0.02, 1e-4, 10.0, "accelerometer at rest")
     gyro_beyond: float = number(1.0, 0.01, 10.0, "a clipped rate is extended: wrong by this share of it")
@@ -39,8 +39,10 @@ class InertialNoise(Settings):
     accel_bias_walk: float = number(1e-3, 1e-7, 1.0, "m/s^2 per sqrt(s): its random walk")
     bias_step_s: float = number(10.0, 1.0, 600.0, "the bias is constant for so long")
     gyro_matrix_sd: float = number(0.005, 1e-5, 0.2, "scale and misalignment of the gyro, relative")
+    free_matrix_sd: float = number(0.01, 1e-5, 0.2, "the same where there is no rest")
     accel_matrix_sd: float = number(0.005, 1e-5, 0.2, "the same of the accelerometer")
-    raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both, tried when the data contradict the two above")
+    raw_matrix_sd: float = number(0.03, 1e-5, 0.2, "of both sensors, tried when the data contradict those")
+    rawest_matrix_sd: float = number(0.1, 1e-5, 0.2, "of both, tried when the data contradict that, too")
     accel_late_sd_s: float = number(0.02, 1e-5, 0.2, "by which the accelerometer may be late against the gyro")
     gap_rate_sd_radps: float = degrees(60.0, 0.1, 3000.0, "rate that a gap in the stamps may hide")
 
@@ -100,8 +102,10 @@ class GraphParams(Settings):
     rest: RestParams = field(default_factory=RestParams)
     returns: ReturnParams = field(default_factory=ReturnParams)
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
-    variance_factor: float = number(0.65, 0.01, 100.0, "on all covariances: calibrated against optical truth")
-    prior_returns: float = number(2.0, 0.01, 100.0, "how many returns' worth of trust the noise sizes deserve")
+    variance_factor: float = number(1.0, 0.01, 100.0, "on the variances of tilt and mean heading")
+    rest_variance_factor: float = number(0.4, 0.01, 100.0, "on that of the tilt where there is a rest")
+    heading_variance_factor: float = number(0.45, 0.01, 100.0, "on that of the heading around its mean")
+    prior_returns: float = number(12.0, 0.01, 100.0, "how many returns' worth of trust that factor deserves")
     iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 
 

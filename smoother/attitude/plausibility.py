@@ -23,27 +23,24 @@ from numpy.typing import NDArray
 from stillpoint.datasets.doctor.witness import ask_mag
 from stillpoint.datasets.earth import local_field_n_ut
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Info, Recording
-from stillpoint.datasets.trajectory import BasePoseReturn, Calibration
-from stillpoint.smoother.attitude.evidence import Evidence, with_bias_prior
+from stillpoint.datasets.trajectory import Calibration
+from stillpoint.smoother.attitude.evidence import Evidence, with_free_priors
 from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.magnetometer import compute_weights
 from stillpoint.smoother.attitude.outside.added import ADDED, CONTRADICTS
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import NoOptimum, Solution
-from stillpoint.smoother.base_pose import BasePose, Returns
 
 IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, relative to the noise settings
-DOUBT_SD = 2.0  # largest surprise of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro 5 % off: 6.5
-SURPRISE_LIMIT_SD = 3.0  # the same with the priors of a raw sensor
+SURPRISE_LIMIT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro 5 % off: 6.5
 LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
 PRIOR_LIMIT_SD = 5.0  # largest deviation of calibration and biases, in sd of their priors
 INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, but with a small median residual
+USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there is no field to speak of
 MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
 RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
 DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
-RETURN_LIMIT_SD = 3.0  # where the robust kernel of a return halves its weight
 ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
 LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
 
@@ -86,15 +83,18 @@ class Fit:
 
 
 def priors_to_try(params: GraphParams, evidence: Evidence) -> list[SensorPriors]:
-    """Return the priors to try in turn: those of a good sensor, then those of a raw one.
+    """Return the priors to try in turn: those of a good sensor, of a raw one, and of a very raw one.
 
-    Only one is returned where the settings allow for a raw sensor already.
+    Each wider prior is used only if the data contradict the narrower ones, so that an answer never rests on slack.
+    Priors that are not wider than the settings' own are left out.
     """
-    params = with_bias_prior(params, evidence)
-    raw = _raw_sensor(params)
-    if raw is None:
+    params = with_free_priors(params, evidence)
+    p = params.inertial
+    sizes = [sd for sd in (p.raw_matrix_sd, p.rawest_matrix_sd) if sd > max(p.gyro_matrix_sd, p.accel_matrix_sd)]
+    if not sizes:
         return [SensorPriors(params, None)]
-    return [SensorPriors(params, DOUBT_SD), SensorPriors(raw, SURPRISE_LIMIT_SD)]
+    wider = [replace(params, inertial=replace(p, gyro_matrix_sd=sd, accel_matrix_sd=sd)) for sd in sizes]
+    return [SensorPriors(each, SURPRISE_LIMIT_SD) for each in (params, *wider)]
 
 
 def measure_fit(
@@ -141,12 +141,12 @@ def refuse_contradictions(
     ``bias_b_radps`` (3,) is the start value of the gyro's bias. Raises :class:`Contradiction` when the sensors
     contradict each other, :class:`Unobservable` when one of them has the wrong sign.
     """
-    inertial = _find_inertial_contradiction(fit, solution, bias_b_radps, params)
-    found = inertial or _find_field_contradiction(fit, params)
+    useless = _find_useless_field(fit)  # comes first: such a field drags gyro and accelerometer along
+    found = useless or _find_inertial_contradiction(fit, solution, bias_b_radps, params)
     if found and (doubtful := find_contradicting_factors(fit.squares)):
         found = f"{found}; {', '.join(doubtful)} contradict the rest"
     if found:
-        raise Contradiction(name, found, of_field=not inertial)
+        raise Contradiction(name, found, of_field=bool(useless))
     upside_down = _find_wrong_dip(fit, solution, info)
     if upside_down:
         raise Unobservable(f"{name}: {upside_down}; {ADVICE}")
@@ -155,6 +155,31 @@ def refuse_contradictions(
 def find_contradicting_factors(squares: Mapping[str, float]) -> list[str]:
     """Return the generators of added factors ("added NAME") whose residuals contradict the rest."""
     return [name for name, square in squares.items() if name.startswith(ADDED) and square > CONTRADICTS]
+
+
+def describe_disturbed_field(fit: Fit, params: GraphParams) -> str:
+    """Return how far the magnetometer contradicts the gyro, "" if it does not.
+
+    A solution in a disturbed field stands: the readings that contradict it have lost their weight, and the covariance
+    counts on how long errors of the field last.
+    """
+    if fit.field_inlier_share is None or fit.field_misfit_ut is None:
+        return ""
+    raw = params.inertial.gyro_matrix_sd >= params.inertial.raw_matrix_sd
+    limit_sd = RAW_MISFIT_LIMIT_SD if raw else MISFIT_LIMIT_SD
+    if fit.field_inlier_share >= INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
+        return ""
+    return (
+        f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
+        f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless)"
+    )
+
+
+def refuse_disturbed_field(fit: Fit, name: str, params: GraphParams) -> None:
+    """Raise :class:`Contradiction` when the magnetometer contradicts the gyro."""
+    found = describe_disturbed_field(fit, params)
+    if found:
+        raise Contradiction(name, found, of_field=True)
 
 
 def refuse_fixes(believed: NDArray[np.bool_], name: str) -> None:
@@ -221,27 +246,6 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
         raise Contradiction(recording.name, found, of_field=True)
 
 
-def judge_returns_again(
-    base: BasePose, returns: Returns, q_nb: Floats, params: GraphParams
-) -> tuple[BasePoseReturn, ...]:
-    """Return the verdicts on all rests, given the attitudes (N, 4) of the solution.
-
-    A return whose weight the robust kernel has halved is rejected.
-    """
-    limit_rad = RETURN_LIMIT_SD * params.returns.repeat_sd_rad
-    base_b = rotation(q_nb[(base.start + base.end) // 2]).inv()
-    off_rad = iter([float((base_b * rotation(q_nb[sum(span) // 2])).magnitude()) for span in returns.spans])
-    return tuple(_judge_again(each, next(off_rad) if each.accepted else 0.0, limit_rad) for each in returns.verdicts)
-
-
-def _raw_sensor(params: GraphParams) -> GraphParams | None:
-    """Return the settings for a sensor that nobody calibrated; None where they allow for one already."""
-    p = params.inertial
-    if p.raw_matrix_sd <= max(p.gyro_matrix_sd, p.accel_matrix_sd):
-        return None
-    return replace(params, inertial=replace(p, gyro_matrix_sd=p.raw_matrix_sd, accel_matrix_sd=p.raw_matrix_sd))
-
-
 def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphParams) -> str:
     """Return what gyro and accelerometer contradict, "" if nothing."""
     p = params.inertial
@@ -267,17 +271,12 @@ def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Flo
     return ""
 
 
-def _find_field_contradiction(fit: Fit, params: GraphParams) -> str:
-    """Return how far the magnetometer contradicts the gyro, "" if it does not."""
-    if fit.field_inlier_share is None or fit.field_misfit_ut is None:
+def _find_useless_field(fit: Fit) -> str:
+    """Return that next to no reading of the magnetometer fits, "" if enough of them do."""
+    if fit.field_inlier_share is None or fit.field_inlier_share >= USELESS_SHARE:
         return ""
-    limit_sd = MISFIT_LIMIT_SD if _raw_sensor(params) is not None else RAW_MISFIT_LIMIT_SD
-    if fit.field_inlier_share >= INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
-        return ""
-    return (
-        f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
-        f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless)"
-    )
+    useless = 100 * (1 - fit.field_inlier_share)
+    return f"the magnetometer contradicts the gyro ({useless:.0f} % of its readings are useless)"
 
 
 def _find_wrong_dip(fit: Fit, solution: Solution, info: Info) -> str:
@@ -306,11 +305,3 @@ def _axes_fit(recording: Recording) -> bool:
 
 def _describe(contradiction: Contradiction | NoOptimum) -> str:
     return contradiction.found if isinstance(contradiction, Contradiction) else "no optimum is found"
-
-
-def _judge_again(verdict: BasePoseReturn, off_rad: float, limit_rad: float) -> BasePoseReturn:
-    if off_rad <= limit_rad:
-        return verdict
-    off, limit = np.rad2deg(off_rad), np.rad2deg(limit_rad)
-    reason = f"{verdict.reason}; the other data put it {off:.1f} deg off, above {limit:.1f}: not the base pose"
-    return replace(verdict, accepted=False, reason=reason)

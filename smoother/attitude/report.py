@@ -1,5 +1,6 @@
 """Report a solved graph as a Reference, with everything that was found about the sensor and the rests."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,12 @@ import numpy as np
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
-from stillpoint.smoother.attitude.covariance import covariance_factor
+from stillpoint.smoother.attitude.covariance import choose_factors, scale_covariances
 from stillpoint.smoother.attitude.every_sample import Piece, Track, join_pieces
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
 from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
-from stillpoint.smoother.attitude.plausibility import judge_returns_again, measure_surprise
+from stillpoint.smoother.attitude.plausibility import describe_disturbed_field, measure_surprise
+from stillpoint.smoother.attitude.returns import judge_returns_again
 from stillpoint.smoother.attitude.windows import Solved
 
 
@@ -25,21 +27,28 @@ def report_reference(
     whole = join_pieces(solved.pieces, evidence.motion.t_s)
     verdicts: tuple[BasePoseReturn, ...] = ()
     if evidence.base is not None and evidence.returns is not None:
-        verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, solved.params)
+        verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, whole.common_q_nb, solved.params)
     closing = _select_closing_squares(evidence, verdicts, solved.pieces)
-    factor = covariance_factor(closing, solved.params)
-    diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {"closing_squares": closing}
+    factors = choose_factors(closing, len(evidence.rests_ns) > 0, bool(evidence.keys.gap.any()), solved.params)
+    diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {
+        "closing_squares": closing,
+        "variance_factors": asdict(factors),
+    }
     if magnetometer_left_out is not None:
         diagnostics["magnetometer_left_out"] = magnetometer_left_out
+    disturbed = describe_disturbed_field(solved.fit, solved.params)
+    if disturbed:
+        diagnostics["field_disturbed"] = f"{disturbed}; only the readings that fit are used"
     return Reference(
         t_ns=recording.require_imu().t_ns,
         q_nb=whole.q_nb,
-        cov_b_rad2=factor * whole.cov_b_rad2,
+        cov_b_rad2=scale_covariances(whole.cov_b_rad2, whole.q_nb, factors),
         gyro_bias_b_radps=whole.gyro_bias_b_radps,
-        heading_sd_rad=float(np.sqrt(factor * whole.heading_rad2)),
+        heading_sd_rad=float(np.sqrt(factors.mean_heading * whole.heading_rad2)),
+        mounting_cov_b_rad2=factors.tilt * whole.mounting_b_rad2,
         method="graph",
         name=recording.name,
-        calibration=whole.calibration,  # its sd is mostly that of the prior, which the factor does not apply to
+        calibration=whole.calibration,  # its sd is mostly that of the prior, to which no factor applies
         rests_ns=evidence.rests_ns,
         returns=verdicts,
         diagnostics=diagnostics,
@@ -89,7 +98,7 @@ def _select_closing_squares(
 ) -> list[float]:
     """Return the closing squares of the returns that are accepted before and after the solution.
 
-    A base pose that was knocked says nothing about the gyro.
+    A return that was put back turned says nothing about the gyro.
     """
     if evidence.returns is None:
         return []
@@ -112,6 +121,7 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "iterations": whole.iterations,
         "cost": whole.cost,
         "residuals": solved.fit.squares,
+        "field_widening": whole.field_widening,
         "gyro_bias_prior_sd_radps": inertial.gyro_bias_sd_radps,
         "gyro_matrix_prior_sd": inertial.gyro_matrix_sd,
         "accel_matrix_prior_sd": inertial.accel_matrix_sd,

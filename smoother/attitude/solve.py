@@ -15,6 +15,7 @@ from stillpoint.smoother.attitude.magnetometer import (
     FieldMeasurements,
     compute_residuals,
     linearise_measurements,
+    measure_widening,
     shrink_scale,
 )
 from stillpoint.smoother.attitude.params import GraphParams
@@ -27,6 +28,7 @@ UNKNOWNS_IN_WORDS = {
     "b": "the bias of step",
     "m": "the calibration",
     "h": "the magnetic field",
+    "l": "the common rest pose",
 }
 STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
 ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
@@ -38,13 +40,14 @@ class NoOptimum(Unobservable):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The optimum: values of all unknowns, and the linear system next to it (within ``turn_limit_rad``)."""
+    """The optimum: values of all unknowns, and the linear system there, whose covariance is that of the optimum."""
 
     values: gtsam.Values
-    system: gtsam.GaussianFactorGraph  # of the last iteration
+    system: gtsam.GaussianFactorGraph
     last_step: gtsam.VectorValues  # the solution of that system
     ordering: gtsam.Ordering  # elimination order of its unknowns
     field_scale_ut: float  # scale of the magnetometer's robust weights
+    field_widening: float  # factor on its sd in ``system``: its errors last from reading to reading
     q_steps_rad: tuple[float, ...]  # largest turn of a state in each iteration
     field_residual_ut: Floats | None  # (K, 3)
     cost: float  # of gtsam's own factors
@@ -57,13 +60,16 @@ def solve(
     measured: FieldMeasurements | None,
     name: str,
     params: GraphParams,
+    scale_ut: float | None = None,
 ) -> Solution:
     """Return the optimum of the graph and the magnetometer's measurements, beginning at ``values``.
+
+    ``scale_ut`` is the first scale of the magnetometer's robust weights, by default FIRST_SCALE times its sd.
 
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
     steps: list[float] = []
-    scale_ut = FIRST_SCALE * params.magnetic.sd_ut
+    scale_ut = FIRST_SCALE * params.magnetic.sd_ut if scale_ut is None else scale_ut
     final = measured is None
     ordering: gtsam.Ordering | None = None
     before: Floats | None = None  # turns of the last step
@@ -85,8 +91,15 @@ def solve(
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and turn < params.turn_limit_rad:
+            widening = 1.0
+            if measured is not None:
+                rotations = rotations_of(values, measured.state)
+                residual = compute_residuals(measured, rotations, values.atVector(H(0)))
+                widening = measure_widening(rotations, residual, scale_ut, params.magnetic)
+                system, _ = linearise(graph, values, measured, scale_ut, params, widening)
+                step = _solve_linear(system, ordering, name)
             cost = float(graph.error(values))
-            return Solution(values, system, step, ordering, scale_ut, tuple(steps), residual, cost)
+            return Solution(values, system, step, ordering, scale_ut, widening, tuple(steps), residual, cost)
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -99,14 +112,18 @@ def linearise(
     measured: FieldMeasurements | None,
     scale_ut: float,
     params: GraphParams,
+    widening: float = 1.0,
 ) -> tuple[gtsam.GaussianFactorGraph, Floats | None]:
-    """Return the linear system at ``values``, and the residuals of the magnetometer (K, 3)."""
+    """Return the linear system at ``values``, and the residuals of the magnetometer (K, 3).
+
+    ``widening`` is a factor on the magnetometer's sd beside that of its robust weights.
+    """
     system = graph.linearize(values)
     if measured is None:
         return system, None
     rotations = rotations_of(values, measured.state)
     field = values.atVector(H(0))
-    for factor in linearise_measurements(measured, rotations, field, scale_ut, params.magnetic):
+    for factor in linearise_measurements(measured, rotations, field, scale_ut, params.magnetic, widening):
         system.push_back(factor)
     return system, compute_residuals(measured, rotations, field)
 

@@ -6,15 +6,16 @@
 
 The past of a window consists of the states before the first state of the next window. Their factors are linearised at
 the optimum and reduced to the unknowns that both windows share (the state in between, its bias, calibration, field and
-hard iron, base pose). The result is a Gaussian on these unknowns with all correlations, so that no measurement is
-counted twice or forgotten. A window's own answer uses the future only as far as the overlap.
+hard iron, common rest pose). The result is a Gaussian on these unknowns with all correlations, so that no measurement
+is counted twice or forgotten. A window's own answer uses the future only as far as the overlap.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, H, M, V, X
+from gtsam.symbol_shorthand import B, C, H, L, M, V, X
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.earth import local_declination
@@ -36,6 +37,7 @@ from stillpoint.smoother.attitude.plausibility import (
     refuse_contradictions,
     refuse_fixes,
 )
+from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
 from stillpoint.smoother.attitude.solve import Solution, linearise, solve
 
 
@@ -59,7 +61,6 @@ class Past:
     factors: tuple[gtsam.LinearContainerFactor, ...]  # on the unknowns that both share
     values: gtsam.Values  # of all unknowns of the window
     held: range  # its states in the overlap
-    base: int | None  # the state of the base pose, if it lies in the past
     gyro_bias_b_radps: Floats  # (3,) at the first state of the next window
 
 
@@ -92,11 +93,18 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
         start_bias = evidence.start.gyro_bias_b_radps
         bias = start_bias if past is None else past.gyro_bias_b_radps
         before = build_graph(recording, closed, bias, params)
-        after = build_graph(recording, evidence.within(until, end), bias, params) if until < end else None
+        parts = [before]
+        if until < end:
+            parts.append(build_graph(recording, evidence.within(until, end), bias, params))
         added = select_added(evidence.added, window.keys.states, window.keys.held)
-        graph = push_added(join_graphs(before, after, past), added)
-        values = start_window(window, past, params)
-        solution = solve(graph, values, window.keys.held, window.measured, recording.name, params)
+        values, votes, scale_ut = start_window(window, past, params), window.find_votes(), None
+        if votes is not None:
+            wide = with_wide_votes(params)
+            graph = push_added(join_graphs(parts, votes, past, wide), added)
+            first_solution = solve(graph, values, window.keys.held, window.measured, recording.name, wide)
+            values, scale_ut = first_solution.values, first_solution.field_scale_ut
+        graph = push_added(join_graphs(parts, votes, past, params), added)
+        solution = solve(graph, values, window.keys.held, window.measured, recording.name, params, scale_ut)
         inherited = len(added) + (0 if past is None else len(past.factors))
         fit = measure_fit(graph, inherited, solution, window.keys, params)
         fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
@@ -108,9 +116,8 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
         pieces.append(sample_solution(window, solution, until, recording.name, params))
         if until < end:
             closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
-            past = hand_over(
-                push_added(join_graphs(before, None, past), closing), closed, window.keys, solution, params
-            )
+            graph = push_added(join_graphs([before], closed.find_votes(), past, params), closing)
+            past = hand_over(graph, closed, window.keys, solution, params)
     return Solved(pieces, average_fits(fits), params, n_doubtful_fixes)
 
 
@@ -140,13 +147,14 @@ def push_added(graph: gtsam.NonlinearFactorGraph, added: list[Added]) -> gtsam.N
 
 
 def join_graphs(
-    before: gtsam.NonlinearFactorGraph, after: gtsam.NonlinearFactorGraph | None, past: Past | None
+    parts: Sequence[gtsam.NonlinearFactorGraph], votes: Votes | None, past: Past | None, params: GraphParams
 ) -> gtsam.NonlinearFactorGraph:
-    """Return one graph of two stretches of states and, last, the factors inherited from the past."""
+    """Return one graph of stretches of states, the votes of their returns and, last, the factors of the past."""
     graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(before)
-    if after is not None:
-        graph.push_back(after)
+    for part in parts:
+        graph.push_back(part)
+    for vote in () if votes is None else vote_factors(votes, params):
+        graph.push_back(vote)
     for factor in () if past is None else past.factors:
         graph.push_back(factor)
     return graph
@@ -170,19 +178,15 @@ def hand_over(
     """
     keys, values = closed.keys, solution.values
     until = keys.states.stop
-    system, _ = linearise(graph, values, closed.measured, solution.field_scale_ut, params)
+    system, _ = linearise(graph, values, closed.measured, solution.field_scale_ut, params, solution.field_widening)
     step = int(bias_steps(keys, params)[until])
-    base, _ = closed.return_states()
-    base = base if base is not None and base < until else None
     common = [X(until), V(until), B(step), M(0)]
-    common += [H(0)] if values.exists(H(0)) else []
-    common += [X(base)] if base is not None else []
+    common += [key for key in (H(0), L(0)) if values.exists(key) and key in system.keyVector()]
     _, rest = system.eliminatePartialMultifrontal(_order_without(solution.ordering, system, common))
     return Past(
         factors=tuple(gtsam.LinearContainerFactor(rest.at(k), values) for k in range(rest.size())),
         values=values,
         held=range(until, window.held.stop),
-        base=base,
         gyro_bias_b_radps=values.atConstantBias(B(step)).gyroscope(),
     )
 
@@ -231,5 +235,5 @@ def _resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) -
     values.update(M(0), before.atVector(M(0)))
     if values.exists(H(0)):
         values.update(H(0), before.atVector(H(0)))
-    if past.base is not None and past.base not in keys.held:
-        values.insert(X(past.base), before.atPose3(X(past.base)))
+    if before.exists(L(0)):
+        values.insert_or_assign(L(0), before.atPose3(L(0)))

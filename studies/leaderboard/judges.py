@@ -126,5 +126,6 @@ def _read_at_truth(judge: Reference | Estimate, truth: Truth) -> Judge:
         method=judge.method,
         name=judge.name,
         heading_sd_rad=judge.heading_sd_rad,
+        mounting_cov_b_rad2=judge.mounting_cov_b_rad2,
     )
     return Judge(at_truth, moving)

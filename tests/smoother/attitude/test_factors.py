@@ -9,13 +9,12 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
-from stillpoint.datasets.frames import quaternion
 from stillpoint.smoother.attitude import factors
 from stillpoint.smoother.attitude.keys import choose_keys, prepare_motion
-from stillpoint.smoother.attitude.params import GraphParams, KeyParams
+from stillpoint.smoother.attitude.params import GraphParams, InertialNoise, KeyParams
 
 G = 9.80665
-PARAMS = GraphParams()
+PARAMS = GraphParams(inertial=InertialNoise(accel_mps2_rthz=0.2))  # the bounds below are errors over this noise
 NO_RESTS = np.empty((0, 2), dtype=np.int64)
 
 
@@ -158,21 +157,3 @@ def test_rest_factors_hold_the_attitude():
     assert sum(factor.error(values_of(keys, attitude)) for factor in made) == pytest.approx(0.0, abs=1e-12)
     tilted = values_of(keys, attitude, Rotation.from_rotvec([2e-3, 0.0, 0.0]))
     assert made[0].error(tilted) == pytest.approx((2e-3 / PARAMS.motion.rest_turn_sd_rad) ** 2 / 2, rel=0.01)
-
-
-def test_a_return_to_the_base_pose_pulls_and_gives_up_on_a_knocked_one():
-    """Cauchy's loss: at 3 sd the weight is a half, so that the cost grows slower than the square."""
-    _, keys, attitude = turning(np.zeros(3))
-    q_nb = quaternion(attitude[0])
-    anchors = factors.Anchors(0, None, 0.0, (5,), q_nb, np.eye(3))
-    prior, back = factors.anchor_factors(anchors, PARAMS)
-    values = values_of(keys, attitude)
-    assert prior.error(values) == pytest.approx(0.0, abs=1e-12)
-    assert back.error(values) == pytest.approx(0.0, abs=1e-12)
-    costs = []
-    for sd in (1.0, 10.0):
-        knock = Rotation.from_rotvec([0.0, 0.0, sd * PARAMS.returns.repeat_sd_rad])
-        values.update(X(5), gtsam.Pose3(gtsam.Rot3((knock * attitude[5]).as_matrix()), np.zeros(3)))
-        costs.append(back.error(values))
-    assert costs[0] == pytest.approx(0.5, rel=0.1)
-    assert costs[1] < 0.3 * 50

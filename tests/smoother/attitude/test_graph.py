@@ -1,7 +1,7 @@
 """The calibrating graph on simulated phones: what it must give whatever the axes, the time and the sensor."""
 
 import json
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from known_motion import later, rotated_body
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.simulate import PERFECT, PHONE, simulate
 from stillpoint.datasets.trajectory import CONVENTION
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.attitude.covariance import covariance_factor
+from stillpoint.smoother.attitude.covariance import Factors, choose_factors, scale_covariances
 from stillpoint.smoother.attitude.params import HANDHELD
 
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
@@ -137,10 +137,27 @@ def test_the_covariance_is_neither_boast_nor_excuse(kind):
     assert np.mean([each.coverage95 for each in scores]) > 0.75
 
 
-def test_many_returns_do_not_promise_more_than_six() -> None:
-    """Over hours the returns would scale the covariance to nothing, while what errs alike each time stays."""
-    assert covariance_factor([0.06] * 900, HANDHELD) == pytest.approx(covariance_factor([0.06] * 6, HANDHELD))
-    assert covariance_factor([], HANDHELD) == pytest.approx(HANDHELD.variance_factor)
-    assert covariance_factor([4.0] * 3, HANDHELD) > HANDHELD.variance_factor > covariance_factor([0.1] * 3, HANDHELD)
-    for count in (1, 3, 50):  # closing as well as promised says: as promised
-        assert covariance_factor([1.0] * count, HANDHELD) == pytest.approx(HANDHELD.variance_factor)
+def test_many_returns_count_as_six() -> None:
+    """Over hours the returns would scale the heading's variance to nothing, while repeated errors stay."""
+    many, six = choose_factors([0.06] * 900, True, False, HANDHELD), choose_factors([0.06] * 6, True, False, HANDHELD)
+    assert many.heading == pytest.approx(six.heading)
+    usual = HANDHELD.heading_variance_factor
+    assert choose_factors([], True, False, HANDHELD).heading == usual
+    assert (
+        choose_factors([4.0] * 3, True, False, HANDHELD).heading
+        > usual
+        > choose_factors([0.01] * 3, True, False, HANDHELD).heading
+    )
+    for count in (1, 3, 50):  # returns that close as usual confirm the usual factor
+        assert choose_factors([usual] * count, True, False, HANDHELD).heading == pytest.approx(usual)
+    assert choose_factors([], False, False, HANDHELD).tilt == HANDHELD.variance_factor
+    assert min(astuple(choose_factors([0.01] * 3, True, True, HANDHELD))) == 1.0  # nothing was calibrated with gaps
+
+
+def test_scaled_covariances_scale_tilt_and_heading_by_themselves() -> None:
+    """Upright and upside down, on its side: the variance about up by one factor, about level axes by the other."""
+    attitudes = Rotation.from_euler("ZYX", [[0.3, 0, 0], [1.0, np.pi, 0], [2.0, 0.4, np.pi / 2]])
+    up_b = attitudes.as_matrix()[:, 2]
+    scaled = scale_covariances(np.tile(np.eye(3), (3, 1, 1)), quaternion(attitudes), Factors(0.5, 0.2, 1.0))
+    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", up_b, scaled, up_b), 0.2, atol=1e-12)
+    np.testing.assert_allclose(np.trace(scaled, axis1=1, axis2=2), 1.2, atol=1e-12)

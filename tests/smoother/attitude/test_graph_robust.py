@@ -146,11 +146,12 @@ def test_a_clipped_accelerometer_costs_next_to_nothing(hand):
     assert score(reference(clipped), hand.truth, "heading").total_rmse_deg < 1.0
 
 
-def test_a_raw_gyro_5_per_cent_off_is_calibrated_and_said_to_be_raw(hand):
-    """Ten sd of a good gyro's prior: with that prior the error is 2 deg and more, or the recording is refused."""
-    made = reference(with_imu(hand, gyro=1.05 * hand.imu.gyro_b_radps))
-    assert made.diagnostics["gyro_matrix_prior_sd"] == 0.03
-    assert np.abs(np.diagonal(made.calibration.gyro_matrix) - 1 / 1.05).max() < 0.02
+@pytest.mark.parametrize(("scale", "prior_sd"), [(1.05, 0.03), (1.2, 0.1)])
+def test_a_raw_gyro_is_calibrated_with_the_prior_that_allows_for_it(hand, scale, prior_sd):
+    """With the prior of a good gyro the error is 2 deg and more, or the recording is refused."""
+    made = reference(with_imu(hand, gyro=scale * hand.imu.gyro_b_radps))
+    assert made.diagnostics["gyro_matrix_prior_sd"] == prior_sd
+    assert np.abs(np.diagonal(made.calibration.gyro_matrix) - 1 / scale).max() < 0.02
     found = score(made, hand.truth, "heading")
     assert found.total_rmse_deg < 1.0
     assert found.coverage95 > 0.9
@@ -170,7 +171,7 @@ SPOILED = {
 }
 
 
-@pytest.mark.parametrize("fault", SPOILED)
+@pytest.mark.parametrize("fault", [fault for fault in SPOILED if fault != "gyro 20 % too large"])
 def test_a_contradiction_is_refused_and_named(hand, fault):
     """The base pose would give an accelerometer's sign away at once; here the other sensors must."""
     with pytest.raises(Unobservable, match="run the doctor"):
@@ -190,7 +191,7 @@ def test_a_world_upside_down_is_said_to_be_possible(hand):
     "fault", ["gyro z flipped", "gyro flipped", "gyro 20 % too large", "magnetometer x and y swapped"]
 )
 def test_turning_about_the_vertical_only_the_magnetometer_tells(table, fault):
-    with pytest.raises(Unobservable, match="contradict"):
+    with pytest.raises(Unobservable, match=r"contradict|do not turn as the gyro's"):
         reference(SPOILED[fault](replace(table, base_pose=None)))
 
 

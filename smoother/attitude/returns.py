@@ -1,0 +1,116 @@
+"""Returns to the base pose in the graph: every rest votes on one common pose, and turned rests are outvoted.
+
+A thing that is put back on a table is level again, but may be turned by degrees. So a rest in the base pose, the base
+rest included, has two factors to the common pose L: tilt and place, which repeat well, and the heading by itself, with
+a heavy-tailed loss. Returns that agree outvote a turned one, and also a turned base rest. A lone return has one vote
+against that of the base rest and cannot be tested.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from stillpoint.datasets.frames import rotation
+from stillpoint.datasets.recording import Floats
+from stillpoint.datasets.trajectory import BasePoseReturn
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.base_pose import BasePose, Returns
+
+TILT_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
+UNBOUNDED_SD = 10.0  # sd in rad or m of a component that a factor does not measure
+FIRST_HEADING_SD_RAD = np.deg2rad(2.0)  # of the votes in the first solve: a drifted start value must not decide
+FIRST_KERNEL = 3.0  # of the votes in the first solve
+FIRST_TURN_LIMIT_RAD = np.deg2rad(0.2)  # the first solve ends when no state turns by more
+TILT_LIMIT_SD = 3.0  # a return whose tilt is farther off is rejected
+HEADING_LIMIT_SD = 3.0  # a return whose heading is farther off is called turned
+
+
+@dataclass(frozen=True, eq=False)
+class Votes:
+    """The rests in the base pose that lie in a stretch of states."""
+
+    states: tuple[int, ...]  # the base rest and the accepted returns
+    up_b: Floats  # (3,) up in the base pose, body axes
+
+
+def with_wide_votes(params: GraphParams) -> GraphParams:
+    """Return the settings for the first of two solves, in which the headings of the returns hardly count."""
+    heading_sd_rad = max(params.returns.heading_sd_rad, FIRST_HEADING_SD_RAD)
+    wide = replace(params.returns, heading_sd_rad=heading_sd_rad, heading_kernel=FIRST_KERNEL)
+    return replace(params, returns=wide, turn_limit_rad=max(params.turn_limit_rad, FIRST_TURN_LIMIT_RAD))
+
+
+def vote_factors(votes: Votes, params: GraphParams) -> Iterator[gtsam.NonlinearFactor]:
+    """Tie each rest in the base pose to the common pose L: tilt and place by one factor, heading by another."""
+    p, along = params.returns, np.outer(votes.up_b, votes.up_b)
+    tilt, heading = np.zeros((6, 6)), UNBOUNDED_SD**2 * np.eye(6)
+    tilt[:3, :3] = p.repeat_sd_rad**2 * (np.eye(3) - along) + UNBOUNDED_SD**2 * along
+    tilt[3:, 3:] = params.motion.return_position_sd_m**2 * np.eye(3)
+    heading[:3, :3] = UNBOUNDED_SD**2 * (np.eye(3) - along) + p.heading_sd_rad**2 * along
+    heading_loss = gtsam.noiseModel.mEstimator.Cauchy.Create(p.heading_kernel)
+    make_robust, gaussian = gtsam.noiseModel.Robust.Create, gtsam.noiseModel.Gaussian.Covariance
+    for state in votes.states:
+        yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(TILT_LOSS, gaussian(tilt)))
+        yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(heading_loss, gaussian(heading)))
+
+
+def closing_square(tree: gtsam.GaussianBayesTree, values: gtsam.Values, state: int, params: GraphParams) -> float:
+    """Return the normalised square of the heading's closing error at a return, as if the return had not been used.
+
+    Let e be the heading of the return against the common pose, C its covariance in the solution, and R the variance of
+    the vote, widened by its robust weight. Without the vote the error is R/(R - C) e with variance R^2/(R - C): its
+    normalised square is e^2 / (R - C).
+    """
+    common, here = values.atPose3(L(0)).rotation(), values.atPose3(X(state)).rotation()
+    joint = tree.jointMarginalCovariance(gtsam.KeyVector([L(0), X(state)]))
+    blocks = [joint.at(i, j)[:3, :3] for i in (L(0), X(state)) for j in (L(0), X(state))]
+    up_b = here.matrix()[2]
+    error = float(up_b @ gtsam.Rot3.Logmap(common.between(here)))
+    covariance = float(up_b @ (blocks[0] - blocks[1] - blocks[2] + blocks[3]) @ up_b)
+    p = params.returns
+    variance = p.heading_sd_rad**2 + (error / p.heading_kernel) ** 2
+    return error**2 / max(variance - covariance, 1e-3 * variance)
+
+
+def judge_returns_again(
+    base: BasePose, returns: Returns, q_nb: Floats, common_q_nb: Floats | None, params: GraphParams
+) -> tuple[BasePoseReturn, ...]:
+    """Return the verdicts on all rests, given the attitudes (N, 4) of the solution and the common pose (4,).
+
+    Each return states its heading against the common pose. A return that is tilted or turned against it is rejected.
+    """
+    if common_q_nb is None:
+        return returns.verdicts
+    common = rotation(common_q_nb)
+    middles = [(base.start + base.end) // 2, *(sum(span) // 2 for span in returns.spans)]
+    off_b = (common.inv() * rotation(q_nb[middles])).as_rotvec()  # (1 + R, 3)
+    up_b = rotation(common_q_nb).as_matrix()[2]
+    heading_rad = off_b @ up_b
+    tilt_rad = np.linalg.norm(off_b - heading_rad[:, None] * up_b, axis=1)
+    found = iter(zip(tilt_rad[1:].tolist(), heading_rad[1:].tolist(), strict=True))
+    lone = len(returns.spans) == 1
+    return tuple(
+        _judge_again(verdict, *next(found), lone, params) if verdict.accepted else verdict
+        for verdict in returns.verdicts
+    )
+
+
+def _judge_again(
+    verdict: BasePoseReturn, tilt_rad: float, heading_rad: float, lone: bool, params: GraphParams
+) -> BasePoseReturn:
+    p = params.returns
+    tilt_limit_rad, heading_limit_rad = TILT_LIMIT_SD * p.repeat_sd_rad, HEADING_LIMIT_SD * p.heading_sd_rad
+    if tilt_rad > tilt_limit_rad:
+        tilt, limit = np.rad2deg(tilt_rad), np.rad2deg(tilt_limit_rad)
+        reason = f"{verdict.reason}; the other data tilt it by {tilt:.1f} deg, above {limit:.1f}: not the base pose"
+        return replace(verdict, accepted=False, reason=reason)
+    heading, limit = np.rad2deg(heading_rad), np.rad2deg(heading_limit_rad)
+    if abs(heading_rad) > heading_limit_rad:
+        found = f"the other data turn it by {heading:+.2f} deg, above {limit:.2f}"
+        reason = f"{verdict.reason}; {found}: put back turned, not the base pose"
+        return replace(verdict, accepted=False, reason=reason)
+    test = "the only return, so that its heading cannot be tested" if lone else f"turned by {heading:+.2f} deg"
+    return replace(verdict, reason=f"{verdict.reason}; {test}")
