@@ -71,7 +71,7 @@ def overlapping_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats
     for m in sizes.tolist():
         second = total[2 * m :] - 2 * total[m:-m] + total[: -2 * m]
         rows.append(np.sqrt(np.mean(second**2, axis=0) / 2) / (m * step_s))
-    return sizes * step_s, np.array(rows)
+    return np.asarray(sizes * step_s, dtype=np.float64), np.array(rows, dtype=np.float64)
 
 
 def _fit_line(tau_s: Floats, deviation: Floats, slope: float, span_s: tuple[float, float]) -> Floats:

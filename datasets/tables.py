@@ -23,6 +23,9 @@ def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mappin
         return _streams(thing)
     table: Table = {"t_ns": thing.t_ns}
     if isinstance(thing, Reference) and thing.position_n_m is not None:
+        assert thing.velocity_n_mps is not None
+        assert thing.position_cov_n_m2 is not None
+        assert thing.velocity_cov_n_m2ps2 is not None
         table |= _columns([f"{axis}_m" for axis in XYZ], thing.position_n_m)
         table |= _columns([f"v{axis}_mps" for axis in XYZ], thing.velocity_n_mps)
         table |= {f"cov_{XYZ[i]}{XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in UPPER}

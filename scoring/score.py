@@ -176,7 +176,12 @@ def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence
         coverage95=coverage,
         turns=turn_errors(comparison, over_s),
         conversion=_find_conversion(comparison) if parts["total"].rmse_deg > ABSURD_DEG else None,
-        **parts,
+        total=parts["total"],
+        heading=parts["heading"],
+        inclination=parts["inclination"],
+        roll=parts["roll"],
+        pitch=parts["pitch"],
+        yaw=parts["yaw"],
     )
 
 

@@ -34,16 +34,16 @@ def facts_of(thing: Kept) -> dict[str, Any]:
     """Return everything that is no column of a topic."""
     if isinstance(thing, Recording):
         geometry = None if thing.spin is None else _shallow(thing.spin.geometry)
-        facts = {
+        labels = {name: list(series.labels) for name, series in thing.extra.items()}
+        return {
             "name": thing.name,
             "base_pose": thing.base_pose,
             "spin_geometry": geometry,
             "info": asdict(thing.info),
+            **({"extra": labels} if labels else {}),
         }
-        labels = {name: list(series.labels) for name, series in thing.extra.items()}
-        return facts | {"info": asdict(thing.info)} | ({"extra": labels} if labels else {})
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
-    facts = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
+    facts: dict[str, Any] = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
     if isinstance(thing, Reference):
         facts["calibration"] = _shallow(thing.calibration)
         facts["returns"] = [asdict(one) for one in thing.returns]

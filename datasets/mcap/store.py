@@ -298,9 +298,9 @@ def _recording(
     if units_unchecked:
         info = replace(info, units_unchecked=True)
     extra = {
-        name: Series(found.t_ns, found.column("data").reshape(len(found.t_ns), -1), tuple(labels))
+        name: Series(topic.t_ns, topic.column("data").reshape(len(topic.t_ns), -1), tuple(labels))
         for name, labels in facts.get("extra", {}).items()
-        if (found := log.topics.get(f"{EXTRA}{name}")) is not None
+        if (topic := log.topics.get(f"{EXTRA}{name}")) is not None
     }
     base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
     return Recording(name=facts["name"], base_pose=base_pose, info=info, extra=extra, **streams)

@@ -209,7 +209,9 @@ def align_headings(fixes: Fixes, motion: Motion, q_nb: Floats, keys: Keys) -> Fl
     turned = np.empty_like(q_key)
     angle = 0.0
     for number in range(int(stretch[-1]) + 1):
-        product, parallel = _compare_velocities(fixes.among(stretch[fixes.state] == number), motion, q_nb, 0.0)
+        product, parallel = _compare_velocities(
+            fixes.among(np.asarray(stretch[fixes.state] == number)), motion, q_nb, 0.0
+        )
         if parallel > 0 and abs(product) > LEAST_CORRELATION * parallel:
             angle = float(np.angle(product))
         own = stretch == number
@@ -239,7 +241,7 @@ def _compare_velocities(fixes: Fixes, motion: Motion, q_nb: Floats, delay_s: flo
 
     The argument of the sum is the angle about up from the accelerometer's changes to those of the satellites.
     """
-    moving = fixes.among(np.isfinite(fixes.velocity_n_mps).all(axis=1))
+    moving = fixes.among(np.asarray(np.isfinite(fixes.velocity_n_mps).all(axis=1)))
     if len(moving.state) < 3:
         return 0j, 0.0
     force = rotation(q_nb).apply(motion.accel_b_mps2.copy())
