@@ -41,7 +41,9 @@ class Variant:
 NO_CALIBRATION = {
     "inertial.gyro_matrix_sd": 1e-5,
     "inertial.accel_matrix_sd": 1e-5,
+    "inertial.free_matrix_sd": 1e-5,
     "inertial.raw_matrix_sd": 1e-5,
+    "inertial.rawest_matrix_sd": 1e-5,
 }
 VARIANTS = (
     Variant("everything"),
