@@ -148,13 +148,12 @@ class Catalogue:
 
     def entries(self, where: str = "1", parameters: Sequence[Any] = ()) -> list[Entry]:
         """Objects that meet a condition on ``objects o``, oldest first."""
-        names = ", ".join(f"o.{name}" for name in DESCRIBED)
-        rows = self.select(
-            "SELECT o.sha256, o.kind, o.name, o.file_name, o.size, o.added, o.removed, o.problem, o.link, "
-            f"{names} FROM objects o WHERE {where} ORDER BY o.added, o.sha256",
-            parameters,
-        )
-        return [Entry(*row[:9], columns={name: row[name] for name in DESCRIBED}) for row in rows]
+        own = ("sha256", "kind", "name", "file_name", "size", "added", "removed", "problem", "link")
+        names = ", ".join(f"o.{name}" for name in (*own, *DESCRIBED))
+        rows = self.select(f"SELECT {names} FROM objects o WHERE {where} ORDER BY o.added, o.sha256", parameters)
+        return [
+            Entry(**{name: row[name] for name in own}, columns={name: row[name] for name in DESCRIBED}) for row in rows
+        ]
 
     def dump(self) -> dict[str, list[tuple[Any, ...]]]:
         """Every row of every table, in order: two catalogues of one archive give the same."""

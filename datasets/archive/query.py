@@ -93,7 +93,7 @@ def _parser() -> Any:
 def _translator() -> Any:
     from lark import Transformer
 
-    class Translator(Transformer):  # type: ignore[misc]  # lark has no types for it
+    class Translator(Transformer):
         """Turns the tree of a query into one condition."""
 
         def start(self, parts: list[Condition]) -> Condition:

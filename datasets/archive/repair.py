@@ -8,9 +8,9 @@ from stillpoint.datasets.archive.archive import Archive
 from stillpoint.datasets.archive.incoming import Given, Incoming, Wanted
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_key
 from stillpoint.datasets.archive.storage import FolderStorage, Storage, read_key, storage_at
-from stillpoint.datasets.archive.verify import Fault, hash_file
+from stillpoint.datasets.archive.verify import Fault
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
-from stillpoint.datasets.files.remote import open_binary
+from stillpoint.datasets.files.remote import hash_file, open_binary
 
 
 class Copies:

@@ -1,12 +1,10 @@
 """Check an archive against itself: bytes, records, MCAP checksums, catalogue, provenance, links."""
 
-import hashlib
 import os
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.archive.archive import MARK, Archive
@@ -15,10 +13,9 @@ from stillpoint.datasets.archive.describe import Description, describe_object
 from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
 from stillpoint.datasets.archive.storage import FolderStorage
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.files.remote import open_binary
+from stillpoint.datasets.files.remote import hash_file
 
 MADE = ("reference", "roll reference", "estimate", "score", "leaderboard")  # kinds that are made from others
-BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -182,15 +179,6 @@ def _check_object(archive: Archive, record: Record, known: Description | None) -
         repair = f"stillpoint recover {path}; add the result and remove this one"
         return _Checked(record.sha256, described, (Fault("content", record.sha256, str(path), what, repair),))
     return _Checked(record.sha256, described, ())
-
-
-def hash_file(path: Path) -> str:
-    """The SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
-    digest = hashlib.sha256()
-    with open_binary(path) as file:
-        while block := file.read(BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _compare_catalogue(

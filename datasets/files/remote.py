@@ -4,6 +4,7 @@ A URL may travel as a ``Path``, which writes ``s3://bucket/key`` as ``s3:/bucket
 fsspec and the client of the protocol are the extra ``cloud``.
 """
 
+import hashlib
 import io
 import re
 import time
@@ -15,6 +16,7 @@ from stillpoint.datasets.errors import BadFile, BadParameter
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/{1,2}(?!/)", re.IGNORECASE)  # a single letter is a drive of Windows
 ATTEMPTS = 5  # of one range, before a lost connection is an error
 FIRST_WAIT_S = 0.1  # after the first attempt; doubled after each further one
+BLOCK = 1 << 20  # bytes that are hashed at once
 READ_AHEAD = 4 << 20  # bytes that a sequential reader asks for at once
 
 
@@ -50,6 +52,15 @@ def open_binary(path: Path | str) -> IO[bytes]:
     if not is_url(path):
         return open(str(path).removeprefix("file://"), "rb")
     return io.BufferedReader(RangedFile(path), READ_AHEAD)
+
+
+def hash_file(path: Path | str) -> str:
+    """The SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
+    digest = hashlib.sha256()
+    with open_binary(path) as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def list_files(path: Path | str, suffix: str) -> list[Path]:

@@ -142,10 +142,16 @@ def _read_summary(data: mmap.mmap, found: _Found) -> None:
             found.channels[channel.id] = channel
         elif opcode == Opcode.STATISTICS:
             found.counts = dict(parse_record(Statistics, body).channel_message_counts)
-        elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
-            kind = MetadataIndex if opcode == Opcode.METADATA_INDEX else AttachmentIndex
-            at = parse_record(kind, body).offset
-            _take_fact(data, found, data[at], at + _HEAD, at + _length(data, at) + _HEAD)
+        elif opcode == Opcode.METADATA_INDEX:
+            _take_fact_at(data, found, parse_record(MetadataIndex, body).offset)
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            _take_fact_at(data, found, parse_record(AttachmentIndex, body).offset)
+
+
+def _take_fact_at(data: mmap.mmap, found: _Found, at: int) -> None:
+    """Take in the metadata or the attachment to which the summary points, unless its own head is damaged."""
+    if at + _HEAD <= len(data) and data[at] in (Opcode.METADATA, Opcode.ATTACHMENT):
+        _take_fact(data, found, data[at], at + _HEAD, min(at + _HEAD + _length(data, at), len(data)))
 
 
 def _walk_records(data: mmap.mmap, found: _Found) -> None:

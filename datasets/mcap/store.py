@@ -4,7 +4,6 @@ Columns go to the topics of :mod:`stillpoint.datasets.mcap.topics`; everything e
 rests, calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadRecording
-from stillpoint.datasets.files.remote import open_binary
+from stillpoint.datasets.files.remote import hash_file
 from stillpoint.datasets.mcap.facts import (
     KINDS,
     Kept,
@@ -155,8 +154,7 @@ def provenance(path: Path | str) -> Provenance:
 def sha256(path: Path | str) -> str:
     """Return the SHA-256 of a file, in hex; raises :class:`BadFile` when it cannot be read."""
     try:
-        with open_binary(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return hash_file(path)
     except OSError as error:
         raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
 

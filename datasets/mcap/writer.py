@@ -175,7 +175,9 @@ def _chunks_of_group(makers: Sequence[_Messages]) -> Iterator[tuple[NDArray[np.u
     start = end - sizes[which]
     total = int(end[-1]) if len(end) else 0
     cuts = np.searchsorted(end, np.arange(CHUNK_BYTES, total, CHUNK_BYTES))
-    spans = np.flatnonzero(np.diff((times[order] - times.min()) // CHUNK_SPAN_NS)) + 1 if total else []
+    spans = np.empty(0, np.int64)
+    if total:
+        spans = np.flatnonzero(np.diff((times[order] - times.min()) // CHUNK_SPAN_NS)) + 1
     bounds = np.unique(np.concatenate([[0], cuts, spans, [len(end)]]).astype(np.int64))
     done = [0] * len(streams)
     for first, last in pairwise(bounds):
