@@ -21,7 +21,7 @@ from stillpoint.scripts.shared.flags import SetFlag, Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
-from stillpoint.scripts.streaming.lines import ATTITUDE, make_spin_layout
+from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, SpinArrival, make_spin_layout
 from stillpoint.scripts.streaming.pipe import Counts, quit_at_interrupt, run_pipe
 from stillpoint.scripts.streaming.streams import (
     Live,
@@ -32,6 +32,7 @@ from stillpoint.scripts.streaming.streams import (
     open_streams,
     save_streams,
 )
+from stillpoint.scripts.streaming.unit_watch import UnitWatch
 
 SPIN = Group("Estimators of roll", sort_key=1)
 HOST = "127.0.0.1"
@@ -134,8 +135,13 @@ def stream(
         streams = open_streams(makes, resume, kind)
     if sys.stdin is None or sys.stdout is None:
         raise BadParameter("the standard input or output is closed; samples come on the one, estimates on the other")
-    watch = HeadingWatch(list(streams), heading)
-    passed = run_pipe(streams, sys.stdin.buffer, sys.stdout, layout, watch.see)
+    watch, units = HeadingWatch(list(streams), heading), UnitWatch()
+
+    def see(sample: Arrival | SpinArrival) -> None:
+        watch.see(sample)
+        units.see(sample)
+
+    passed = run_pipe(streams, sys.stdin.buffer, sys.stdout, layout, see)
     watch.end()
     if save is not None:
         save_streams(save, streams, kind)

@@ -57,3 +57,45 @@ def test_the_verb_never_overwrites_and_wants_a_folder(files, flags, capsys, monk
     monkeypatch.chdir(files)
     assert call("clean.mcap", *flags) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_several_files_end_in_a_summary_by_finding(files, capsys):
+    """Facts are left to the JSON; --errors leaves the warnings out too."""
+    assert call(files, "--errors") == 0
+    out = capsys.readouterr().out
+    assert "2 recordings, 1 clean" in out
+    assert "error\tgyro-axes\t1\tflipped" in out
+    assert not [line for line in out.splitlines() if line.strip().startswith("fact ")]
+
+
+def test_repair_is_another_name_for_apply(files, tmp_path):
+    assert call(files / "flipped.mcap", "--repair", "-o", tmp_path / "mended") == 0
+    assert read_recording(tmp_path / "mended" / "flipped.mcap").info.conversions[-1] == "doctor: gyro x -> -x"
+
+
+@pytest.mark.parametrize("place", ["52,13", "-35,149,600"])
+def test_the_place_decides_whether_a_field_that_points_up_is_wrong(files, tmp_path, capsys, place):
+    """An inverted accelerometer makes the field point up: right in the south, wrong in the north."""
+    clean = read_recording(files / "clean.mcap")
+    imu = replace(clean.imu, accel_b_mps2=-clean.imu.accel_b_mps2)
+    info = replace(clean.info, place_lat_lon_alt=None, units_unchecked=True)
+    write(tmp_path / "up.mcap", replace(clean, imu=imu, truth=None, base_pose=None, info=info))
+    assert call(tmp_path / "up.mcap", "--place", place, "--date", "2033-01-01", "--json", "-") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    found = [row for row in rows if row["severity"] != "fact"]
+    assert [row["code"] for row in found] == ([] if place.startswith("-") else ["gravity-inverted"])
+    assert all(row["remedy"] is None for row in found), "gravity or the field: nothing tells which"
+
+
+@pytest.mark.parametrize("flags", [["--place", "91,0"], ["--place", "here"], ["--date", "yesterday"]])
+def test_a_place_or_date_that_is_none_is_one_line(files, flags, capsys):
+    assert call(files / "clean.mcap", *flags) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_one_file_that_cannot_be_read_does_not_cost_the_others(files, tmp_path, capsys):
+    (tmp_path / "broken.mcap").write_bytes(b"no MCAP")
+    assert call(files / "clean.mcap", tmp_path / "broken.mcap", "--json", "-") == 2
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["code"] for row in rows if row["severity"] == "error"] == ["unreadable"]
+    assert {row["recording"] for row in rows} == {"clean", "broken"}
