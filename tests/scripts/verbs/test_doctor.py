@@ -98,4 +98,4 @@ def test_one_file_that_cannot_be_read_does_not_cost_the_others(files, tmp_path, 
     assert call(files / "clean.mcap", tmp_path / "broken.mcap", "--json", "-") == 2
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row["code"] for row in rows if row["severity"] == "error"] == ["unreadable"]
-    assert {row["recording"] for row in rows} == {"clean", "broken"}
+    assert {row["recording"] for row in rows} == {"phone-3-seed3", "broken"}
