@@ -26,8 +26,7 @@ def make_graph_reference(recording: Recording, params: GraphParams, generators: 
 
     Raises :class:`Unobservable` as :func:`~stillpoint.smoother.attitude.graph.make_attitude_reference` does.
     """
-    alone = recording.gps is None and recording.mag is None and not generators
-    if allows_vehicle(params) and alone and not params.motion.nonholonomic:
+    if _is_blind_vehicle(recording, params, generators):
         raise Unobservable(
             f"{recording.name}: a vehicle's acceleration cannot be told from gravity without satellites or a "
             "magnetometer; import its fixes, add factors such as a wheel speed, or set motion.nonholonomic"
@@ -42,12 +41,20 @@ def make_graph_reference(recording: Recording, params: GraphParams, generators: 
     return replace(made, diagnostics={**made.diagnostics, **found})
 
 
+def _is_blind_vehicle(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> bool:
+    """Return whether nothing tells the acceleration of a vehicle from gravity."""
+    known = recording.gps is not None or recording.mag is not None or params.motion.nonholonomic
+    return allows_vehicle(params) and not known and not generators
+
+
 def _blame_generator(
     recording: Recording, params: GraphParams, generators: Sequence[Generator], error: Unobservable
 ) -> Unobservable:
     """Return the error that names the added factors without which there is a reference."""
     for one in generators:
         others = [other for other in generators if other is not one]
+        if _is_blind_vehicle(recording, params, others):
+            continue  # what is left fits anything
         try:
             make_attitude_reference(recording, params, others)
         except Unobservable:
