@@ -47,7 +47,8 @@ def make_attitude_reference(
     """
     recording = recording if params.magnetic.use else replace(recording, mag=None)
     evidence = gather_evidence(recording, params, generators)
-    solved, left_out = None, None
+    solved: Solved | None = None
+    left_out: str | None = None
     try:
         solved = solve_with_priors(recording, evidence, priors_to_try(params, evidence))
         refuse_disturbed_field(solved.fit, recording.name, solved.params)

@@ -97,7 +97,8 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
         if until < end:
             parts.append(build_graph(recording, evidence.within(until, end), bias, params))
         added = select_added(evidence.added, window.keys.states, window.keys.held)
-        values, votes, scale_ut = start_window(window, past, params), window.find_votes(), None
+        values, votes = start_window(window, past, params), window.find_votes()
+        scale_ut: float | None = None
         if votes is not None:
             wide = with_wide_votes(params)
             graph = push_added(join_graphs(parts, votes, past, wide), added)
