@@ -178,7 +178,7 @@ def _how_to_reproduce(items: Sequence[Item]) -> str:
 
 The script takes this bundle into a new archive, checks every hash, and makes every reference and estimate anew from
 the raw recordings with the recorded settings; each is compared with the one in this bundle to 1e-9 rad (docs/archive.md
-says what differs between kinds of machines). Leaderboards are made anew into the folder `remade`. The files were made
+says what is known about other machines). Leaderboards are made anew into the folder `remade`. The files were made
 by stillpoint {", ".join(made) or "(no version is recorded)"}.
 """
 

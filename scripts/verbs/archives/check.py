@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.flags import Jobs, Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
-TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md has what was measured across kinds
+TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md says what is known about others
 
 
 def verify(
@@ -47,7 +47,7 @@ def verify(
     seed
         Of the draw.
     tolerance
-        Largest difference, in rad; the default holds on one kind of machine, docs/archive.md has others.
+        Largest difference, in rad; the default holds on one kind of machine (docs/archive.md).
     jobs
         Processes for --remake; by default one per core.
     json
