@@ -15,8 +15,8 @@ from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, St
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
+from stillpoint.datasets.mcap.parts import split_recording
 from stillpoint.datasets.mcap.store import sha256, write
-from stillpoint.datasets.parts import split_recording
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.shared.flags import OutDir, read_span
 from stillpoint.scripts.shared.inputs import output_dir

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from stillpoint.datasets.mcap.parts import read_parts
 from stillpoint.datasets.mcap.store import write
-from stillpoint.datasets.parts import read_parts
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs
 

@@ -58,7 +58,7 @@ def build_start_values(evidence: Evidence, q_nb: Floats, bias_b_radps: Floats, p
     if evidence.field_start is not None:
         values.insert(H(0), evidence.field_start)
     base = evidence.return_states()[0]
-    if evidence.find_votes() is not None and base in evidence.keys.held:
+    if base is not None and evidence.find_votes() is not None and base in evidence.keys.held:
         values.insert(L(0), values.atPose3(X(base)))
     return values
 

@@ -56,8 +56,8 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
 
     Raises :class:`BadParameter` when one is missing, or belongs to another recording.
     """
-    wholes = {part.info.extra.get(WHOLE) for part in parts}
-    if len(wholes) != 1 or None in wholes:
+    wholes = {part.info.extra.get(WHOLE, "") for part in parts}
+    if len(wholes) != 1 or "" in wholes:
         raise BadParameter(f"{', '.join(part.name for part in parts[:3])}: are no parts of one recording")
     numbered = {part.info.extra[PART]: part for part in parts}
     count = int(parts[0].info.extra[PART].rpartition(" ")[2])

@@ -9,7 +9,7 @@ from shelf import write_recording
 
 from stillpoint.datasets import Imu, Recording, read, write
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.parts import join_recordings, read_parts, split_recording
+from stillpoint.datasets.mcap.parts import join_recordings, read_parts, split_recording
 
 
 def assert_written_alike(one, other, folder):
