@@ -11,8 +11,8 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams, allows_vehicle
-from stillpoint.smoother.attitude.preset import choose_preset
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
+from stillpoint.smoother.preset import choose_preset
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.spin.params import SpinGraphParams
 
@@ -119,7 +119,7 @@ def reference(
     params
         An object of the method's settings class, or a mapping of dotted names to values
         (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. The defaults of the graph are those of the
-        preset that the recording speaks for (:func:`~stillpoint.smoother.attitude.preset.choose_preset`), which the
+        preset that the recording speaks for (:func:`~stillpoint.smoother.preset.choose_preset`), which the
         diagnostics name.
     calibration
         What is known of the sensor, as of an earlier reference: readings are corrected by it first.

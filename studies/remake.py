@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.archive import Archive, Entry
-from stillpoint.datasets.calibration import apply_calibration, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.mcap.store import read, read_recording, sha256

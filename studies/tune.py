@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stillpoint.datasets.calibration import apply_calibration, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable, require_known
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording, Truth

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from stillpoint.datasets.allan import AllanDeviation, find_allan_deviation
+from stillpoint.datasets.calibration.allan import AllanDeviation, find_allan_deviation
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording

@@ -9,7 +9,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets import Recording, Reference, read
-from stillpoint.datasets.device_calibration import SUFFIX, DeviceFile, write_device
+from stillpoint.datasets.calibration.device import SUFFIX, DeviceFile, write_device
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.scripts.shared import inputs

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets import write
-from stillpoint.datasets.calibration import SensorCalibration, apply_calibration, calibration_of, load_calibration
+from stillpoint.datasets.calibration.apply import SensorCalibration, apply_calibration, calibration_of, load_calibration
 from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.filters import estimate as run

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets import Reference, RollReference, write
-from stillpoint.datasets.calibration import load_calibration
+from stillpoint.datasets.calibration.apply import load_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.settings import Settings, choose_settings

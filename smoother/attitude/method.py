@@ -16,7 +16,7 @@ from stillpoint.smoother.attitude.graph import make_attitude_reference
 from stillpoint.smoother.attitude.outside.added import Generator, name_generator
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.plausibility import find_contradicting_factors
-from stillpoint.smoother.attitude.stretches import leave_out_islands
+from stillpoint.smoother.stretches import leave_out_islands
 
 PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s says what it is
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stillpoint.datasets.calibration import apply_calibration, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording

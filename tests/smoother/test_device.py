@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import BadFile, BadParameter, Calibration, write
-from stillpoint.datasets.calibration import load_calibration
-from stillpoint.datasets.device_calibration import DeviceFile, read_device, write_device
+from stillpoint.datasets.calibration.apply import load_calibration
+from stillpoint.datasets.calibration.device import DeviceFile, read_device, write_device
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.device import BIAS_SD_MPS2, PAIRS, calibrate_device
 

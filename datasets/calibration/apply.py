@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillpoint.datasets.device_calibration import read_device
+from stillpoint.datasets.calibration.device import read_device
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_reference, sha256
 from stillpoint.datasets.plausible import FIELD_RANGE_UT

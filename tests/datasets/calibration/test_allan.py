@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import Imu, Info, Recording, Unobservable, write
-from stillpoint.datasets.allan import FLOOR, find_allan_deviation, overlapping_deviation
+from stillpoint.datasets.calibration.allan import FLOOR, find_allan_deviation, overlapping_deviation
 
 RATE_HZ = 50.0
 

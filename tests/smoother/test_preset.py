@@ -9,7 +9,7 @@ from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
 from stillpoint.smoother import reference
 from stillpoint.smoother.attitude.params import PRESETS
-from stillpoint.smoother.attitude.preset import choose_preset
+from stillpoint.smoother.preset import choose_preset
 
 KINDS = {"phone-1": 2.0, "phone-1-slow": 2.0, "phone-2": 2.0, "phone-3": 2.0, "servo-bench": 3.0}
 

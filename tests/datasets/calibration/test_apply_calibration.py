@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillpoint.datasets import BadParameter, Calibration, Imu, Mag, Reference, write
-from stillpoint.datasets.calibration import SensorCalibration, apply_calibration, load_calibration
+from stillpoint.datasets.calibration.apply import SensorCalibration, apply_calibration, load_calibration
 from stillpoint.datasets.simulate import simulate
 
 RNG = np.random.default_rng(5)

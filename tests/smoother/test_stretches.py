@@ -15,8 +15,8 @@ from stillpoint.scoring import score
 from stillpoint.smoother import reference
 from stillpoint.smoother.attitude.keys import choose_keys, prepare_motion
 from stillpoint.smoother.attitude.params import KeyParams
-from stillpoint.smoother.attitude.stretches import SHORTEST_STRETCH_S, leave_out_islands
 from stillpoint.smoother.attitude.windows import split_windows
+from stillpoint.smoother.stretches import SHORTEST_STRETCH_S, leave_out_islands
 
 
 @pytest.fixture(scope="module")
