@@ -25,7 +25,7 @@ from stillpoint.datasets.recording import (
     SpinGeometry,
     Truth,
 )
-from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, SpinReference
 
 __all__ = [
     "BadFile",
@@ -42,10 +42,10 @@ __all__ = [
     "Mag",
     "Recording",
     "Reference",
-    "RollReference",
     "Series",
     "Spin",
     "SpinGeometry",
+    "SpinReference",
     "StillpointError",
     "Truth",
     "Unobservable",

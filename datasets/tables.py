@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
 XYZ, WXYZ = "xyz", ("qw", "qx", "qy", "qz")
 UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
@@ -13,7 +13,7 @@ UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 Table = dict[str, np.ndarray]  # column -> (N,); t_ns comes first
 
 
-def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mapping[str, Table]:
+def tables_of(thing: Recording | Reference | SpinReference | Estimate) -> Mapping[str, Table]:
     """Return stream -> table for a recording, and one table named "" for anything made from it. SI units, as the names
     say.
 
@@ -30,7 +30,7 @@ def tables_of(thing: Recording | Reference | RollReference | Estimate) -> Mappin
         table |= _columns([f"v{axis}_mps" for axis in XYZ], thing.velocity_n_mps)
         table |= {f"cov_{XYZ[i]}{XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in UPPER}
         table |= {f"cov_v{XYZ[i]}v{XYZ[j]}_m2ps2": thing.velocity_cov_n_m2ps2[:, i, j] for i, j in UPPER}
-    if not isinstance(thing, RollReference) and thing.q_nb is not None:
+    if not isinstance(thing, SpinReference) and thing.q_nb is not None:
         table |= _columns(WXYZ, thing.q_nb)
         if thing.cov_b_rad2 is not None:
             table |= {f"cov_{XYZ[i]}{XYZ[j]}_rad2": thing.cov_b_rad2[:, i, j] for i, j in UPPER}

@@ -1,4 +1,4 @@
-"""The results made from a recording: :class:`Reference` (smoother), :class:`RollReference`, :class:`Estimate`.
+"""The results made from a recording: :class:`Reference` (smoother), :class:`SpinReference`, :class:`Estimate`.
 
 Frames, units and clocks as in :mod:`stillpoint.datasets.recording`.
 """
@@ -133,7 +133,7 @@ def total_sd_rad(cov_b_rad2: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class RollReference:
+class SpinReference:
     """Angle and rate about the spin axis with their standard deviations."""
 
     t_ns: Times

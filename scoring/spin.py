@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Times
 from stillpoint.datasets.times import longest_step_ns
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 
 AngleZero = Literal["start", "mean", "turns", "none"]
 ANGLE_ZEROS: tuple[AngleZero, ...] = get_args(AngleZero)
@@ -82,7 +82,7 @@ class SpinScore:
 
 
 def score_roll(
-    estimated: Estimate | RollReference, truth: Encoder | RollReference, zero: AngleZero = "start", against: str = ""
+    estimated: Estimate | SpinReference, truth: Encoder | SpinReference, zero: AngleZero = "start", against: str = ""
 ) -> SpinScore:
     """Score angle and rate of an estimate or a roll reference against a truth, an encoder or a roll reference.
 
@@ -96,12 +96,12 @@ def score_roll(
 
 
 def compare_spin(
-    estimated: Estimate | RollReference, truth: Encoder | RollReference, zero: AngleZero = "start", against: str = ""
+    estimated: Estimate | SpinReference, truth: Encoder | SpinReference, zero: AngleZero = "start", against: str = ""
 ) -> SpinComparison:
     """Return the errors at every sample of the estimate that is ready and within the truth; see :func:`score_roll`."""
     if zero not in ANGLE_ZEROS:
         raise BadParameter(f"zero: {zero!r} is not one of {', '.join(ANGLE_ZEROS)}")
-    name = f"reference ({estimated.method})" if isinstance(estimated, RollReference) else estimated.name
+    name = f"reference ({estimated.method})" if isinstance(estimated, SpinReference) else estimated.name
     if estimated.angle_rad is None or estimated.rate_radps is None:
         raise BadRecording(f"{name}: has no angle and rate about an axis; score its attitude instead")
     t = estimated.t_ns
@@ -120,7 +120,7 @@ def compare_spin(
     mean = angle_error[ready[known]].mean()
     turns = 2 * np.pi * np.round(mean / (2 * np.pi))
     offset = {"start": angle_error[0], "mean": mean, "turns": turns, "none": 0.0}[zero]
-    reference = truth if isinstance(truth, RollReference) else None
+    reference = truth if isinstance(truth, SpinReference) else None
     return SpinComparison(
         estimated=name,
         against=against or (f"reference ({reference.method})" if reference else "truth"),
@@ -141,26 +141,26 @@ def compare_spin(
     )
 
 
-def usual_zero(estimated: Estimate | RollReference, truth: Encoder | RollReference, against: str = "") -> AngleZero:
+def usual_zero(estimated: Estimate | SpinReference, truth: Encoder | SpinReference, against: str = "") -> AngleZero:
     """Return what is subtracted from the angle by default.
 
     A reference that has its angle from gravity is absolute, and only whole turns are subtracted; otherwise the error of
     its first sample would count at all others. The zero of an encoder is its index, so against it the mean is
     subtracted. Every other angle counts from the first sample.
     """
-    if not (isinstance(estimated, RollReference) and is_absolute(estimated)):
+    if not (isinstance(estimated, SpinReference) and is_absolute(estimated)):
         return "start"
-    if isinstance(truth, RollReference):
+    if isinstance(truth, SpinReference):
         return "turns" if is_absolute(truth) else "start"
     return "mean" if against == "encoder" else "turns"
 
 
-def is_absolute(reference: RollReference) -> bool:
+def is_absolute(reference: SpinReference) -> bool:
     """Return whether the angle of a reference comes from gravity: 0 where z points up."""
     return str(reference.diagnostics.get("angle", "")).startswith("from gravity")
 
 
-def _read(truth: Encoder | RollReference, t_ns: Times) -> tuple[Floats, Floats]:
+def _read(truth: Encoder | SpinReference, t_ns: Times) -> tuple[Floats, Floats]:
     """Return angle and rate of the truth at stamps within its span; at its own stamps they are exact."""
     if len(truth.t_ns) < 2:
         return np.full(len(t_ns), truth.angle_rad[0]), np.full(len(t_ns), truth.rate_radps[0])

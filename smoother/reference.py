@@ -9,7 +9,7 @@ from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable,
 from stillpoint.datasets.measurements import drop_non_measurements
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
-from stillpoint.datasets.trajectory import Calibration, Reference, RollReference
+from stillpoint.datasets.trajectory import Calibration, Reference, SpinReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams, allows_vehicle
 from stillpoint.smoother.known_calibration import corrected, in_raw_readings
 from stillpoint.smoother.preset import choose_preset
@@ -24,7 +24,7 @@ DEFAULT_ROLL_METHOD = "roll-graph"
 class Method:
     """One way to make a reference."""
 
-    function: Callable[[Recording, Any], Reference | RollReference]
+    function: Callable[[Recording, Any], Reference | SpinReference]
     defaults: Settings  # its settings; their class is what ``params`` must be of
     summary: str
 
@@ -41,7 +41,7 @@ def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] 
     return make_graph_reference(recording, params, generators)
 
 
-def _roll_graph(recording: Recording, params: SpinGraphParams) -> RollReference:
+def _spin_graph(recording: Recording, params: SpinGraphParams) -> SpinReference:
     """Run the graph of a spinning body; gtsam is imported only here."""
     try:
         from stillpoint.smoother.spin.graph import make_spin_reference
@@ -73,7 +73,7 @@ METHODS: dict[str, Method] = {
 
 ROLL_METHODS: dict[str, Method] = {
     "roll-graph": Method(
-        _roll_graph,
+        _spin_graph,
         SpinGraphParams(),
         "angle and rate of a spinning body from its accelerometers (the default where there is no gyro of three axes)",
     ),
@@ -104,7 +104,7 @@ def reference(
     params: Settings | Mapping[str, Any] | None = None,
     calibration: Calibration | None = None,
     factors: Sequence[Any] = (),
-) -> Reference | RollReference:
+) -> Reference | SpinReference:
     """Return the reference trajectory of a recording: attitude, or angle and rate of a spinning body.
 
     Samples that are no measurement (zeros, sentinels and frozen values of a sensor that is not working) are dropped and

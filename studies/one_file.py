@@ -17,7 +17,7 @@ from stillpoint.datasets.mcap.store import contents_of
 from stillpoint.datasets.mcap.topics import VECTOR
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Recording, Truth
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.scoring import compare
 from stillpoint.scoring.errors import attitude_error
 
@@ -25,7 +25,7 @@ LAYOUT_SUFFIX = ".foxglove.json"
 
 
 def write_one_file(
-    path: Path, recording: Recording, reference: Reference | RollReference | None, estimates: Sequence[Estimate]
+    path: Path, recording: Recording, reference: Reference | SpinReference | None, estimates: Sequence[Estimate]
 ) -> dict[str, str]:
     """Write ``path`` and, beside it, ``NAME.foxglove.json``; returns why an estimate has no error, by its name.
 

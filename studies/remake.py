@@ -14,13 +14,13 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.smoother import reference
 
 KINDS = ("reference", "roll reference", "estimate")
 
-Made = Reference | RollReference | Estimate
+Made = Reference | SpinReference | Estimate
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def remake(job: RemakeJob) -> Remade:
     kept, recording = read(job.kept), read_recording(job.recording)
     if isinstance(kept, Estimate):
         made: Made = _remake_estimate(kept, recording, job)
-    elif isinstance(kept, Reference | RollReference):
+    elif isinstance(kept, Reference | SpinReference):
         known = None if job.calibration is None else load_calibration(job.calibration).calibration
         made = reference(recording, kept.method, flatten(kept.params), known)
     else:

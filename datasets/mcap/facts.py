@@ -10,13 +10,13 @@ import numpy as np
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.mcap.topics import TOPICS
 from stillpoint.datasets.recording import Info, Recording, SpinGeometry
-from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, SpinReference
 
-Kept = Recording | Reference | RollReference | Estimate
+Kept = Recording | Reference | SpinReference | Estimate
 KINDS: dict[str, type[Kept]] = {
     "recording": Recording,
     "reference": Reference,
-    "roll reference": RollReference,
+    "roll reference": SpinReference,
     "estimate": Estimate,
 }
 NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"}

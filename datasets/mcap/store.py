@@ -30,9 +30,9 @@ from stillpoint.datasets.mcap.reader import Log, read_log, survey
 from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS, Topic, extra_topic, microtesla, tesla
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Series, Spin, Truth
-from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, SpinReference
 
-OneKind = TypeVar("OneKind", Recording, Reference, RollReference, Estimate)
+OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
 FORMAT = "1"
 

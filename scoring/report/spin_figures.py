@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import REST_GREY, count_columns, draw_line, get_colour, thin_line
 from stillpoint.scoring.spin import SpinComparison
 
@@ -30,7 +30,7 @@ class RateSeries:
     rate_radps: Mapping[str, Floats]  # by method, (N,)
 
 
-def make_rate_series(truth: Encoder | RollReference, comparisons: Sequence[SpinComparison], zero_ns: int) -> RateSeries:
+def make_rate_series(truth: Encoder | SpinReference, comparisons: Sequence[SpinComparison], zero_ns: int) -> RateSeries:
     """Return the rates at the stamps that all comparisons share."""
     t_ns = reduce(np.intersect1d, (c.t_ns for c in comparisons))
     true = np.interp(t_ns, truth.t_ns, truth.rate_radps)

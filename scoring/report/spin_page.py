@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stillpoint.datasets.recording import Encoder, Recording
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import describe_recording, flatten_params, list_versions
@@ -30,7 +30,7 @@ class SpinMaterial:
     """A recording of a spinning body with what was made of it."""
 
     recording: Recording
-    references: tuple[RollReference, ...] = ()
+    references: tuple[SpinReference, ...] = ()
     estimates: tuple[Estimate, ...] = ()
     sha256: Mapping[str, str] = field(default_factory=dict)  # of the files this was read from, by name
 
@@ -40,7 +40,7 @@ class SpinVerdict:
     """The scores of everything that one reference, truth or encoder judges."""
 
     against: str
-    truth: Encoder | RollReference
+    truth: Encoder | SpinReference
     comparisons: tuple[SpinComparison, ...]
     scores: tuple[SpinScore, ...]
 
@@ -51,8 +51,8 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
     ``zero`` as in :func:`stillpoint.scoring.spin.score_roll`; None takes what is usual for each.
     """
     recording, first = material.recording, material.references[:1]
-    made: tuple[RollReference | Estimate, ...] = (*material.references, *material.estimates)
-    judges: list[tuple[str, Encoder | RollReference | None, tuple[RollReference | Estimate, ...]]] = [
+    made: tuple[SpinReference | Estimate, ...] = (*material.references, *material.estimates)
+    judges: list[tuple[str, Encoder | SpinReference | None, tuple[SpinReference | Estimate, ...]]] = [
         ("truth", recording.roll_truth, made),
         ("encoder", recording.encoder if recording.roll_truth is None else None, made),
         *(("", reference, made[1:]) for reference in first),
@@ -71,7 +71,7 @@ def judge_spin(material: SpinMaterial, zero: AngleZero | None = None) -> tuple[S
 
 def make_spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, ...]) -> str:
     """Return the page as text; there is at least one verdict. The same material gives the same bytes."""
-    made: list[RollReference | Estimate] = [*material.references, *material.estimates]
+    made: list[SpinReference | Estimate] = [*material.references, *material.estimates]
     return load_template("stillpoint.scoring.report", "spin_page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
@@ -104,8 +104,8 @@ def _describe_zeros(scores: Sequence[SpinScore]) -> str:
     )
 
 
-def _get_name(thing: RollReference | Estimate) -> str:
-    return f"reference ({thing.method})" if isinstance(thing, RollReference) else thing.name
+def _get_name(thing: SpinReference | Estimate) -> str:
+    return f"reference ({thing.method})" if isinstance(thing, SpinReference) else thing.name
 
 
 def _list_facts(recording: Recording) -> dict[str, str]:
@@ -119,7 +119,7 @@ def _list_facts(recording: Recording) -> dict[str, str]:
     return facts | {"accelerometers": "; ".join(arms)}
 
 
-def _describe_reference(reference: RollReference) -> dict[str, str]:
+def _describe_reference(reference: SpinReference) -> dict[str, str]:
     """Return the standard deviations of a reference, and its diagnostics in words."""
     angle_deg, rate_degps = np.rad2deg(reference.angle_sd_rad), np.rad2deg(reference.rate_sd_radps)
     said = reference.diagnostics

@@ -26,7 +26,7 @@ STREAMED = 5_000
 HORIZONTAL_DEG = 90.0
 
 
-def bench_roll(runs: int) -> list[Timing]:
+def bench_spin(runs: int) -> list[Timing]:
     """Return the rows of a vertical axis, the same with the encoder, and a horizontal axis, run by run in turn."""
     vertical = simulate("spin-variable", sensor="white")
     tilted = replace(VARIABLE["white"], name="horizontal", tilt_deg=HORIZONTAL_DEG)
@@ -44,7 +44,7 @@ def bench_roll(runs: int) -> list[Timing]:
     return [Timing(f"{name}, {samples} samples", each, samples) for name, each in seconds.items()]
 
 
-def bench_roll_filters(runs: int) -> list[Timing]:
+def bench_spin_filters(runs: int) -> list[Timing]:
     """Return the rows of every estimator of roll, run by run in turn."""
     recording = simulate("spin-constant", minutes=MINUTES, sensor="glitch")
     assert recording.spin is not None

@@ -18,7 +18,7 @@ from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.smoother.spin.graph import make_spin_reference
 from stillpoint.smoother.spin.params import (
     EncoderParams,
@@ -52,7 +52,7 @@ class DiscFlight:
     t_s: Floats  # (N,) of the settled part
     gyro_radps: Floats  # (N,)
     taught: NDArray[np.bool_]  # (N,) samples at which the graph had the gyro
-    reference: RollReference
+    reference: SpinReference
     sd_radps: Floats  # (N,) of the rate: what the graph states and the wobble together
     wobble_radps: Floats  # (N,) RMS of the rate around a parabola, in the half of the flight that a sample is in
     arm_m: tuple[float, float]  # length and its sd
@@ -107,7 +107,7 @@ def _place_at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> 
     )
 
 
-def _measure_wobble_radps(made: RollReference, part: NDArray[np.bool_]) -> float:
+def _measure_wobble_radps(made: SpinReference, part: NDArray[np.bool_]) -> float:
     """Return the rms of the rate around a parabola."""
     t_s, rate = (made.t_ns[part] - made.t_ns[part][0]) / 1e9, made.rate_radps[part]
     return float(np.std(rate - np.polyval(np.polyfit(t_s, rate, 2), t_s)))

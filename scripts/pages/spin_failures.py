@@ -12,7 +12,7 @@ import numpy as np
 from stillpoint.datasets.recording import Floats, Recording, Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import make_white_noise
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import score_roll
 from stillpoint.smoother import reference
@@ -73,8 +73,8 @@ def main() -> None:
     for name, spoil in FAULTS.items():
         recording = _spoil_trial(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
         smoothed = reference(recording)
-        assert isinstance(smoothed, RollReference)
-        made: list[Estimate | RollReference] = [
+        assert isinstance(smoothed, SpinReference)
+        made: list[Estimate | SpinReference] = [
             *(estimate(recording, each, make_settings(CONSTANT, method, False)) for method, each in FILTERS.items()),
             smoothed,
         ]
@@ -89,7 +89,7 @@ def _spoil_trial(recording: Recording, spoil: Callable[[Floats], None]) -> Recor
     return replace(recording, spin=Spin(spin.t_ns, accel, spin.gyro_radps, spin.geometry))
 
 
-def _format_cell(recording: Recording, made: Estimate | RollReference) -> str:
+def _format_cell(recording: Recording, made: Estimate | SpinReference) -> str:
     assert recording.roll_truth is not None
     found = score_roll(made, recording.roll_truth)
     return f"{found.angle_max_deg:.1f}, {found.rate_rmse_degps:.2f}"

@@ -16,7 +16,7 @@ from matplotlib.patches import Arc, Circle, Rectangle
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, SpinSensor
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 from stillpoint.scripts.pages.readme_figure import STYLE
@@ -130,7 +130,7 @@ def _draw_errors() -> Figure:
     for column, tilt_deg in zip(axes.T, (0.0, 90.0), strict=True):
         recording = simulate("spin-constant", seed=1, sensor=_wrong(CONSTANT["white"], tilt_deg))
         made, truth = reference(recording, params=RIG), recording.roll_truth
-        assert isinstance(made, RollReference)
+        assert isinstance(made, SpinReference)
         assert truth is not None
         _draw_band(column[0], made, made.angle_rad - truth.angle_rad, made.angle_sd_rad)
         _draw_band(column[1], made, made.rate_radps - truth.rate_radps, made.rate_sd_radps)
@@ -147,7 +147,7 @@ def _wrong(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
     return replace(sensor, name="docs", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
 
 
-def _draw_band(ax: Axes, made: RollReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
+def _draw_band(ax: Axes, made: SpinReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
     t_s = (made.t_ns - made.t_ns[0]) / 1e9
     whole = 2 * np.pi * np.round(np.median(error_rad) / (2 * np.pi))
     band = BAND_SD * np.rad2deg(sd_rad)

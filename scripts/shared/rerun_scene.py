@@ -14,7 +14,7 @@ from stillpoint.datasets.frames import euler, rotation, to_xyzw, wrap
 from stillpoint.datasets.mcap.facts import Kept
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
 
 TIMELINE = "time"
 AXIS_LENGTH = 0.5
@@ -66,8 +66,8 @@ def show_thing(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     if isinstance(thing, Recording):
         _show_recording(scene, name, thing)
         return
-    if isinstance(thing, RollReference) or thing.q_nb is None:
-        _show_roll(scene, name, thing)
+    if isinstance(thing, SpinReference) or thing.q_nb is None:
+        _show_spin(scene, name, thing)
         return
     _attitude(scene, name, thing.t_ns, thing.q_nb)
     if thing.cov_b_rad2 is not None:
@@ -95,10 +95,10 @@ def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) 
             _lines(scene, SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
     for what, shaft in (("truth", recording.roll_truth), ("encoder", recording.encoder)):
         if shaft is not None:
-            _show_roll(scene, f"{name} {what}", shaft)
+            _show_spin(scene, f"{name} {what}", shaft)
 
 
-def _show_roll(scene: rr.RecordingStream, name: str, thing: Encoder | RollReference | Estimate) -> None:
+def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinReference | Estimate) -> None:
     """Angle and rate about the spin axis, which is x of the body, with their standard deviations."""
     columns = {
         SPIN_ANGLE: None if thing.angle_rad is None else wrap(thing.angle_rad),
@@ -168,7 +168,7 @@ def _entity(quantity: str, name: str) -> str:
 def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
     """What there may be a plot of: attitudes, spins, or both."""
     spins = [
-        isinstance(thing, RollReference)
+        isinstance(thing, SpinReference)
         or (isinstance(thing, Estimate) and thing.q_nb is None)
         or (isinstance(thing, Recording) and thing.imu is None)
         for thing in things

@@ -15,8 +15,8 @@ from stillpoint.scripts.shared.tables import print_table
 BENCHES = {
     "filters": "stillpoint.scripts.bench.filters:bench_filters",
     "mcap": "stillpoint.scripts.bench.mcap:bench_mcap",
-    "roll": "stillpoint.scripts.bench.spin:bench_roll",
-    "roll-filters": "stillpoint.scripts.bench.spin:bench_roll_filters",
+    "roll": "stillpoint.scripts.bench.spin:bench_spin",
+    "roll-filters": "stillpoint.scripts.bench.spin:bench_spin_filters",
     "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
     "start": "stillpoint.scripts.bench.start:bench_start",
 }

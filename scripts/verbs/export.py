@@ -13,7 +13,7 @@ from stillpoint.datasets.kml import kml_text
 from stillpoint.datasets.mcap.store import Kept, read
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.tables import csv_text, tables_of
-from stillpoint.datasets.trajectory import Reference, RollReference
+from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
@@ -96,7 +96,7 @@ def _format_texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str
         if thing.truth is None:
             raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
         return [("truth", format_tum(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
-    if isinstance(thing, RollReference) or thing.q_nb is None:
+    if isinstance(thing, SpinReference) or thing.q_nb is None:
         raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
     position = thing.position_n_m if isinstance(thing, Reference) else None
     return [("", format_tum(thing.t_ns, thing.q_nb, position))]

@@ -15,7 +15,7 @@ from stillpoint.datasets.mcap.summary import FileSummary, summarise
 from stillpoint.datasets.recording import Floats, Info, Recording, Spin, Times, rate_hz
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import find_gaps
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference, total_sd_rad
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Columns, Inputs
 from stillpoint.scripts.shared.inputs import each_read, mcap_files
 from stillpoint.scripts.shared.names import make_printable
@@ -107,7 +107,7 @@ def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
     return facts | {key: summary.facts[key] for key in ("method", "params", "made_from") if key in summary.facts}
 
 
-def list_facts(path: Path, thing: Recording | Reference | RollReference | Estimate) -> dict[str, Any]:
+def list_facts(path: Path, thing: Recording | Reference | SpinReference | Estimate) -> dict[str, Any]:
     """Return the facts about the content of one file."""
     if isinstance(thing, Recording):
         return {"file": str(path), "kind": "recording", "name": thing.name, **_list_recording_facts(thing)}
@@ -126,7 +126,7 @@ def list_facts(path: Path, thing: Recording | Reference | RollReference | Estima
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
         facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
         facts |= {name: thing.diagnostics[name] for name in SHOWN if name in thing.diagnostics}
-    elif isinstance(thing, RollReference):
+    elif isinstance(thing, SpinReference):
         sd_deg = np.rad2deg(thing.angle_sd_rad)
         facts |= {"kind": "roll reference", "method": thing.method, "streams": [_describe_clock("angle", thing.t_ns)]}
         facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}

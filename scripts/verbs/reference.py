@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets import Reference, RollReference, write
+from stillpoint.datasets import Reference, SpinReference, write
 from stillpoint.datasets.calibration.apply import load_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import sha256
@@ -137,7 +137,7 @@ def reference(
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
-        return report_made("references", ROLL_COLUMNS, rows, _format_roll_cells, json, columns)
+        return report_made("references", ROLL_COLUMNS, rows, _format_spin_cells, json, columns)
     code = report_made("references", COLUMNS, rows, _format_cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
@@ -200,7 +200,7 @@ def _make_one(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], k
     made_from = {job.source.name: sha256(job.source)} | ({known.name: known.sha256} if known else {})
     made = replace(made, made_from=made_from)
     write(job.target, made)
-    return {**(_list_facts(made) if isinstance(made, Reference) else _list_roll_facts(made)), "seconds": seconds}
+    return {**(_list_facts(made) if isinstance(made, Reference) else _list_spin_facts(made)), "seconds": seconds}
 
 
 def _describe_preset(diagnostics: Mapping[str, Any]) -> str:
@@ -245,7 +245,7 @@ def _list_facts(made: Reference) -> dict[str, Any]:
     }
 
 
-def _list_roll_facts(made: RollReference) -> dict[str, Any]:
+def _list_spin_facts(made: SpinReference) -> dict[str, Any]:
     angle_sd_deg, rate_sd_degps = np.rad2deg(made.angle_sd_rad), np.rad2deg(made.rate_sd_radps)
     return {
         "method": made.method,
@@ -261,7 +261,7 @@ def _format_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(COLUMNS) - 2)]
     if row["method"] == DEFAULT_ROLL_METHOD:
-        return _format_roll_among_attitudes(row)
+        return _format_spin_among_attitudes(row)
     accepted = sum(one["accepted"] for one in row["returns"])
     closing = row["diagnostics"].get("closing_error_deg", [])
     return [
@@ -278,7 +278,7 @@ def _format_cells(row: dict[str, Any]) -> list[str]:
     ]
 
 
-def _format_roll_among_attitudes(row: dict[str, Any]) -> list[str]:
+def _format_spin_among_attitudes(row: dict[str, Any]) -> list[str]:
     """Return the cells of a reference of an angle in a table of attitudes: its sd, and "-" for what it lacks."""
     sd = f"{row['angle_sd_median_deg']:.2f}"
     last = f"{row['angle_sd_last_deg']:.2f}"
@@ -286,7 +286,7 @@ def _format_roll_among_attitudes(row: dict[str, Any]) -> list[str]:
     return [row["recording"], row["method"], sd, "-", "-", "-", "-", last, iterations, f"{row['seconds']:.1f}"]
 
 
-def _format_roll_cells(row: dict[str, Any]) -> list[str]:
+def _format_spin_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(ROLL_COLUMNS) - 2)]
     found = row["diagnostics"]

@@ -10,7 +10,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.mcap.store import read, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectory import Estimate, Reference, RollReference
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.scoring import AlignKind
 from stillpoint.scoring.report.page import Material, judge, make_report_html
 from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.inputs import KINDS
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.shared.recordings import open_recording
-from stillpoint.scripts.verbs.score_roll import is_roll, zero_of
+from stillpoint.scripts.verbs.score_spin import is_roll, zero_of
 
 PAGE = ".report.html"
 
@@ -89,11 +89,11 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     recording = open_recording(path)
     of_spin = recording.imu is None
     hashes = {path.name: sha256(path)}
-    made: list[Reference | RollReference | Estimate] = []
+    made: list[Reference | SpinReference | Estimate] = []
     around = neighbours(path)
     for file in (one for kind in KINDS for one in files_of(recording_name(path), kind, around)):
         thing = read(file)
-        if not isinstance(thing, Reference | RollReference | Estimate):
+        if not isinstance(thing, Reference | SpinReference | Estimate):
             raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
         require_same(file, thing.made_from, path, hashes)
         if is_roll(thing) != of_spin:
@@ -105,7 +105,7 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     estimates = tuple(thing for thing in made if isinstance(thing, Estimate))
     if of_spin:
         return SpinMaterial(
-            recording, tuple(thing for thing in made if isinstance(thing, RollReference)), estimates, hashes
+            recording, tuple(thing for thing in made if isinstance(thing, SpinReference)), estimates, hashes
         )
     references = tuple(thing for thing in made if isinstance(thing, Reference))
     return Material(recording.name, recording, references, estimates, hashes)
@@ -127,7 +127,7 @@ def write_report(target: Path, material: Material | SpinMaterial, align: AlignKi
     write_text(target, make_report_html(material, verdicts))
 
 
-def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | RollReference | Estimate]) -> None:
+def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | SpinReference | Estimate]) -> None:
     """Raise :class:`BadParameter` when nothing lies beside a recording, or nothing to judge it by."""
     references = [thing for thing in made if not isinstance(thing, Estimate)]
     known = recording.truth if recording.imu is not None else recording.roll_truth or recording.encoder

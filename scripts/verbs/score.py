@@ -13,7 +13,7 @@ from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.importers.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.mcap.store import is_own_file, read_recording, sha256
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
 from stillpoint.scoring.spin import SpinScore, spin_score_row
@@ -25,7 +25,7 @@ from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.progress import track
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.score_roll import is_roll, print_roll_scores, score_roll_file
+from stillpoint.scripts.verbs.score_spin import is_roll, print_spin_scores, score_spin_file
 
 COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
 
@@ -116,7 +116,7 @@ def score(
         print_scores(attitudes, columns)
         if asked.over_s and attitudes:
             print_turns(attitudes)
-        print_roll_scores([s for s in scores if isinstance(s, SpinScore)])
+        print_spin_scores([s for s in scores if isinstance(s, SpinScore)])
         for row in rows:
             if row["error"] is not None:
                 print(make_printable(f"not scored: {row['error']}"))
@@ -206,12 +206,12 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
     if is_trajectory(file):
         return _score_trajectory(file, against if isinstance(against, Path) else None, asked)
     thing = read(file)
-    if isinstance(thing, Estimate | RollReference) and is_roll(thing):
+    if isinstance(thing, Estimate | SpinReference) and is_roll(thing):
         if asked.over_s:
             raise BadParameter(f"{file}: is an angle about one axis; --over compares turns of attitudes: leave it out")
         if isinstance(against, str):
             raise BadParameter(f"{file}: is an angle about one axis; leave --against {against} out, or name a file")
-        return score_roll_file(file, thing, against, asked.align)
+        return score_spin_file(file, thing, against, asked.align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
     judge = judge_of(against if isinstance(against, Path) else _beside(file, thing, against))

@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.jobs import Outcome, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals, print_table
-from stillpoint.scripts.verbs.validate_roll import validate_roll
+from stillpoint.scripts.verbs.validate_spin import validate_spin
 from stillpoint.studies.fidelity import JudgeFidelity, measure_fidelity
 from stillpoint.studies.fidelity_figure import draw_fidelity
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
@@ -92,7 +92,7 @@ def validate(
     if estimators is not None:
         raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --method")
     if all(inputs.is_of_spin(source) for source in sources):
-        return validate_roll(sources, named, align, jobs, json)
+        return validate_spin(sources, named, align, jobs, json)
     chosen = default_methods() if named is None else check_methods(named)
     outcomes = run_jobs(partial(_validate, methods=chosen, align=align), sources, jobs, "validate")
     rows: list[ValidationRow] = []

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.smoother.spin.chain import LONG_STEP, Chain, build_chain, integrate_angles, interpolate_rates
 from stillpoint.smoother.spin.encoder import EncoderReadings, select_readings
 from stillpoint.smoother.spin.factors import (
@@ -43,7 +43,7 @@ ROUGH = 3  # iterations before gravity is looked for
 VIBRATION_ROUNDS = 2  # the vibration disturbs the rates, and through them the angle along which it is fitted
 
 
-def make_spin_reference(recording: Recording, params: SpinGraphParams) -> RollReference:
+def make_spin_reference(recording: Recording, params: SpinGraphParams) -> SpinReference:
     """Return angle and rate about the spin axis at every sample of the accelerometers.
 
     If gravity shows at the spin frequency, the angle is measured from it: at 0 the body's z axis points up as far as
@@ -73,7 +73,7 @@ def make_spin_reference(recording: Recording, params: SpinGraphParams) -> RollRe
     require_agreement(chain, solution, found.prior, least_radps, recording.name)
     linear = _linearise(chain, solution, found.prior, recording.name)
     accuracy = compute_accuracy(chain, linear, recording.name)
-    return RollReference(
+    return SpinReference(
         t_ns=samples.t_ns,
         angle_rad=integrate_angles(chain, solution.at.state),
         rate_radps=interpolate_rates(chain, solution.at.state),

@@ -12,7 +12,7 @@ from stillpoint.datasets import BadParameter, BadRecording, Unobservable, write
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Encoder
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import compare_spin, score_roll, spin_score_row, usual_zero
 
@@ -54,9 +54,9 @@ def test_what_is_taken_off_the_angle():
         score_roll(planted, truth(), "middle")
 
 
-def from_gravity(angle_error, diagnostics="from gravity: 0 where the z axis points up most") -> RollReference:
+def from_gravity(angle_error, diagnostics="from gravity: 0 where the z axis points up most") -> SpinReference:
     at, sd = truth(), np.full(len(T_NS), np.deg2rad(0.4))
-    return RollReference(
+    return SpinReference(
         name="planted",
         method="roll-graph",
         t_ns=T_NS,
@@ -143,7 +143,7 @@ def test_errors_of_the_stated_size_have_a_nees_of_1():
 def test_a_reference_judges_and_is_judged():
     at = truth()
     sd = np.full(len(T_NS), 0.01)
-    judge = RollReference(T_NS, at.angle_rad, at.rate_radps, sd, 2 * sd, "roll-graph", name="x")
+    judge = SpinReference(T_NS, at.angle_rad, at.rate_radps, sd, 2 * sd, "roll-graph", name="x")
     s = score_roll(made(0.1 * T_S), judge)
     assert s.against == "reference (roll-graph)"
     assert s.reference_angle_sd_deg == pytest.approx(np.rad2deg(0.01))

@@ -15,9 +15,9 @@ from stillpoint.datasets import (
     Mag,
     Recording,
     Reference,
-    RollReference,
     Spin,
     SpinGeometry,
+    SpinReference,
     Truth,
 )
 
@@ -165,10 +165,10 @@ def references(draw):
 
 
 @st.composite
-def roll_references(draw):
+def spin_references(draw):
     t = draw(stamps())
     columns = [draw(floats(len(t))) for _ in range(4)]
-    return RollReference(t, *columns, method=draw(st.text()), params=draw(json_maps), made_from=draw(words))
+    return SpinReference(t, *columns, method=draw(st.text()), params=draw(json_maps), made_from=draw(words))
 
 
 @st.composite

@@ -12,7 +12,7 @@ from stillpoint.datasets.simulate import spin as simulated
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT as PRESETS
 from stillpoint.datasets.simulate.spin_sensor import SpinSensor, make_white_noise
 from stillpoint.datasets.spin import BENCH
-from stillpoint.datasets.trajectory import RollReference
+from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.smoother.spin.params import SpinCalibration, SpinGraphParams, SpinNoise
 
 CONSTANT = {"radial_var_m2ps4": 0.8, "tangential_var_m2ps4": 0.125}  # R = 80, Q = 0.5 on the bench
@@ -62,7 +62,7 @@ def tilted(tilt_deg: float, seed: int, geometry: SpinGeometry = BENCH, wrong: bo
     return simulated.simulate_trial("tilted", replace(simulated.CONSTANT, geometry=geometry), sensor, seed, 0.5, 250.0)
 
 
-def absolute_error(made: RollReference, recording: Recording) -> Floats:
+def absolute_error(made: SpinReference, recording: Recording) -> Floats:
     """Of the angle, whole turns aside."""
     assert recording.roll_truth is not None
     error = made.angle_rad - recording.roll_truth.angle_rad

@@ -16,7 +16,7 @@ from stillpoint.datasets.archive.pack import LARGEST_BUNDLE, open_bundle, write_
 from stillpoint.datasets.archive.selection import About, Item, select_items
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
-from stillpoint.datasets.trajectory import Reference, RollReference
+from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
@@ -175,7 +175,7 @@ def bundle(
         recording = read_recording(opened.path_of(entry))
         reference = read(opened.path_of(references[-1])) if references else None
         estimates = [read_estimate(opened.path_of(found[name])) for name in named]
-    if not isinstance(reference, Reference | RollReference | None):
+    if not isinstance(reference, Reference | SpinReference | None):
         raise BadParameter(f"{references[-1].file_name}: is no reference")
     reasons = write_one_file(out, recording, reference, estimates)
     print(f"{out}: {entry.name}, reference: {'yes' if reference else 'no'}, estimates: {', '.join(named) or 'none'}")

@@ -12,7 +12,7 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import Trials
-from stillpoint.studies.papers.spin.page import roll_page
+from stillpoint.studies.papers.spin.page import spin_page
 from stillpoint.studies.papers.spin.study import (
     CONSTANT,
     METRICS,
@@ -98,7 +98,7 @@ def _run(scenario: Scenario, wanted: SpinTrials) -> None:
     name = f"{scenario.name}{'-online' if trials.online else ''}"
     page = folder / f"{name}.experiment.html"
     command = f"stillpoint experiment {scenario.name} {trials.words}"
-    write_text(page, roll_page(scenario, by_noise, trials.online, command))
+    write_text(page, spin_page(scenario, by_noise, trials.online, command))
     if trials.json != STDOUT:
         columns = [_make_rows(some) for some in by_noise.values()]
         print_table(f"{name}: the worst of {trials.trials} trials", COLUMNS, columns)

@@ -43,7 +43,7 @@ NAMED = (
 assert tuple(metric.key for metric in NAMED) == METRICS
 
 
-def roll_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, command: str) -> str:
+def spin_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, command: str) -> str:
     """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
     methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
     first = next(iter(trials.values()))

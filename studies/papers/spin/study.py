@@ -14,7 +14,7 @@ import numpy as np
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.report.spin_figures import RateSeries
 from stillpoint.scoring.spin import SpinScore, compare_spin, score_spin_comparison
@@ -73,7 +73,7 @@ def run_trial(
     """
     recording = simulate(scenario.name, seed=seed, sensor=noise)
     printed = reading == "printed" or (reading is None and noise == "replica")
-    made: dict[str, Estimate | RollReference] = {}
+    made: dict[str, Estimate | SpinReference] = {}
     refused: dict[str, str] = {}
     for method in (*FILTERS, *(() if online else (SMOOTHER,))):
         try:
@@ -131,16 +131,16 @@ def count_in_order(trials: Sequence[Trial], metric: str, methods: Sequence[str])
 
 def _run_method(
     recording: Recording, method: str, scenario: Scenario, printed: bool, online: bool
-) -> Estimate | RollReference:
+) -> Estimate | SpinReference:
     if method == SMOOTHER:
         found = reference(recording, params=CALIBRATED)
-        assert isinstance(found, RollReference)
+        assert isinstance(found, SpinReference)
         return found
     settings = make_settings(scenario, method, printed)
     return estimate(recording, FILTERS[method], settings, "single" if online else "double")
 
 
-def _make_series(recording: Recording, made: Mapping[str, Estimate | RollReference]) -> RateSeries:
+def _make_series(recording: Recording, made: Mapping[str, Estimate | SpinReference]) -> RateSeries:
     assert recording.spin is not None
     assert recording.roll_truth is not None
     t_ns, truth = recording.spin.t_ns, recording.roll_truth

@@ -4,7 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
-from anything import estimates, recordings, references, roll_references
+from anything import estimates, recordings, references, spin_references
 from hypothesis import given, settings
 
 from stillpoint.datasets import BadFile, BadRecording, Gps, Imu, Info, Mag, Recording, Reference, Truth, read, write
@@ -36,7 +36,7 @@ def assert_same(a, b, where=""):
         assert a == b, where
 
 
-@pytest.mark.parametrize("things", [recordings(), references(), roll_references(), estimates()])
+@pytest.mark.parametrize("things", [recordings(), references(), spin_references(), estimates()])
 def test_every_thing_comes_back_bit_for_bit(tmp_path_factory, things):
     path = tmp_path_factory.mktemp("store") / "thing.mcap"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Encoder, Recording
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, SpinScore, score_roll, usual_zero
 from stillpoint.scripts.shared import inputs
@@ -31,24 +31,24 @@ ZEROS: dict[AlignKind, AngleZero | None] = {"heading": None, "none": "none"}  # 
 
 
 @dataclass(frozen=True, eq=False)
-class RollJudge:
+class SpinJudge:
     """What scores: a roll reference, or the truth or encoder of a recording; and what it was made from."""
 
     path: Path
-    truth: Encoder | RollReference
+    truth: Encoder | SpinReference
     name: str  # "truth", "encoder", "" for a reference
     made_from: Mapping[str, str]
 
 
 def is_roll(thing: object) -> bool:
     """Whether a thing is an angle and a rate rather than an attitude."""
-    return isinstance(thing, RollReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
+    return isinstance(thing, SpinReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
 
 
-def score_roll_file(file: Path, thing: Estimate | RollReference, against: Path | None, align: AlignKind) -> SpinScore:
+def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path | None, align: AlignKind) -> SpinScore:
     """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
     zero = zero_of(align, str(file))
-    judge = roll_judge_of(_beside(file, thing) if against is None else against)
+    judge = find_spin_judge(_beside(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_roll(thing, judge.truth, zero or usual_zero(thing, judge.truth, judge.name), judge.name)
 
@@ -63,23 +63,23 @@ def zero_of(align: AlignKind, where: str) -> AngleZero | None:
     return ZEROS[align]
 
 
-def roll_judge_of(path: Path) -> RollJudge:
+def find_spin_judge(path: Path) -> SpinJudge:
     """The roll reference in a file, or the truth, else the encoder, of a recording; raises :class:`BadParameter`."""
     thing = read(path)
-    if isinstance(thing, RollReference):
-        return RollJudge(path, thing, "", thing.made_from)
+    if isinstance(thing, SpinReference):
+        return SpinJudge(path, thing, "", thing.made_from)
     if isinstance(thing, Recording) and (thing.roll_truth is not None or thing.encoder is not None):
         made_from = {path.name: sha256(path)}
         if thing.roll_truth is not None:
-            return RollJudge(path, thing.roll_truth, "truth", made_from)
+            return SpinJudge(path, thing.roll_truth, "truth", made_from)
         assert thing.encoder is not None
-        return RollJudge(path, thing.encoder, "encoder", made_from)
+        return SpinJudge(path, thing.encoder, "encoder", made_from)
     raise BadParameter(
         f"{path}: holds no angle about a spin axis; give a roll reference, or a recording with an encoder"
     )
 
 
-def print_roll_scores(scores: Sequence[SpinScore]) -> None:
+def print_spin_scores(scores: Sequence[SpinScore]) -> None:
     """A table per judge and per what is taken off, a section per recording, best rate first; then what was left out."""
     ordered = sorted(scores, key=lambda s: (s.against, s.recording, s.rate_rmse_degps))
     ordered.sort(key=lambda s: (s.against, s.zero))
@@ -92,7 +92,7 @@ def print_roll_scores(scores: Sequence[SpinScore]) -> None:
                 print(note)
 
 
-def _beside(file: Path, thing: Estimate | RollReference) -> Path:
+def _beside(file: Path, thing: Estimate | SpinReference) -> Path:
     """What judges a file when nothing was named: as for attitudes, the reference, else the recording."""
     name = recording_name(file) if isinstance(thing, Estimate) else thing.name
     candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import StillpointError, require_known
-from stillpoint.datasets.trajectory import Estimate, RollReference
+from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
@@ -15,12 +15,12 @@ from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
-from stillpoint.scripts.verbs.score_roll import print_roll_scores, roll_judge_of, zero_of
+from stillpoint.scripts.verbs.score_spin import find_spin_judge, print_spin_scores, zero_of
 from stillpoint.smoother import reference
 from stillpoint.smoother.reference import ROLL_METHODS
 
 
-def validate_roll(
+def validate_spin(
     sources: Sequence[Path], methods: Sequence[str] | None, align: AlignKind, jobs: int | None, json: JsonFile
 ) -> int:
     """Score angle and rate by each method against the truth, else the encoder, of each recording."""
@@ -41,7 +41,7 @@ def validate_roll(
     if len(refused) == len(work) == 1:
         raise StillpointError(refused[0][0])
     if json != STDOUT:
-        print_roll_scores([outcome.value for outcome in outcomes if outcome.value is not None])
+        print_spin_scores([outcome.value for outcome in outcomes if outcome.value is not None])
         print_refusals("not scored", refused)
     return exit_code(outcomes)
 
@@ -49,9 +49,9 @@ def validate_roll(
 def _score_source(job: tuple[Path, str], align: AlignKind) -> SpinScore:
     """Score one recording by one method or estimator."""
     source, name = job
-    judge = roll_judge_of(source)
+    judge = find_spin_judge(source)
     recording = open_recording(source)
     made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
-    assert isinstance(made, RollReference | Estimate)
+    assert isinstance(made, SpinReference | Estimate)
     zero = zero_of(align, source.name) or usual_zero(made, judge.truth, judge.name)
     return score_roll(made, judge.truth, zero, judge.name)
