@@ -56,7 +56,7 @@ def test_a_pose_is_the_body_in_the_world_with_w_last(tmp_path):
     ("text", "says"),
     [
         ("", "is empty"),
-        ("1 2 3\n", "line 1: has 3 words; a TUM pose is eight"),
+        ("1 2 3\n", "first line has 3 words; a TUM pose is eight"),
         (POSE + "1.0 1 2 3 0 0 x 1\n", "line 2, column '7': 'x' is not a number"),
         (POSE + "soon 1 2 3 0 0 0 1\n", "line 2: 'soon' is not a time"),
         (POSE + "1.0 1 2 3 0 0 0 0.5\n", "line 2: the quaternion has the length 0.5"),
