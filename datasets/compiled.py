@@ -32,12 +32,12 @@ def compiled(function: Function) -> Function:
 
 
 def compiled_entry(function: Function) -> Function:
-    """The same for where Python enters, with a whole recording or a sample: not copied into the entry."""
+    """Compile a function that Python calls with a whole recording or a sample; it is not copied into its callers."""
     return _compiled(function, inline=False)
 
 
 def compiled_inside(function: Function) -> Function:
-    """The same for what only compiled functions call; from Python it raises TypeError.
+    """Compile a function that only compiled functions call; from Python it raises TypeError.
 
     An entry makes objects of every field of the structures that a function takes and gives, and back: for a step that
     takes as long to compile as the step itself.
@@ -46,7 +46,7 @@ def compiled_inside(function: Function) -> Function:
 
 
 def compiled_apart(function: Function) -> Function:
-    """As :func:`compiled_inside`, for what runs once in many samples, or is long and called from many places.
+    """Compile as :func:`compiled_inside` what runs rarely or is long, without copying it into its callers.
 
     It is not copied into callers: copied into ``step``, and with that into ``run``, it would only make both slow to
     compile.
@@ -119,7 +119,7 @@ def _round_to_single(value: Any) -> Any:
 
 
 def _has_single(kind: Any) -> bool:
-    """Whether a numba type is float32, or holds one."""
+    """Return whether a numba type is float32, or holds one."""
     if isinstance(kind, types.Float):
         return bool(kind == types.float32)
     if isinstance(kind, types.BaseTuple):

@@ -74,12 +74,13 @@ def drop_non_fields(mag: Mag, imu: Imu) -> tuple[Mag | None, Dropped]:
 
 
 def within(values: Floats, largest: float) -> NDArray[np.bool_]:
-    """Which rows (N, 3) have every component below ``largest`` in size."""
+    """Return which rows (N, 3) have every component below ``largest`` in size."""
     return np.asarray((np.abs(values) < largest).all(axis=1))
 
 
 def find_frozen(mag: Mag, imu: Imu) -> NDArray[np.bool_]:
-    """Which samples of the magnetometer belong to a run of equal values during which the IMU shows a turning body.
+    """Return which samples of the magnetometer belong to a run of equal values during which the IMU shows a turning
+    body.
 
     A run is a candidate from FROZEN_S on: a magnetometer that is stored faster than it measures repeats itself for much
     less. At rest equal values are no fault: a coarse sensor, or a simulated one without noise, shows them too.

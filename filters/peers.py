@@ -210,7 +210,7 @@ def _ahrs(name: str, data: PeerInput, magnetometer: bool, accel: Floats, setting
 
 
 def _dip_deg(data: PeerInput) -> float:
-    """How far the field of the first second points below the horizon."""
+    """Return how far the field of the first second points below the horizon."""
     first = slice(0, max(1, round(FIRST_S / data.interval_s)))
     assert data.mag_b_ut is not None
     up, field = data.accel_b_mps2[first], data.mag_b_ut[first]

@@ -46,7 +46,9 @@ class Alignment:
         return round(self.time_offset_s * 1e9)
 
     def found(self) -> dict[str, float | list[float]]:
-        """For tables and machines: heading and size of the mounting in deg, its rotation vector, the clock in s."""
+        """Return heading and size of the mounting in deg, its rotation vector, and the clock in s, for tables and
+        machines.
+        """
         rotvec_deg = np.rad2deg(self.mounting_rotvec_rad)
         return {
             "heading_deg": float(np.rad2deg(self.heading_rad)),

@@ -193,7 +193,7 @@ def _turns_at(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> tuple[N
 
 
 def _evenly(n: int, most: int) -> NDArray[np.intp]:
-    """At most so many of n rows, evenly spread."""
+    """Return at most so many of n rows, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 

@@ -96,7 +96,9 @@ def require_some(source: Track, matched: Match) -> Mask:
 
 
 def is_sparser(estimated: Track, truth: Track) -> bool:
-    """Whether the estimate has clearly longer steps than the truth, so that the truth is the one to interpolate."""
+    """Return whether the estimate has clearly longer steps than the truth, so that the truth is the one to
+    interpolate.
+    """
     return estimated.step_ns > SPARSER * truth.step_ns
 
 

@@ -12,7 +12,7 @@ class Outcome(Protocol):
 
     @property
     def value(self) -> Any:
-        """What the function returned."""
+        """Return what the function returned."""
 
     @property
     def error(self) -> str | None:

@@ -98,7 +98,7 @@ class Archive:
         yield from self.add_given(given)
 
     def add_given(self, files: Iterable[Given]) -> Iterator[Added]:
-        """As :meth:`add`, for files that say themselves what their records are to hold."""
+        """Add files that state what their records are to hold; otherwise as :meth:`add`."""
         files = iter(files)
         while batch := list(islice(files, BATCH)):
             with self._incoming() as incoming:
@@ -211,7 +211,7 @@ class Archive:
         return self.storage.path(self.object_key(entry.sha256))
 
     def object_key(self, sha256: str) -> str:
-        """Where the bytes of an object lie."""
+        """Return where the bytes of an object lie."""
         rows = self.catalogue.select("SELECT suffix FROM objects WHERE sha256 = ?", (sha256,))
         return f"objects/{sha256[:2]}/{sha256[2:]}{rows[0]['suffix']}" if rows else self.read_record(sha256).object_key
 
@@ -236,7 +236,7 @@ class Archive:
         return [(row["name"], row["parent"]) for row in rows]
 
     def children(self, sha256: str) -> list[Entry]:
-        """What was made from an object and is not removed."""
+        """Return what was made from an object and is not removed."""
         where = "o.removed = '' AND o.sha256 IN (SELECT child FROM parents WHERE parent = ?)"
         return self.catalogue.entries(where, (sha256,))
 
@@ -455,12 +455,12 @@ def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
 
 
 def is_sha256(text: str) -> bool:
-    """Whether a text is a whole SHA-256 in hex."""
+    """Return whether a text is a whole SHA-256 in hex."""
     return SHA256.fullmatch(text) is not None
 
 
 def _home(storage: Storage) -> Path:
-    """Where the catalogue lies: in the archive itself, or for a remote one in the user's cache."""
+    """Return where the catalogue lies: in the archive itself, or for a remote one in the user's cache."""
     if isinstance(storage, FolderStorage):
         return storage.root
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

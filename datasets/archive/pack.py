@@ -154,7 +154,9 @@ def _member(one: Mapping[str, Any]) -> Member:
 
 
 def is_inside(path: str) -> bool:
-    """Whether a path of a bundle stays in the bundle: relative, with no ``..``, no drive and no other separator."""
+    """Return whether a path of a bundle stays in the bundle: relative, with no ``..``, no drive and no other
+    separator.
+    """
     parts = PurePosixPath(path).parts
     plain = bool(parts) and not path.startswith("/") and "\\" not in path and not re.match("[A-Za-z]:", path)
     return plain and ".." not in parts and "\0" not in path

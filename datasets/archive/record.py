@@ -35,17 +35,17 @@ class Record:
 
     @property
     def object_key(self) -> str:
-        """Where its bytes lie in the archive."""
+        """Return where its bytes lie in the archive."""
         return f"objects/{self.sha256[:2]}/{self.sha256[2:]}{self.suffix}"
 
     @property
     def record_key(self) -> str:
-        """Where this record lies in the archive."""
+        """Return where this record lies in the archive."""
         return record_key(self.sha256)
 
 
 def record_key(sha256: str) -> str:
-    """Where the record of an object lies in the archive."""
+    """Return where the record of an object lies in the archive."""
     return f"records/{sha256[:2]}/{sha256[2:]}.json"
 
 

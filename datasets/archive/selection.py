@@ -54,7 +54,7 @@ class About:
 
 
 def select_items(archive: Archive, query: str, allow_unlicensed: bool = False, alone: bool = False) -> list[Item]:
-    """What a bundle of these objects holds, oldest first.
+    """Return what a bundle of these objects holds, oldest first.
 
     Beside what the query finds these are their ancestors, as far as the archive has them, and, unless ``alone``,
     everything that was made from nothing but objects of the bundle. Raises :class:`BadParameter` when the query finds

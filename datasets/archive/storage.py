@@ -18,10 +18,10 @@ class Storage(Protocol):
         """Keys below a folder with the sizes of their files, in order."""
 
     def path(self, key: str) -> Path:
-        """What :func:`stillpoint.datasets.read` takes to read the file; a URL for a remote one."""
+        """Return what :func:`stillpoint.datasets.read` takes to read the file; a URL for a remote one."""
 
     def has(self, key: str) -> bool:
-        """Whether there is a file under this key."""
+        """Return whether there is a file under this key."""
 
     def move_in(self, file: Path, key: str) -> None:
         """Keep a local file under this key and delete it where it was; its bytes are on the disk already."""
@@ -59,7 +59,7 @@ class FolderStorage:
         return self.root / key
 
     def has(self, key: str) -> bool:
-        """Whether there is a file under this key."""
+        """Return whether there is a file under this key."""
         return (self.root / key).is_file()
 
     def move_in(self, file: Path, key: str) -> None:
@@ -115,7 +115,7 @@ class RemoteStorage:
         return Path(f"{self.name}/{key}")
 
     def has(self, key: str) -> bool:
-        """Whether there is a file under this key."""
+        """Return whether there is a file under this key."""
         self._fs.invalidate_cache()
         return bool(self._fs.isfile(f"{self._root}/{key}"))
 

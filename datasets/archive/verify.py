@@ -145,7 +145,7 @@ def _load_rows(archive: Archive, faults: list[Fault]) -> _Rows:
 
 
 def _trusted_descriptions(records: Sequence[Record], rows: _Rows) -> dict[str, Description]:
-    """What the catalogue says of those objects whose record vouches for it."""
+    """Return what the catalogue says of those objects whose record vouches for it."""
     trusted = {}
     for record in records:
         own = rows.get(record.sha256, {})

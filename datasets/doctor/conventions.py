@@ -71,7 +71,7 @@ class TruthView:
 
     @property
     def mounted(self) -> bool:
-        """Whether the IMU is clearly turned against the body of the truth."""
+        """Return whether the IMU is clearly turned against the body of the truth."""
         return self.mounting.magnitude() > TURNED_RAD and not self.mirrored
 
     @cached_property
@@ -85,7 +85,7 @@ class TruthView:
 
     @property
     def mirrored(self) -> bool:
-        """Whether world and body are both turned by 180 deg about one axis, as by a mirrored axis."""
+        """Return whether world and body are both turned by 180 deg about one axis, as by a mirrored axis."""
         return self.frame == "left-handed"
 
     @property
@@ -97,17 +97,17 @@ class TruthView:
 
     @property
     def changes(self) -> int:
-        """How many conventions of the truth are wrong."""
+        """Return how many conventions of the truth are wrong."""
         return (self.reading.name != "") + (self.frame is not None)
 
     @property
     def wrong(self) -> bool:
-        """Whether the truth must be changed."""
+        """Return whether the truth must be changed."""
         return self.changes > 0
 
     @property
     def words(self) -> str:
-        """What is wrong with the truth."""
+        """Return what is wrong with the truth."""
         frame = {
             None: "",
             "North-East-Down": "its world is North-East-Down",
@@ -266,7 +266,7 @@ class TruthFits:
         return max(shares), *turns
 
     def _is_informative(self) -> bool:
-        """Whether gyro and truth turn together under some reading."""
+        """Return whether gyro and truth turn together under some reading."""
         return any(len(null) and float((null - losses).mean(axis=1).max()) > MIN_GAIN for losses, _, null in self.rates)
 
     @cached_property

@@ -65,7 +65,7 @@ class Diagnosis:
 
     @property
     def remedies(self) -> tuple[Remedy, ...]:
-        """What can be put right by :func:`~stillpoint.datasets.doctor.apply`, in the order of the findings."""
+        """Return what can be put right by :func:`~stillpoint.datasets.doctor.apply`, in the order of the findings."""
         return tuple(finding.remedy for finding in self.findings if finding.remedy is not None)
 
     def codes(self, *severities: Severity) -> tuple[str, ...]:

@@ -68,18 +68,18 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What is changed when this hypothesis is acted on."""
+        """Return what is changed when this hypothesis is acted on."""
         return tuple(self.part(name) for name in ("gyro", "accel", "mag", "truth"))
 
     def part(self, sensor: str) -> object:
-        """What is changed about one sensor, or about the truth."""
+        """Return what is changed about one sensor, or about the truth."""
         if sensor == "truth":
             return None if self.view is None else (self.view.reading.name, self.view.frame)
         return index_of(getattr(self.fault, sensor))
 
     @property
     def changes_nothing(self) -> bool:
-        """Whether nothing is wrong under this hypothesis; a mounting is no fault."""
+        """Return whether nothing is wrong under this hypothesis; a mounting is no fault."""
         return not self.fault.corrections() and (self.view is None or not self.view.wrong)
 
 
@@ -91,7 +91,9 @@ class Verdict:
     rivals: tuple[Hypothesis, ...]  # within CLEAR of the best
 
     def settles(self, sensor: str) -> bool:
-        """Whether every pair agrees with the best hypothesis, and every rival changes this sensor (or truth) alike."""
+        """Return whether every pair agrees with the best hypothesis, and every rival changes this sensor (or truth)
+        alike.
+        """
         return self.best.misfit <= 0.0 and all(rival.part(sensor) == self.best.part(sensor) for rival in self.rivals)
 
 
@@ -151,7 +153,7 @@ def _list_faults(has_mag: bool) -> Iterator[Fault]:
 
 
 def _changed(matrix: Floats) -> int:
-    """How many axes are moved or flipped; a sign that is wrong for all three is one mistake."""
+    """Return how many axes are moved or flipped; a sign that is wrong for all three is one mistake."""
     return 1 if np.array_equal(matrix, -IDENTITY) else complexity(matrix)[0]
 
 

@@ -65,7 +65,7 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
 
 
 def _unsure_s(away_s: Floats, more: Floats) -> float:
-    """How far from the best lag the loss is not yet clearly larger, by the scatter of its excess (L, BLOCKS).
+    """Return how far from the best lag the loss is not yet clearly larger, by the scatter of its excess (L, BLOCKS).
 
     Around a smooth minimum the excess grows as d^2 and its scatter as d: it is half as many standard errors above zero
     as d is standard errors of the lag. Where noise ripples the loss, several minima compete, and the farthest counts.
@@ -75,7 +75,7 @@ def _unsure_s(away_s: Floats, more: Floats) -> float:
 
 
 def _bounds(table: Floats) -> Times:
-    """Where the parts of the recording meet, (BLOCKS - 1,), so that each tells equally much of the lag."""
+    """Return where the parts of the recording meet, (BLOCKS - 1,), so that each tells equally much of the lag."""
     told = np.cumsum(np.ptp(table, axis=0))
     return np.searchsorted(told / told[-1], np.linspace(0, 1, BLOCKS + 1)[1:-1])
 

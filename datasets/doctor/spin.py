@@ -18,7 +18,7 @@ SLOWEST_RADPS = 3.0  # below it a squared rate tells nothing about a scale
 
 
 def check_spin(recording: Recording) -> Iterator[Finding]:
-    """What is wrong with the spin stream; its encoder is the witness where there is one."""
+    """Return what is wrong with the spin stream; its encoder is the witness where there is one."""
     spin = recording.spin
     if spin is None:
         return
@@ -40,7 +40,7 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
 
 
 def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator[Finding]:
-    """How many values of each accelerometer are of a kind that tells nothing."""
+    """Return how many values of each accelerometer are of a kind that tells nothing."""
     counts = of.sum(axis=0)
     if not counts.any():
         return

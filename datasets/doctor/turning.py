@@ -45,7 +45,7 @@ class Series:
         return self._at(end_s) - self._at(start_s)
 
     def smooth_between(self, start_s: Floats, end_s: Floats) -> Floats:
-        """As :meth:`between`, over spans whose ends fade within one step of the stream.
+        """Return :meth:`between` over spans whose ends fade within one step of the stream.
 
         With sharp ends, noise averages out the better the further the ends lie from the stamps, and a search for a lag
         between streams of one rate would settle there, half a step beside the true one.
@@ -58,7 +58,7 @@ class Series:
         return np.stack([np.interp(t_s, self.t_s, column) for column in self.integral.T], axis=1)
 
     def touches_gap(self, start_s: Floats, end_s: Floats) -> NDArray[np.bool_]:
-        """Which spans overlap a gap."""
+        """Return which spans overlap a gap."""
         inside = np.searchsorted(self.gaps_s[:, 1], start_s, side="right")
         return inside < np.searchsorted(self.gaps_s[:, 0], end_s, side="left")
 
@@ -155,7 +155,7 @@ class Grid:
 
 
 def stands_out(size: Floats) -> NDArray[np.bool_]:
-    """Which sizes are well above those at rest; all of them when few are."""
+    """Return which sizes are well above those at rest; all of them when few are."""
     keep = size > 0.1 * np.quantile(size, 0.95) if len(size) else np.zeros(0, dtype=np.bool_)
     return keep if keep.sum() >= FEWEST_WINDOWS else np.ones(len(size), dtype=np.bool_)
 
@@ -182,7 +182,7 @@ def solve(columns: Floats, rhs: Floats, weight: Floats) -> tuple[Floats, Floats]
 
 
 def robust_solve(columns: Floats, rhs: Floats, weight: Floats, rounds: int = 3) -> tuple[Floats, Floats, Floats]:
-    """As :func:`solve`, with windows that fit badly weighted down; also the final weights (n,)."""
+    """Solve as :func:`solve` with less weight on windows that fit badly; return the final weights (n,) too."""
     weights = weight
     for _ in range(rounds):
         x, residual = solve(columns, rhs, weights)
@@ -272,7 +272,8 @@ def displacement(seen: Seen, matrices: Floats) -> Floats:
 
 
 def displacement_about_pivot(seen: Seen, matrix: Floats) -> Floats:
-    """As :func:`displacement` for one matrix, (n,), less what a turn about one fixed pivot in the body explains.
+    """Return :func:`displacement` for one matrix, (n,), without what a turn about one fixed pivot in the body
+    explains.
 
     A hand turns about its wrist: the sensor then swings by R r with the arm r, which looks like a lag of gravity.
     """

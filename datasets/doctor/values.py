@@ -44,7 +44,7 @@ class Sensor:
 
 
 def check_values(recording: Recording) -> list[Finding]:
-    """What is wrong with the values of each sensor, whatever their unit."""
+    """Return what is wrong with the values of each sensor, whatever their unit."""
     findings: list[Finding] = []
     for sensor in _sensors(recording):
         if len(sensor.t_ns) < 10:

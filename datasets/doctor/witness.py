@@ -50,7 +50,9 @@ def _signed_permutations() -> Floats:
 
 
 def complexity(matrix: Floats) -> tuple[int, int]:
-    """How much a signed permutation changes: moved axes and flipped signs together, then the moved axes alone."""
+    """Return how much a signed permutation changes: moved axes and flipped signs together, then the moved axes
+    alone.
+    """
     moved = int((np.abs(np.diag(matrix)) < 0.5).sum())
     flipped = int((matrix < -0.5).sum())
     return moved + flipped, moved
@@ -199,7 +201,9 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
 
 
 def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
-    """How late the accelerometer's stamps are against the gyro's, by gravity, when true rate = matrix @ measured."""
+    """Return how late the accelerometer's stamps are against the gyro's, by gravity, when true rate = matrix @
+    measured.
+    """
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)

@@ -21,7 +21,7 @@ READ_AHEAD = 4 << 20  # bytes that a sequential reader asks for at once
 
 
 def is_url(path: Path | str) -> bool:
-    """Whether a path is the URL of something that is not in the local file system."""
+    """Return whether a path is the URL of something that is not in the local file system."""
     match = _URL.match(str(path))
     return match is not None and match[1].lower() != "file"
 

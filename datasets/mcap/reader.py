@@ -77,7 +77,7 @@ class Topic:
         return np.char.decode(self.column(leaf), "utf-8", "replace")
 
     def has(self, leaf: str) -> bool:
-        """Whether every message has this leaf."""
+        """Return whether every message has this leaf."""
         return bool(self.parts) and all(leaf in part.columns for part in self.parts)
 
     def stamps_ns(self, path: str = "header.stamp") -> NDArray[np.int64]:

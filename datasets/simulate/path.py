@@ -42,7 +42,7 @@ class Motion(Protocol):
         """Its second derivative, (N, 3)."""
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
-        """Whether a time lies outside all rests."""
+        """Return whether a time lies outside all rests."""
 
 
 def join_strokes(times_s: ArrayLike, values: ArrayLike) -> BPoly:

@@ -37,7 +37,9 @@ def neighbours(path: Path) -> list[Path]:
 
 
 def made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
-    """Whether two files were made from one recording, by its SHA-256; True also where one of them does not say."""
+    """Return whether two files were made from one recording, by its SHA-256; True also where one of them does not
+    say.
+    """
     return not ours or not theirs or bool(set(ours.values()) & set(theirs.values()))
 
 

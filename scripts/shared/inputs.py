@@ -29,7 +29,7 @@ def kind_of(path: Path) -> str:
 
 
 def is_of_spin(path: Path) -> bool:
-    """Whether a recording is of a spinning body and of nothing else; a file that cannot be read is not."""
+    """Return whether a recording is of a spinning body and of nothing else; a file that cannot be read is not."""
     try:
         topics = provenance(path).topics
     except StillpointError:
@@ -109,7 +109,7 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
 
 
 def file_exists(path: Path) -> bool:
-    """Whether a path names a file; a URL counts as one, and an error says later where it is not."""
+    """Return whether a path names a file; a URL counts as one, and an error says later where it is not."""
     return is_url(path) or path.is_file()
 
 

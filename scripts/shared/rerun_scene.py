@@ -166,7 +166,7 @@ def _entity(quantity: str, name: str) -> str:
 
 
 def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
-    """What there may be a plot of: attitudes, spins, or both."""
+    """Return what there may be a plot of: attitudes, spins, or both."""
     spins = [
         isinstance(thing, SpinReference)
         or (isinstance(thing, Estimate) and thing.q_nb is None)

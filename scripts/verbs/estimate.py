@@ -98,7 +98,7 @@ def estimate(
 def _runs_by_source(
     sources: Sequence[Path], estimators: str | None, runs_of_names: Callable[[str], list[Run]]
 ) -> Mapping[Path, list[Run]]:
-    """What to run over each recording: what was named, or by default what its streams are for."""
+    """Return what to run over each recording: what was named, or by default what its streams are for."""
     if estimators is not None:
         return dict.fromkeys(sources, runs_of_names(estimators))
     spins = {source: inputs.is_of_spin(source) for source in sources}

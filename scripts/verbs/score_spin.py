@@ -41,7 +41,7 @@ class SpinJudge:
 
 
 def is_roll(thing: object) -> bool:
-    """Whether a thing is an angle and a rate rather than an attitude."""
+    """Return whether a thing is an angle and a rate rather than an attitude."""
     return isinstance(thing, SpinReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
 
 
@@ -54,7 +54,7 @@ def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path |
 
 
 def zero_of(align: AlignKind, where: str) -> AngleZero | None:
-    """What is taken off an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
+    """Return what is taken off an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
     if align not in ZEROS:
         raise BadParameter(
             f"{where}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
@@ -93,7 +93,7 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
 
 
 def _beside(file: Path, thing: Estimate | SpinReference) -> Path:
-    """What judges a file when nothing was named: as for attitudes, the reference, else the recording."""
+    """Return what judges a file when nothing was named: as for attitudes, the reference, else the recording."""
     name = recording_name(file) if isinstance(thing, Estimate) else thing.name
     candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []
     if len(candidates) == 1:

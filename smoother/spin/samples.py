@@ -145,7 +145,9 @@ def _steps_s(spin: Spin) -> Floats:
 
 
 def _gravity_parts(by: SpinChannels, channel: Channel) -> Floats:
-    """At angle 0 the body's z axis points up as far as the spin axis allows: up = z cos(angle) + y sin(angle)."""
+    """Return the parts of gravity along the axes: at angle 0 the body's z axis points up as far as the spin axis
+    allows.
+    """
     seen = channel.accel @ by.geometry.accel_axis_b
     seen = np.where(np.abs(seen) > ROUNDING * np.abs(channel.accel).max(), seen, 0.0)  # it cancels where F3 is there
     return np.array([seen[2], seen[1]])

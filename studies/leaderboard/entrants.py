@@ -54,7 +54,7 @@ class Entrant:
 
     @property
     def spelling(self) -> str:
-        """What names it in a study."""
+        """Return what names it in a study."""
         return self.spelled or self.target
 
     def identity(self) -> dict[str, Any]:

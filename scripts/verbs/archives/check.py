@@ -76,7 +76,7 @@ def verify(
 
 
 def _read_count(remake: str | None) -> int | None:
-    """How many to make anew; None for all."""
+    """Return how many to make anew; None for all."""
     if remake is None or remake == "all":
         return None
     if not remake.isdecimal():
