@@ -60,6 +60,8 @@ from stillpoint.filters.sample import Output, Sample
 
 # The states that fade: the heading and the three components of the bias.
 FADING = BIAS - HEADING + 3
+# A V that is a smaller share of the variance is rounding in single precision: the state was hardly measured.
+LEAST_INFORMATION = 1e-4
 # Of the second difference of white noise: 1 + 4 + 1, in each of three axes.
 SECOND_DIFFERENCE = 18.0
 
@@ -185,10 +187,12 @@ def copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
 def fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
     """Multiply the variances of heading and bias by lambda, up to those of the start."""
     for i in range(FADING):
-        raw = sums[0, i] * sums[0, i] / (c.ekf.gate * sums[1, i])  # not a number before the first correction
+        variance = p[HEADING + i, HEADING + i]
         largest = c.ekf.heading_variance if i == 0 else c.ekf.bias_variance
-        if raw > 1 and p[HEADING + i, HEADING + i] < largest:
-            scale_variance(p, HEADING + i, min(raw, c.largest_lambda))
+        if variance < largest and sums[1, i] > LEAST_INFORMATION * variance:
+            raw = sums[0, i] * sums[0, i] / (c.ekf.gate * sums[1, i])
+            if raw > 1:
+                scale_variance(p, HEADING + i, min(raw, c.largest_lambda))
 
 
 @compiled_apart
