@@ -40,7 +40,7 @@ test-wheel: .venv/.dev
 lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports --no-cache
+	$(PYTEST) -q tests/scripts/test_layers.py
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .
