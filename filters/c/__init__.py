@@ -1,0 +1,1 @@
+"""Filters as C99 for microcontrollers, translated from the compiled steps."""
