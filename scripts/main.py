@@ -39,6 +39,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "report": ("report:report", "Write one HTML page about a recording, its reference and its estimates."),
     "plot": ("plot:plot", "Draw one figure for a paper, of a recording or of a leaderboard."),
     "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
+    "export-c": ("export_c:export_c", "Write filters as C99 for microcontrollers."),
     "archive": ("archive:app", "Keep, find, verify and publish datasets."),
     "recover": ("recover:recover", "Rescue what is readable of a damaged MCAP file."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),

@@ -8,7 +8,7 @@ import numpy as np
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings, choose_settings
-from stillpoint.filters.c.translate import Function, Translation
+from stillpoint.filters.c.translate import Function, Translation, wrap_lines
 from stillpoint.filters.c.types import Array, CType, Struct, TypeTable, count_reals, parts_of, select_part, type_of
 from stillpoint.filters.sample import Sample
 from stillpoint.filters.spin.sample import SpinSample
@@ -142,13 +142,16 @@ SPIN_COMMENT = """/*
  * Take one sample and return whether angle and rate are ready.
  * dt_s: since the sample before. accel_radps2: angular acceleration; square_rad2ps2: square of the rate; NULL where
  * missing. direction: +1 or -1 where a sensor shows the sense of the spin, else 0.
- * turns, rest_rad: the angle, whole turns and a rest within half a turn. variances: of angle, of both, of rate, or NULL.
+ * turns, rest_rad: the angle, whole turns and a rest within half a turn.
+ * variances: of the angle, of both, of the rate; or NULL.
  */"""
 SPIN_PROTOTYPE = """bool {prefix}_update({prefix}_filter *filter, sp_real dt_s, const sp_real *accel_radps2,
     const sp_real *square_rad2ps2, int direction, int *turns, sp_real *rest_rad, sp_real *rate_radps,
     sp_real *variances)"""
 
-ATTITUDE_SAMPLE = """{prefix}_sample sample = {{dt_s, {{{{0}}}}, {{{{0}}}}, {{{{0}}}}, accel_b_mps2 != NULL, mag_b_ut != NULL, {{{{0}}}}}};
+ATTITUDE_SAMPLE = """{prefix}_sample sample = {{
+    dt_s, {{{{0}}}}, {{{{0}}}}, {{{{0}}}}, accel_b_mps2 != NULL, mag_b_ut != NULL, {{{{0}}}}
+}};
 for (int i = 0; i < 3; i++) {{
     sample.gyro_b_radps.v[i] = gyro_b_radps[i];
     sample.accel_b_mps2.v[i] = accel_b_mps2 != NULL ? accel_b_mps2[i] : REAL(0.0);
@@ -182,9 +185,9 @@ def export_filter(
 ) -> CSource:
     """Return an estimator in C99 with these parameters as constants.
 
-    ``declination_rad`` is east of true north; 0: north is magnetic. ``geometry`` is of the accelerometers of a spin;
-    None: that of :class:`stillpoint.datasets.recording.SpinGeometry`'s own default is not known, so spins need one.
-    Raises :class:`BadParameter` for an estimator that is not among ``EXPORTED`` and for unknown parameters.
+    ``declination_rad`` is east of true north; 0: north is magnetic. ``geometry`` says where the accelerometers of a
+    spin sit. Raises :class:`BadParameter` for an estimator that is not among ``EXPORTED``, for unknown parameters, and
+    for an estimator of a spin without a geometry.
     """
     if name not in EXPORTED:
         raise BadParameter(f"{name}: cannot be exported to C; choose among {', '.join(EXPORTED)}")
@@ -192,7 +195,7 @@ def export_filter(
     settings = choose_settings(entry.params(), params, name)
     if isinstance(entry, SpinEstimator):
         if geometry is None:
-            raise BadParameter(f"{name}: follows a spin; give a recording that says where the accelerometers are")
+            raise BadParameter(f"{name}: follows a spin; say where the accelerometers sit (geometry)")
         c = entry.coefficients(settings, geometry)
     else:
         assert isinstance(entry, Estimator)
@@ -221,27 +224,31 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
     licence = LICENCE.format(title=entry.summary, name=name, units=SPIN_UNITS if is_spin else ATTITUDE_UNITS)
     return CSource(
         prefix,
-        HEADER.format(
-            licence=licence,
-            upper=prefix.upper(),
-            types="\n".join(types.definitions),
-            state=state_name,
-            arrays="".join(f"    sp_real array{k}[{values.size}];\n" for k, (_, values) in enumerate(arrays)),
-            prefix=prefix,
-            coefficients=coefficients,
-            settings=_describe(settings),
-            prototype_comment=SPIN_COMMENT if is_spin else ATTITUDE_COMMENT.format(no_cov=no_cov),
-            prototype=prototype,
+        wrap_lines(
+            HEADER.format(
+                licence=licence,
+                upper=prefix.upper(),
+                types="\n".join(types.definitions),
+                state=state_name,
+                arrays="".join(f"    sp_real array{k}[{values.size}];\n" for k, (_, values) in enumerate(arrays)),
+                prefix=prefix,
+                coefficients=coefficients,
+                settings=_describe(settings),
+                prototype_comment=SPIN_COMMENT if is_spin else ATTITUDE_COMMENT.format(no_cov=no_cov),
+                prototype=prototype,
+            )
         ),
-        SOURCE.format(
-            licence=licence,
-            prefix=prefix,
-            coefficients=coefficients,
-            values=types.write_value(c),
-            helpers="".join(text for call_of, text in HELPERS.items() if call_of in functions),
-            functions=functions,
-            init=_write_init(prefix, state_name, types, state, arrays),
-            update=_write_update(prototype, prefix, types, made, arrays, is_spin),
+        wrap_lines(
+            SOURCE.format(
+                licence=licence,
+                prefix=prefix,
+                coefficients=coefficients,
+                values=types.write_value(c),
+                helpers="".join(text for call_of, text in HELPERS.items() if call_of in functions),
+                functions=functions,
+                init=_write_init(prefix, state_name, types, state, arrays),
+                update=_write_update(prototype, prefix, types, made, arrays, is_spin),
+            )
         ),
     )
 

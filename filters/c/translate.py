@@ -123,7 +123,7 @@ class _Body:
         unused = [f"    (void){one};" for one in self.arguments if not re.search(rf"(?<![.\w]){one}\b", text)]
         head = declare(f"static {self.types.name(self.returns)}", f"{name}({', '.join(given) or 'void'})")
         first = comment.partition("\n")[0].replace(":func:", "").replace("``", "").replace("`", "")
-        return "\n".join([f"/* {first} */", head, "{", *self.early, *unused, *wrap_lines(self.lines), "}", ""])
+        return "\n".join([f"/* {first} */", head, "{", *self.early, *unused, *self.lines, "}", ""])
 
     def emit(self, line: str) -> None:
         """Add a line at the depth of the current block."""
@@ -504,14 +504,16 @@ class _Body:
         raise self.refuse(node)
 
 
-def wrap_lines(lines: Sequence[str]) -> list[str]:
-    """Break long lines between tokens."""
+def wrap_lines(text: str) -> str:
+    """Break long lines of C between tokens; lines of comments keep their star."""
     wrapped: list[str] = []
-    for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()))
-        how = {"break_long_words": False, "break_on_hyphens": False}
-        wrapped += textwrap.wrap(line, WIDTH, initial_indent="", subsequent_indent=indent + "    ", **how)
-    return wrapped
+    for line in text.split("\n"):
+        indent = line[: len(line) - len(line.lstrip())]
+        later = indent + ("* " if line.startswith(" * ") else "    ")
+        wrapped += textwrap.wrap(
+            line, WIDTH, subsequent_indent=later, break_long_words=False, break_on_hyphens=False
+        ) or [""]
+    return "\n".join(wrapped)
 
 
 def names_in(node: ast.AST) -> set[str]:

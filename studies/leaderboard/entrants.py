@@ -101,7 +101,7 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
         return _entrant_of_object(name)
     known, at, settings_file = name.partition("@")
     if known in ESTIMATORS:
-        settings, origin = _read_settings(Path(settings_file), known) if at else ({}, "defaults")
+        settings, origin = read_settings(Path(settings_file), known) if at else ({}, "defaults")
         shown = f"{known}@{Path(settings_file).stem}" if at else known
         if shown in params:
             settings, origin = {**settings, **params[shown]}, "set by the user"
@@ -155,7 +155,7 @@ def _entrant_of_object(own: Own) -> Entrant:
     return Entrant(name, "own", f"{module}:{name}", version=code, slow=True, own=own)
 
 
-def _read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:
+def read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:
     """Return the parameters in a TOML file of ``stillpoint tune --save`` and what they were tuned on."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
