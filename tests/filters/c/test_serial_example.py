@@ -41,7 +41,7 @@ def test_the_sketch_gives_what_stream_gives(tmp_path: Path) -> None:
         ("g++", "-Wall", "-Wextra", "-Werror", "-O2", "main.cpp", "ekf.o", "-o", "sketch"),
     ):
         subprocess.run(words, cwd=tmp_path, check=True)
-    recording = simulate("phone-1", seed=5, minutes=0.5)
+    recording = simulate("phone-1", seed=5, minutes=0.6)
     imu, mag, stream = recording.require_imu(), recording.mag, Stream("ekf")
     at = {int(imu.t_ns[np.searchsorted(imu.t_ns, t)]): k for k, t in enumerate(mag.t_ns) if t <= imu.t_ns[-1]}
     lines, expected = ["no sample", '{"t_ns":1,"gx":null,"gy":0,"gz":0,"ax":0,"ay":0,"az":9.81}'], []
