@@ -139,8 +139,8 @@ class _Body:
                 first = node.targets[0]
                 self.assign(target, ast.Name(first.id, ast.Load()) if isinstance(first, ast.Name) else node.value)
         elif isinstance(node, ast.AugAssign):
-            target, _ = self.value(node.target, is_target=True)
-            self.emit(f"{target} {BINARY[type(node.op)]}= {self.value(node.value)[0]};")
+            place, _ = self.value(node.target, is_target=True)
+            self.emit(f"{place} {BINARY[type(node.op)]}= {self.value(node.value)[0]};")
         elif isinstance(node, ast.Return):
             self.add_return(node)
         elif isinstance(node, ast.If):

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters.c.export import EXPORTED, export_filter
@@ -48,8 +46,8 @@ def make_logs() -> dict[str, Log | SpinLog]:
     front_c = spin_front.coefficients(make_channels(params, spin.geometry), params, "double")
     _, spins = spin_front.filter_log(spin.t_ns, spin.accel_mps2, spin.gyro_radps, spin_front.start(), front_c)
     return {
-        "attitude": Log(*(np.ascontiguousarray(column[:SAMPLES]) for column in log)),
-        "spin": SpinLog(*(np.ascontiguousarray(column[:SAMPLES]) for column in spins)),
+        "attitude": Log._make(column[:SAMPLES] for column in log),
+        "spin": SpinLog._make(column[:SAMPLES] for column in spins),
     }
 
 

@@ -27,7 +27,8 @@ COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 
 # C in single precision against the compiled step in single precision: sine and cosine are rounded differently.
-SINGLE_APART_DEG = 0.01
+# On the 12 trials of BROAD it is at most 2e-5 deg.
+SINGLE_APART_DEG = 1e-3
 
 
 def spoil(log):
@@ -141,7 +142,7 @@ def test_c_gives_the_bits_of_the_compiled_step_of_a_spin(name, params, kind, com
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", ATTITUDES)
 def test_c_gives_the_bits_of_the_compiled_step_on_broad(name, data_dir, tmp_path):
-    """On all trials in double precision; in single, at most as far off double as the compiled step in single is."""
+    """The same bits on all trials in double precision, and nearly the same attitude in single."""
     made = export_filter(name, declination_rad=0.05)
     double = compile_filter(made, tmp_path, ATTITUDE_LOOP, compiler=COMPILERS[0])
     single = compile_filter(made, tmp_path, ATTITUDE_LOOP, single=True, compiler=COMPILERS[0])
