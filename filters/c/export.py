@@ -216,41 +216,40 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
     step: Any = entry.step
     made = whole.add(step.py_func, kinds)
     arrays = find_arrays(kinds[0], state, "")
-    gives_cov = not is_spin and getattr(entry, "gives_cov", False)
-    no_cov = "" if gives_cov else "; this filter knows none and writes NaN"
     prototype = (SPIN_PROTOTYPE if is_spin else ATTITUDE_PROTOTYPE).format(prefix=prefix)
+    update = _write_update(prototype, prefix, types, made, arrays, is_spin)
     functions = "\n".join(whole.bodies)
-    coefficients, state_name = types.name(kinds[2]), types.name(kinds[0])
-    licence = LICENCE.format(title=entry.summary, name=name, units=SPIN_UNITS if is_spin else ATTITUDE_UNITS)
-    return CSource(
-        prefix,
-        wrap_lines(
-            HEADER.format(
-                licence=licence,
-                upper=prefix.upper(),
-                types="\n".join(types.definitions),
-                state=state_name,
-                arrays="".join(f"    sp_real array{k}[{values.size}];\n" for k, (_, values) in enumerate(arrays)),
-                prefix=prefix,
-                coefficients=coefficients,
-                settings=_describe(settings),
-                prototype_comment=SPIN_COMMENT if is_spin else ATTITUDE_COMMENT.format(no_cov=no_cov),
-                prototype=prototype,
-            )
-        ),
-        wrap_lines(
-            SOURCE.format(
-                licence=licence,
-                prefix=prefix,
-                coefficients=coefficients,
-                values=types.write_value(c),
-                helpers="".join(text for call_of, text in HELPERS.items() if call_of in functions),
-                functions=functions,
-                init=_write_init(prefix, state_name, types, state, arrays),
-                update=_write_update(prototype, prefix, types, made, arrays, is_spin),
-            )
-        ),
+    shared = {
+        "licence": LICENCE.format(title=entry.summary, name=name, units=SPIN_UNITS if is_spin else ATTITUDE_UNITS),
+        "prefix": prefix,
+        "coefficients": types.name(kinds[2]),
+    }
+    header = HEADER.format(
+        **shared,
+        upper=prefix.upper(),
+        types="\n".join(types.definitions),
+        state=types.name(kinds[0]),
+        arrays="".join(f"    sp_real array{k}[{values.size}];\n" for k, (_, values) in enumerate(arrays)),
+        settings=_describe(settings),
+        prototype_comment=_comment_update(entry),
+        prototype=prototype,
     )
+    source = SOURCE.format(
+        **shared,
+        values=types.write_value(c),
+        helpers="".join(text for call_of, text in HELPERS.items() if call_of in functions),
+        functions=functions,
+        init=_write_init(prefix, types.name(kinds[0]), types, state, arrays),
+        update=update,
+    )
+    return CSource(prefix, wrap_lines(header), wrap_lines(source))
+
+
+def _comment_update(entry: Estimator | SpinEstimator) -> str:
+    """Return the comment of the public update."""
+    if isinstance(entry, SpinEstimator):
+        return SPIN_COMMENT
+    return ATTITUDE_COMMENT.format(no_cov="" if entry.gives_cov else "; this filter knows none and writes NaN")
 
 
 def _describe(settings: Settings) -> str:
