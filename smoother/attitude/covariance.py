@@ -15,6 +15,7 @@ from stillpoint.smoother.attitude.returns import closing_square
 from stillpoint.smoother.attitude.solve import Solution, make_unobservable, rotations_of
 
 MOST_RETURNS = 6  # that count in the covariance factor
+LEAST_EIGENVALUE = 1e-6  # of the trace of the wider covariance: below it, rounding decides
 LEAST_SHARE = 1e-3  # of the largest eigenvalue: heading and mounting are not told apart where attitudes hardly change
 
 
@@ -74,6 +75,7 @@ def compute_accuracy(
     of_heading = _subtract_shared(attitude, with_means[:, :, :1], of_means[:1, :1], here[:, :, :1])
     fit = np.linalg.pinv(np.mean(shared.transpose(0, 2, 1) @ shared, axis=0), rcond=LEAST_SHARE, hermitian=True)
     relative = _subtract_shared(attitude, with_means @ fit, fit @ of_means @ fit, here)
+    relative = _replace_indefinite(_replace_indefinite(relative, of_heading), attitude)
     mounting = _nearest_covariance(np.mean(of_heading - relative, axis=0))
     turn = rotations_of(solution.values, states)
     position = turn @ pose[:, 3:, 3:] @ turn.transpose(0, 2, 1)
@@ -138,6 +140,16 @@ def _subtract_shared(covariance: Floats, with_shared: Floats, of_shared: Floats,
     back = by_shared.transpose(0, 2, 1)
     cross = with_shared @ back
     return np.asarray(covariance - cross - cross.transpose(0, 2, 1) + by_shared @ of_shared @ back)
+
+
+def _replace_indefinite(covariance: Floats, wider: Floats) -> Floats:
+    """Return covariances (n, 3, 3), with the wider one where rounding has left one that is not positive definite.
+
+    What is left after the shared part is subtracted can be a small difference of large numbers.
+    """
+    least = np.linalg.eigvalsh((covariance + covariance.transpose(0, 2, 1)) / 2)[:, 0]
+    sound = least > LEAST_EIGENVALUE * np.trace(wider, axis1=1, axis2=2)
+    return np.where(sound[:, None, None], covariance, wider)
 
 
 def _nearest_covariance(matrix: Floats) -> Floats:

@@ -19,7 +19,7 @@ def test_a_pipe_gets_every_column_between_tabs(capsys) -> None:
     assert lines[0] == "# scores"
     assert lines[1].split("\t") == list(COLUMNS)
     assert lines[2].split("\t") == ROWS[0]
-    assert lines[3].split("\t")[0] == "run with tab"
+    assert lines[3].split("\t")[0] == "run with\\ttab"  # escaped, so that it stays one cell
     assert not set("│┃─━") & set("".join(lines))
 
 
