@@ -1,9 +1,12 @@
 """Real phones and BROAD: what calibration does to heading, and whether the graph ranks as optical truth does."""
 
+from dataclasses import replace
+
 import pytest
 
 from stillpoint.datasets import write
 from stillpoint.datasets.importers.table import IMPORTERS
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.studies.fidelity import measure_fidelity
 from stillpoint.studies.leaderboard import leaderboard
 
@@ -15,9 +18,11 @@ def phones(data_dir, tmp_path_factory):
     for trial in ("android/Guillaume_Nexus5_NoDist_AR", "ios/Guillaume_iPhone5_NoDist_Texting"):
         for imported in IMPORTERS["tyrex"].read_all(data_dir / "tyrex" / trial):
             name = imported.recording.name
-            write(place / f"{name}.mcap", imported.recording)
-            for estimate in imported.estimates:
-                write(place / f"{name}.{estimate.name}.estimate.mcap", estimate)
+            file = place / f"{name}.mcap"
+            write(file, imported.recording)
+            for estimate in imported.estimates:  # with the hash of the recording, as the verb import writes it
+                made_from = {**estimate.made_from, file.name: sha256(file)}
+                write(place / f"{name}.{estimate.name}.estimate.mcap", replace(estimate, made_from=made_from))
     return sorted(file for file in place.glob("*.mcap") if not file.name.endswith(".estimate.mcap"))
 
 
