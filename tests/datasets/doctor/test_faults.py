@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from resting import cut
 
 from stillpoint.datasets import Imu, Mag, Recording, Truth
 from stillpoint.datasets.doctor import Diagnosis, apply, diagnose
@@ -287,18 +288,6 @@ FAULTS: tuple[Fault, ...] = (
     Fault("coarse magnetometer", mag(steps_of(2.0)), "mag-coarse"),
     Fault("accelerometer scale 8 %", times(accel, 1.08), "gravity-size"),
 )
-
-
-def cut(recording: Recording, start_s: float, end_s: float) -> Recording:
-    """The part between two times from the start."""
-    origin = recording.imu.t_ns[0]
-    parts = {}
-    for name in ("imu", "mag", "truth"):
-        stream = getattr(recording, name)
-        keep = (stream.t_ns >= origin + start_s * 1e9) & (stream.t_ns < origin + end_s * 1e9)
-        columns = {key: value[keep] for key, value in vars(stream).items() if isinstance(value, np.ndarray)}
-        parts[name] = replace(stream, **columns)
-    return replace(recording, **parts)
 
 
 def examine(recording: Recording) -> Diagnosis:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from resting import cut
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Estimate, Recording, Truth
@@ -16,17 +17,6 @@ from stillpoint.smoother.rest import find_rests
 NED = local_from_enu("ned")
 HALF_X, QUARTER_X = Rotation.from_euler("x", 180, degrees=True), Rotation.from_euler("x", 90, degrees=True)
 IMU_STREAMS = ("imu", "mag")
-
-
-def cut(recording: Recording, start_s: float, end_s: float) -> Recording:
-    origin = recording.imu.t_ns[0]
-    parts = {}
-    for name in ("imu", "mag", "truth"):
-        stream = getattr(recording, name)
-        keep = (stream.t_ns >= origin + start_s * 1e9) & (stream.t_ns < origin + end_s * 1e9)
-        columns = {key: value[keep] for key, value in vars(stream).items() if isinstance(value, np.ndarray)}
-        parts[name] = replace(stream, **columns)
-    return replace(recording, **parts)
 
 
 @pytest.fixture(scope="module")
