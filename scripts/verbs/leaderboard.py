@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,7 @@ from stillpoint.scripts.shared.jobs import Outcome, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
-from stillpoint.studies.leaderboard.study import Against
+from stillpoint.studies.leaderboard.study import Against, map_own_file
 from stillpoint.studies.publish.curves import read_entries
 from stillpoint.studies.publish.page import make_page_html
 from stillpoint.studies.publish.paper import write_paper
@@ -181,18 +182,9 @@ def _write(board: Leaderboard, folder: Path) -> None:
     study = replace(
         study,
         recordings=tuple(os.path.relpath(file, folder) for file in study.recordings),
-        estimators=tuple(_relative(name, folder) for name in study.estimators),
+        estimators=tuple(map_own_file(name, partial(os.path.relpath, start=folder)) for name in study.estimators),
         calibration=tuple(
             name if name in ("none", "reference") else os.path.relpath(name, folder) for name in study.calibration
         ),
     )
     write_text(folder / "study.toml", study_toml(study, board.version))
-
-
-def _relative(estimator: str, folder: Path) -> str:
-    """Return FILE.py:NAME and NAME@FILE.toml with the file as seen from the folder."""
-    place, colon, name = estimator.rpartition(":")
-    if place.endswith(".py"):
-        return f"{os.path.relpath(place, folder)}{colon}{name}"
-    known, at, settings = estimator.partition("@")
-    return f"{known}@{os.path.relpath(settings, folder)}" if at else estimator

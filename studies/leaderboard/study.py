@@ -1,8 +1,9 @@
 """A study is a file: recordings, estimators with their parameters, input, judge and alignment, as TOML."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -17,7 +18,7 @@ NONE, REFERENCE = "none", "reference"
 
 @dataclass(frozen=True)
 class Study:
-    """What a leaderboard compares, and how."""
+    """The recordings, estimators and rules of a leaderboard."""
 
     recordings: tuple[str, ...]  # files, folders or globs
     estimators: tuple[str, ...] = ()  # empty: every one of attitude whose package is installed
@@ -62,7 +63,7 @@ def read_study(path: Path) -> Study:
     given["calibration"] = tuple(
         text if text in (NONE, REFERENCE) else _beside(path, text) for text in given.get("calibration", (NONE,))
     )
-    given["estimators"] = tuple(_own_beside(path, text) for text in given.get("estimators", ()))
+    given["estimators"] = tuple(map_own_file(text, partial(_beside, path)) for text in given.get("estimators", ()))
     return Study(**given)
 
 
@@ -94,13 +95,13 @@ def _beside(path: Path, text: str) -> str:
     return text if is_url(text) or Path(text).is_absolute() else str(path.parent / text)
 
 
-def _own_beside(path: Path, text: str) -> str:
-    """Return FILE.py:NAME and NAME@FILE.toml with the file beside the study."""
-    place, colon, name = text.rpartition(":")
+def map_own_file(estimator: str, move: Callable[[str], str]) -> str:
+    """Return FILE.py:NAME or NAME@FILE.toml with its file moved; any other estimator as it is."""
+    place, colon, name = estimator.rpartition(":")
     if place.endswith(".py"):
-        return f"{_beside(path, place)}{colon}{name}"
-    known, at, settings = text.partition("@")
-    return f"{known}@{_beside(path, settings)}" if at else text
+        return f"{move(place)}{colon}{name}"
+    known, at, settings = estimator.partition("@")
+    return f"{known}@{move(settings)}" if at else estimator
 
 
 def _value(value: Any) -> str:
