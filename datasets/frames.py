@@ -56,9 +56,10 @@ def local_from_enu(frame: EulerFrame) -> Rotation:
 def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
     """Return roll, pitch, yaw in rad, shape ``(..., 3)``, as users of the named frame define them.
 
-    ``"nwu"``  paper 002, eqs (2)-(8): C = R3(yaw) R2(pitch) R1(roll) with the *passive* R_i of its eq (3), so that
-    roll = atan2(-a2, a3), pitch = asin(a1 / |a|) and yaw is the azimuth of the body x axis, clockwise from north.
-    ``"ned"``  paper 003: the aerospace z-y-x angles of a forward-right-down body in North-East-Down.
+    ``"nwu"``  Elmi Aziz and Mohseni Araste 2021, eqs (2)-(8): C = R3(yaw) R2(pitch) R1(roll) with the
+    *passive* R_i of its eq (3), so that roll = atan2(-a2, a3), pitch = asin(a1 / |a|) and yaw is the azimuth of
+    the body x axis, clockwise from north.
+    ``"ned"``  Zia 2022: the aerospace z-y-x angles of a forward-right-down body in North-East-Down.
     ``"enu"``  z-y-x angles in East-North-Up, as ROS uses them.
     """
     rot = local_from_enu(frame) * rotation(q_nb)

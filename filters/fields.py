@@ -51,7 +51,7 @@ class Fields(NamedTuple):
 
 
 class Fresh(NamedTuple):
-    """What one sample brought."""
+    """The fields of one sample."""
 
     accel: bool  # a usable specific force
     mag: bool  # a usable field

@@ -94,7 +94,7 @@ class PeerInput(NamedTuple):
 
 
 class PeerTrack(NamedTuple):
-    """What a peer says at every sample."""
+    """The output of a peer at every sample."""
 
     q_nb: Floats  # (N, 4) wxyz, body to magnetic East-North-Up
     gyro_bias_b_radps: Floats | None = None  # (N, 3)

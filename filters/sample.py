@@ -39,7 +39,7 @@ class Sample(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What an estimator returns after a sample; None for what it does not estimate."""
+    """The output of an estimator after a sample; None for a quantity that it does not estimate."""
 
     q_nb: Quaternion
     gyro_bias_b_radps: Vector | None

@@ -1,4 +1,4 @@
-"""What two trajectories may differ in without either being wrong: heading, mounting and clock.
+"""Align two trajectories that differ in conventions without either being wrong: heading, mounting and clock.
 
 The model is ``q_est(t + time) ~ Rz(heading) * q_true(t) * M(mounting)``. Signs: ``heading_rad`` > 0 when the estimate
 is turned counter-clockwise (seen from above) of the truth; ``mounting_rotvec_rad`` is the rotation M that takes
@@ -33,7 +33,7 @@ LEVEL_SPREAD_RAD = 1e-4  # rms tilt change below which heading and mounting are 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What was found, and what was not asked for at 0. Signs as in the module's first lines."""
+    """The alignment found; a part that was not asked for is 0. Signs as in the module's first lines."""
 
     kind: AlignKind
     heading_rad: float = 0.0

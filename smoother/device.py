@@ -31,7 +31,7 @@ DRAWS, IMPROBABLE = 400, 0.005  # of recordings of one device, and the share of 
 
 @dataclass(frozen=True, eq=False)
 class DeviceCalibration:
-    """What several recordings say of one device: corrected = matrix (measured - bias)."""
+    """The calibration of one device from several recordings: corrected = matrix (measured - bias)."""
 
     gyro_matrix: Floats  # (3, 3) symmetric
     gyro_matrix_sd: Floats  # (3, 3)

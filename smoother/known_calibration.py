@@ -1,4 +1,4 @@
-"""What is known of a sensor before: its readings are corrected by an earlier calibration, and the new one builds on it.
+"""Correct readings by an earlier calibration of the sensor, and build the new one on it.
 
 Both calibrations have the form of :class:`Calibration`: corrected = matrix (measured - bias). The gyro's bias changes
 from day to day and is found anew.

@@ -1,4 +1,4 @@
-"""What runs estimators and the smoother over many recordings, for notebooks and the command line alike.
+"""Studies that run estimators and the smoother over many recordings, for notebooks and the command line alike.
 
 leaderboard(recordings, estimators, out) -> Leaderboard
 """

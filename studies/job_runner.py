@@ -8,7 +8,7 @@ from stillpoint.datasets.errors import StillpointError
 
 
 class Outcome(Protocol):
-    """What a job gave: a value, or the one line that says why there is none."""
+    """The outcome of a job: a value, or the one line that says why there is none."""
 
     @property
     def value(self) -> Any:

@@ -27,7 +27,7 @@ DECIDING = ("datasets", "filters", "smoother", "scoring")  # packages whose code
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What is kept under one key."""
+    """The result kept under one key."""
 
     facts: Mapping[str, Any]
     arrays: Mapping[str, NDArray[Any]]

@@ -77,7 +77,7 @@ class ParamRange:
 
 @dataclass(frozen=True)
 class TuneSpec:
-    """What is tuned on what; it can be pickled."""
+    """The parameters and recordings of one tuning; it can be pickled."""
 
     estimator: str
     ranges: tuple[ParamRange, ...]

@@ -31,7 +31,7 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class Found:
-    """What the alignment took away; 0 where it was not asked for, None where there is no score."""
+    """The alignment that was removed; 0 where it was not asked for, None where there is no score."""
 
     heading_deg: float | None = None
     mounting_deg: float | None = None  # the angle of the mounting rotation

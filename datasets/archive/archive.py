@@ -58,7 +58,7 @@ SHORTEST_ID = 4  # characters of a hash that name an object
 
 @dataclass(frozen=True)
 class Added:
-    """What became of one file given to :meth:`Archive.add`."""
+    """The outcome for one file given to :meth:`Archive.add`."""
 
     source: Path
     sha256: str  # "" when it was refused

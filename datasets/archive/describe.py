@@ -38,7 +38,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Description:
-    """What an object is; ``columns`` are what queries compare, ``facts`` everything it says about itself."""
+    """The description of an object; ``columns`` are what queries compare, ``facts`` everything it says about itself."""
 
     kind: str  # recording, reference, roll reference, estimate, score, leaderboard, source
     name: str

@@ -1,4 +1,4 @@
-"""What an archive knows about an object beside its content: names, tags, when it was added, why it was removed.
+"""The record of an object beside its content: names, tags, when it was added, why it was removed.
 
 One JSON file per object, ``records/ab/cdef….json``. It ends with a checksum of its own, so that damage is found.
 """

@@ -1,4 +1,4 @@
-"""What goes into a bundle: the objects of a query, what they were made from, what was made from them, and licences."""
+"""Select the contents of a bundle: the objects of a query, their origins, what was made from them, and licences."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Item:
 
 @dataclass(frozen=True)
 class About:
-    """What the user says about a bundle."""
+    """The title, authors and other facts that the user gives for a bundle."""
 
     title: str
     description: str = ""

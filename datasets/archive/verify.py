@@ -31,7 +31,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Verified:
-    """What a check found."""
+    """The result of a check."""
 
     objects: int
     bytes: int

@@ -19,7 +19,7 @@ KIND = "device calibration"
 
 @dataclass(frozen=True, eq=False)
 class DeviceFile:
-    """What a calibration file holds: corrected = matrix (measured - bias) for gyro and accelerometer.
+    """The contents of a calibration file: corrected = matrix (measured - bias) for gyro and accelerometer.
 
     The gyro's bias is not in it: it changes each time the sensor is turned on.
     """

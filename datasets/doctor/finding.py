@@ -1,4 +1,4 @@
-"""What the doctor says: findings, each with a remedy where there is one that a program can apply."""
+"""The findings of the doctor, each with a remedy where there is one that a program can apply."""
 
 import math
 from collections.abc import Mapping

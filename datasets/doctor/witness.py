@@ -1,4 +1,4 @@
-"""What another sensor says about the gyro: its axes, its scale, its bias, and the lag between the two.
+"""Judge the gyro by another sensor: its axes, its scale, its bias, and the lag between the two.
 
 Three witnesses: the accelerometer (gravity), the magnetometer (local field), the truth (attitude). Each compares a
 vector, or the attitude, with what the gyro's turning predicts. Every fault of axes is looked for among the 48 signed
@@ -129,7 +129,7 @@ def _is_worse(difference: Floats, overlap: float) -> bool:
 
 @dataclass(frozen=True)
 class Witness:
-    """What one sensor says about the gyro; None where it cannot tell."""
+    """The judgement of the gyro by one sensor; None where it cannot tell."""
 
     name: str  # "accel", "mag", "truth"
     choice: Choice | None  # true rate = scale * choice.matrix @ measured rate

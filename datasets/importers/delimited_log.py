@@ -1,4 +1,4 @@
-"""What every delimited log needs: its options, its settings file, its table, and its sensors on their clocks."""
+"""The parts that all delimited logs share: options, settings file, table, and sensors on their clocks."""
 
 import tomllib
 from collections.abc import Mapping

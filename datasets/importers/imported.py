@@ -1,4 +1,4 @@
-"""What an import gives: a recording, and what the device itself made of its samples."""
+"""The result of an import: a recording, and what the device itself made of its samples."""
 
 from dataclasses import dataclass
 

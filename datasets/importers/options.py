@@ -1,4 +1,4 @@
-"""What a user may set about an import, and the facts about a recording that follow from it.
+"""The options of an import, and the facts about a recording that follow from it.
 
 The fields of a kind's options are the flags that the kind takes.
 """

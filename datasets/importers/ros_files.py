@@ -126,7 +126,7 @@ class _Messages:
 
 
 class _MessageFile:
-    """What the containers below have in common."""
+    """Base of the containers below."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -32,7 +32,7 @@ MAG_FILES = {
 
 @dataclass(frozen=True)
 class Phone:
-    """What ``Metadata.csv`` says about the device, or the user where it does not."""
+    """The device as ``Metadata.csv`` describes it, or the user where it does not."""
 
     platform: str  # "ios" or "android"
     standardised: bool

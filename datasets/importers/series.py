@@ -14,7 +14,7 @@ BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its st
 
 @dataclass
 class Log:
-    """What an importer did, in the words of ``Info.conversions`` and ``Info.notes``."""
+    """The log of what an importer did, in the words of ``Info.conversions`` and ``Info.notes``."""
 
     conversions: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

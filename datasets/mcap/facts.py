@@ -1,4 +1,4 @@
-"""What a recording, reference or estimate says beside its columns, as JSON: exact, and plain enough for any reader."""
+"""The facts of a recording, reference or estimate beside its columns, as exact JSON for any reader."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What the writer and the reader of MCAP files share: heads of records as dtypes, gather and scatter, atomic files.
+"""The parts that the writer and the reader of MCAP files share: heads of records, gather and scatter, atomic files.
 
 The record classes of the ``mcap`` package read and write all records but two: messages and message indexes, of which
 a file has millions, go through the dtypes below as whole columns.

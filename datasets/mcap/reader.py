@@ -93,7 +93,7 @@ Wanted = Collection[str] | Callable[[str], bool] | None  # names of topics, or a
 
 @dataclass(frozen=True)
 class Log:
-    """What a file holds."""
+    """The contents of a file."""
 
     path: Path
     topics: dict[str, Topic]

@@ -44,7 +44,7 @@ LAST_OPCODE = 0x0F
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was rescued from a file."""
+    """The contents rescued from a file."""
 
     kept: Mapping[str, int]  # topic -> messages
     expected: Mapping[str, int]  # topic -> messages that the file says it had; empty where it does not say
@@ -53,7 +53,7 @@ class Recovered:
 
 @dataclass
 class _Found:
-    """What the search finds, and what it finds to be damaged."""
+    """The sound and the damaged parts that the search found."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)

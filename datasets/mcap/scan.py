@@ -49,7 +49,7 @@ Record = TypeVar(
 
 
 class DamagedError(Exception):
-    """What is wrong with the bytes; becomes a BadFile, or the end of what a cut file still gives."""
+    """A fault in the bytes; becomes a BadFile, or the end of what a cut file still gives."""
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ def read_estimate(path: Path | str) -> Estimate:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a file says about itself, without its columns."""
+    """The facts of a file about itself, without its columns."""
 
     kind: str  # recording, reference, roll reference, estimate
     version: str  # of the stillpoint that wrote it

@@ -36,7 +36,7 @@ class StreamSummary:
 
 @dataclass(frozen=True)
 class FileSummary:
-    """What the index of a file says about it."""
+    """The summary of a file from its index."""
 
     kind: str  # recording, reference, roll reference, estimate
     facts: dict[str, Any]

@@ -30,19 +30,19 @@ HAND_SENSORS = {sensor.name: sensor for sensor in (scenes.CALIBRATED, PHONE, PER
 
 SIMULATIONS: dict[str, Simulation] = {
     "phone-1": Simulation(
-        "phone slid over a table, turned about the vertical only (paper 002, experiment 1)",
+        "phone slid over a table, turned about the vertical only (Elmi Aziz and Mohseni Araste 2021, experiment 1)",
         2.0,
         SENSORS,
         partial(phone.simulate_experiment, "phone-1", phone.SLIDING),
     ),
     "phone-2": Simulation(
-        "phone on a tripod, turned slowly about all axes (paper 002, experiment 2)",
+        "phone on a tripod, turned slowly about all axes (Elmi Aziz and Mohseni Araste 2021, experiment 2)",
         4.0,
         SENSORS,
         partial(phone.simulate_experiment, "phone-2", phone.TRIPOD),
     ),
     "phone-3": Simulation(
-        "phone in the hand, violent turns and accelerations (paper 002, experiment 3)",
+        "phone in the hand, violent turns and accelerations (Elmi Aziz and Mohseni Araste 2021, experiment 3)",
         4.0,
         SENSORS,
         partial(phone.simulate_experiment, "phone-3", phone.IN_HAND),
@@ -96,7 +96,7 @@ SIMULATIONS: dict[str, Simulation] = {
         partial(scenes.simulate_scene, "hand-translation", scenes.FLUNG, None),
     ),
     "auv-dolphin": Simulation(
-        "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (paper 003)",
+        "underwater vehicle: surface with waves, dive, 600 s submerged, ascent, surface (Zia 2022)",
         15.0,
         auv.AUV_SENSORS,
         partial(auv.simulate_mission, "auv-dolphin", auv.WAVES),
@@ -116,27 +116,27 @@ SIMULATIONS: dict[str, Simulation] = {
         partial(car.simulate_drive, "car"),
     ),
     "servo-bench": Simulation(
-        "MPU6050 and HMC5883L on a servo that swings by +-90 deg, slowly and fast (paper 004)",
+        "MPU6050 and HMC5883L on a servo that swings by +-90 deg, slowly and fast (Byambajav et al.)",
         30.0,
         servo.SERVO_SENSORS,
         partial(servo.simulate_experiment, "servo-bench", servo.BENCH),
     ),
     "spin-constant": Simulation(
-        "motor at 2020 deg/s with two accelerometers and an encoder (paper 000, section 4.1)",
+        "motor at 2020 deg/s with two accelerometers and an encoder (Asghari et al. 2018, section 4.1)",
         0.5,
         spin_sensor.CONSTANT,
         partial(spin.simulate_trial, "spin-constant", spin.CONSTANT),
         250.0,
     ),
     "spin-variable": Simulation(
-        "motor at 1500 to 2100 deg/s, slowly changing (paper 000, section 4.2)",
+        "motor at 1500 to 2100 deg/s, slowly changing (Asghari et al. 2018, section 4.2)",
         1.0,
         spin_sensor.VARIABLE,
         partial(spin.simulate_trial, "spin-variable", spin.VARIABLE),
         250.0,
     ),
     "spin-flight": Simulation(
-        "spinning projectile with five accelerometers and two gyros, coning (paper 000, section 2)",
+        "spinning projectile with five accelerometers and two gyros, coning (Asghari et al. 2018, section 2)",
         0.5,
         spin_sensor.FLIGHT,
         partial(spin.simulate_trial, "spin-flight", spin.FLIGHT),

@@ -1,8 +1,8 @@
 """Describe the single-axis accelerometers, gyros and encoder of a spinning body, with presets.
 
 A value marked "sd" is drawn once per recording and accelerometer; the rest are plain values. The presets are the noise
-hypotheses that paper 000's printed numbers leave open (docs/simulation.md): the paper states variances of its sensors,
-and not what they are made of.
+hypotheses that the numbers printed by Asghari et al. (2018) leave open (docs/simulation.md): the paper
+states variances of its sensors, and not what they are made of.
 """
 
 from collections.abc import Iterator, Mapping
@@ -112,7 +112,7 @@ def make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
 
 
 GLITCHES_PER_S = 2 / 30  # about two in a recording of 30 s
-# Fitted to the worst of ten trials with the AEKF of paper 000 as printed: 3 deg, 20.92 deg/s, RMSE 1.25 deg/s.
+# Fitted to the worst of ten trials with the printed AEKF of Asghari et al. 2018: 3 deg, 20.92 deg/s, RMSE 1.25 deg/s.
 RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s
 REPLICA_NOISE = 1.05  # of the quiet sensor's
 REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out

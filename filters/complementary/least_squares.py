@@ -205,7 +205,7 @@ class Parts(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     observer: Observer  # its b is kI times the integral
     integral_b_rad_s: Vector  # of e in (10), in body axes

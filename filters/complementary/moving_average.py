@@ -61,7 +61,7 @@ class Window(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     tilt: tilt.State
     window: Window

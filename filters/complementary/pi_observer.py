@@ -15,7 +15,7 @@ from stillpoint.filters.sample import GAP_S, Output, Sample
 
 
 class Observer(NamedTuple):
-    """What the three filters keep from one sample to the next."""
+    """The state of the three filters between two samples."""
 
     fields: Fields
     q_nb: Quaternion

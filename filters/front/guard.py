@@ -40,7 +40,7 @@ class Ranges(Settings):
 
 
 class Fix(NamedTuple):
-    """What a satellite receiver measures of the motion."""
+    """The motion that a satellite receiver measures."""
 
     course_rad: float  # clockwise from true north
     speed_mps: float  # over ground
@@ -67,7 +67,7 @@ class Coefficients(NamedTuple):
 
 
 class Gyro(NamedTuple):
-    """What the guard keeps of the gyro."""
+    """The guard's memory of the gyro."""
 
     last_b_radps: Vector  # good one
     last_ns: int  # its stamp, NEVER_NS before the first
@@ -77,7 +77,7 @@ class Gyro(NamedTuple):
 
 
 class Accel(NamedTuple):
-    """What the guard keeps of the accelerometer."""
+    """The guard's memory of the accelerometer."""
 
     last_b_mps2: Vector
     n_bad_accel: int  # left out
@@ -86,7 +86,7 @@ class Accel(NamedTuple):
 
 
 class Mag(NamedTuple):
-    """What the guard keeps of the magnetometer."""
+    """The guard's memory of the magnetometer."""
 
     last_b_ut: Vector
     n_bad_mag: int  # left out
@@ -103,7 +103,7 @@ class Late(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """What the guard keeps from one sample to the next, and its counts."""
+    """The state of the guard between two samples, and its counts."""
 
     t_ns: int  # of the last sample taken, NEVER_NS before the first
     late: Late

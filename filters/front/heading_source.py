@@ -91,7 +91,7 @@ class Attitude(NamedTuple):
 
 
 class Courses(NamedTuple):
-    """What the stage keeps of the fixes."""
+    """The stage's memory of the fixes."""
 
     since_s: float  # the last one that counted
     in_row: int  # of those that counted
@@ -100,7 +100,7 @@ class Courses(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     attitude: Attitude
     courses: Courses

@@ -35,7 +35,7 @@ PER_GATE = 1 / GATE_SD**2
 
 
 class Prior(NamedTuple):
-    """What is known before the first field."""
+    """The prior before the first field."""
 
     declination_rad: float  # east of true north
     declination_sd_rad: float

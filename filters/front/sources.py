@@ -1,4 +1,4 @@
-"""What a recording offers a run besides its IMU: the magnetometer, satellite fixes, and the north that these define."""
+"""Choose the sources of a run besides its IMU: the magnetometer, satellite fixes, and the north that these define."""
 
 from collections.abc import Mapping
 from math import degrees, pi

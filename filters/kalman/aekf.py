@@ -103,7 +103,7 @@ class Vibration(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     body: FilterState
     mean_squares: Vector  # of the whitened innovations: east, north, heading

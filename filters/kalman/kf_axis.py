@@ -130,7 +130,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     q_nb: Quaternion
     bias_b_radps: Vector

@@ -32,7 +32,7 @@ class Looks(NamedTuple):
 
 
 class KnownField(NamedTuple):
-    """What is kept of the field from one window to the next."""
+    """The memory of the field between two windows."""
 
     known: Looks  # seen_s is 0 before the first field
     other: Looks  # the one that was seen instead, lately

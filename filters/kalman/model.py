@@ -1,4 +1,4 @@
-"""What ``ekf``, ``aekf`` and ``iekf`` share: the model, its parameters, and the prediction.
+"""The parts that ``ekf``, ``aekf`` and ``iekf`` share: the model, its parameters, and the prediction.
 
 Estimated are the attitude, the gyro's bias b (body axes) and the horizontal velocity v (n); the errors are
 
@@ -152,7 +152,7 @@ class Counts(NamedTuple):
 
 
 class FilterState(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     q_nb: Quaternion
     x: Matrix  # (8,) the attitude's error (0 between updates), the gyro's bias, the velocity
@@ -174,7 +174,7 @@ class Measurement(NamedTuple):
 
 
 class WindowEnd(NamedTuple):
-    """What the updates at the end of a window start from; x and P are predicted to there."""
+    """The start of the updates at the end of a window; x and P are predicted to there."""
 
     still: Stillness
     is_resting: bool

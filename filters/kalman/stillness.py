@@ -28,7 +28,7 @@ class Means(NamedTuple):
 
 
 class Stillness(NamedTuple):
-    """What is kept of the current rest."""
+    """The memory of the current rest."""
 
     accel_b_mps2: Vector  # mean when it began
     mag_b_ut: Vector  # mean when it began, 0 for none

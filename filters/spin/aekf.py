@@ -64,7 +64,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     ekf: roll_ekf.State
     squares: NDArray[np.float64]  # (M,) of the last innovations, a ring that is handed on and written in place

@@ -60,7 +60,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     start: Start
     roll: SpinMotion

@@ -47,7 +47,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     t_ns: int  # of the last sample; -1 before the first
     evidence: Evidence

@@ -1,4 +1,4 @@
-"""What ``roll-guarded`` keeps to recognise bad samples: innovations, refusals, jumps, repetitions."""
+"""The memory by which ``roll-guarded`` recognises bad samples: innovations, refusals, jumps, repetitions."""
 
 from typing import NamedTuple
 

@@ -33,7 +33,7 @@ class Coefficients(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter keeps from one sample to the next."""
+    """The state of the filter between two samples."""
 
     roll: SpinMotion
     sense: int  # +1 or -1, the last that was told

@@ -44,7 +44,7 @@ class SpinMotion(NamedTuple):
 
 
 class SpinOutput(NamedTuple):
-    """What an estimator of a spin returns after a sample."""
+    """The output of an estimator of a spin after a sample."""
 
     roll: SpinMotion
     innovation: float  # normalised; NaN where there was no update

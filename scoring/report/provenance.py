@@ -1,4 +1,4 @@
-"""What pages say about where their figures come from: the recording, the parameters, the versions."""
+"""The provenance that pages state: the recording, the parameters, the versions."""
 
 import platform
 from collections.abc import Iterator, Mapping

@@ -144,7 +144,7 @@ SPIN_UPDATE = """    int turns;
 
 @dataclass(frozen=True)
 class OnTarget:
-    """What a filter needed on the emulated Cortex-M4F, in single precision."""
+    """The resources that a filter needed on the emulated Cortex-M4F, in single precision."""
 
     last: NDArray[np.float32]  # q_nb and bias, or rest_rad, rate_radps and variances after the last sample
     code_bytes: int  # of the filter alone, with its constants

@@ -1,4 +1,4 @@
-"""What filters need on a microcontroller: ``python -m stillpoint.scripts.pages.microcontroller_page``.
+"""Write the page on filters on a microcontroller: ``python -m stillpoint.scripts.pages.microcontroller_page``.
 
 Writes docs/microcontroller.md. Needs gcc and the programs of :mod:`stillpoint.scripts.pages.cortex_m`.
 """

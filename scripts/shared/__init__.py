@@ -1,1 +1,1 @@
-"""What several verbs need: inputs, outputs, tables, batches and jobs."""
+"""The parts that several verbs need: inputs, outputs, tables, batches and jobs."""

@@ -1,4 +1,4 @@
-"""What verbs share that make one file per input: settings by name, targets that differ, refusals, exit codes."""
+"""The parts that verbs with one output file per input share: settings, targets, refusals, exit codes."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence

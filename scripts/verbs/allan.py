@@ -21,7 +21,7 @@ UNITS = {"gyro": ("deg/s", np.rad2deg(1.0)), "accel": ("m/s²", 1.0)}
 
 @dataclass(frozen=True)
 class _Figures:
-    """What a rest says of one sensor."""
+    """The noise of one sensor in a rest."""
 
     name: str
     found: AllanDeviation

@@ -28,7 +28,7 @@ TopicName = Annotated[str | None, Parameter(group=ROS)]
 
 @dataclass(frozen=True, kw_only=True)
 class Flags:
-    """What may be set about an import; each name is that of a field of some kind's options.
+    """The flags of an import; each name is that of a field of some kind's options.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", 
 
 @dataclass(frozen=True)
 class _Asked:
-    """What the user asked for."""
+    """The request of the user."""
 
     align: AlignKind
     frame: EulerFrame
@@ -41,7 +41,7 @@ class _Asked:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What scores: a reference, or the truth of a recording; and what it was made from."""
+    """The judge: a reference, or the truth of a recording; and what it was made from."""
 
     path: Path
     truth: Reference | Truth

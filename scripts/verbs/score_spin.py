@@ -1,4 +1,4 @@
-"""What ``stillpoint score`` does with angle and rate about a spin axis."""
+"""Score angle and rate about a spin axis for ``stillpoint score``."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ ZEROS: dict[AlignKind, AngleZero | None] = {"heading": None, "none": "none"}  # 
 
 @dataclass(frozen=True, eq=False)
 class SpinJudge:
-    """What scores: a roll reference, or the truth or encoder of a recording; and what it was made from."""
+    """The judge: a roll reference, or the truth or encoder of a recording; and what it was made from."""
 
     path: Path
     truth: Encoder | SpinReference

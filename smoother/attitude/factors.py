@@ -36,7 +36,7 @@ _diagonal = gtsam.noiseModel.Diagonal.Sigmas
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """What ties states to known attitudes or to each other; None where the window has no such state."""
+    """The links of states to known attitudes or to each other; None where the window has no such state."""
 
     base: int | None  # index of the state in the base pose
     base_q_nb: Floats | None  # (4,) its attitude, if the recording carries one

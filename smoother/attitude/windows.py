@@ -56,7 +56,7 @@ LEAST_OVERLAP = 2  # states
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What a window hands over to the next one."""
+    """The information that a window hands over to the next one."""
 
     factors: tuple[gtsam.LinearContainerFactor, ...]  # on the unknowns that both share
     values: gtsam.Values  # of all unknowns of the window

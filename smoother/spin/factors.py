@@ -54,7 +54,7 @@ FREE_SD_RAD = 10.0  # of an angle that the data must determine
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before the data: the angle at the first sample, and the constants around zero."""
+    """The prior knowledge: the angle at the first sample, and the constants around zero."""
 
     angle_rad: float
     angle_sd_rad: float

@@ -32,7 +32,7 @@ class SpinCalibration(Settings):
 
 @dataclass(frozen=True)
 class HarmonicParams(Settings):
-    """What turns with the shaft: gravity on an axis that is not vertical, or a vibration."""
+    """A quantity that turns with the shaft: gravity on an axis that is not vertical, or a vibration."""
 
     search: Literal["auto", "gravity", "off"] = choice(
         "auto", "test what it is; take it for gravity without a test; or do not look for it"

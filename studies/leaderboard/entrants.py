@@ -1,4 +1,4 @@
-"""What a leaderboard compares: estimators of the table, one's own in Python, and trajectories from files."""
+"""The entrants of a leaderboard: estimators of the table, one's own in Python, and trajectories from files."""
 
 import inspect
 import tomllib

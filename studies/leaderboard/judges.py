@@ -1,4 +1,4 @@
-"""What judges the estimates of a recording: independent truth, a reference, or an offline estimator.
+"""The judges of a recording's estimates: independent truth, a reference, or an offline estimator.
 
 Where a recording has truth and several judges are compared, every judge is read at the truth's stamps, so that all
 score the same samples.

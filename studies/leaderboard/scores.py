@@ -59,7 +59,7 @@ class ScoreJob:
 
 @dataclass(frozen=True)
 class Scored:
-    """What came of one entry: the key of its score, or the reason why there is none."""
+    """The outcome of one entry: the key of its score, or the reason why there is none."""
 
     label: str
     key: str | None
@@ -76,7 +76,7 @@ def plan_score(
 
 
 class _Material:
-    """What a job needs, loaded when it is first asked for: nothing is read when every result is kept already."""
+    """The inputs of a job, loaded when it is first asked for: nothing is read when every result is kept already."""
 
     def __init__(self, job: ScoreJob) -> None:
         self.job = job

@@ -1,1 +1,1 @@
-"""What others see of a leaderboard: its page, and the tables and figures of a paper."""
+"""The published forms of a leaderboard: its page, and the tables and figures of a paper."""

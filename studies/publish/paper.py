@@ -1,4 +1,4 @@
-"""What a paper takes from a leaderboard: the table as LaTeX, CSV and Markdown, and figures as PDF and SVG."""
+"""Write a leaderboard for a paper: the table as LaTeX, CSV and Markdown, and figures as PDF and SVG."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -49,7 +49,7 @@ def test_euler_angles_are_inverse_to_from_euler(q_nb: np.ndarray, frame: frames.
 @pytest.mark.filterwarnings("ignore:Gimbal lock")
 @given(quaternions)
 def test_nwu_angles_are_those_of_paper_002(q_nb: np.ndarray) -> None:
-    """Eqs (4)-(6) of paper 002, taken literally, on the gravity and the field that this attitude measures."""
+    """Eqs (4)-(6) of Elmi Aziz and Mohseni Araste 2021, literally, on this attitude's gravity and field."""
     from_nwu = frames.rotation(q_nb).inv() * frames.local_from_enu("nwu").inv()
     a1, a2, a3 = from_nwu.apply([0.0, 0.0, 9.81])
     field_b = from_nwu.apply([20.0, 0.0, -40.0])

@@ -1,4 +1,4 @@
-"""What the commands of ``stillpoint archive`` share."""
+"""The parts that the commands of ``stillpoint archive`` share."""
 
 import sys
 from collections.abc import Iterable, Sequence

@@ -1,1 +1,1 @@
-"""What tells of the sensor from outside: satellites, a vehicle's wheels, and factors that users add."""
+"""Sources outside the sensor: satellites, a vehicle's wheels, and factors that users add."""

@@ -1,4 +1,4 @@
-"""What is known of a wheeled vehicle: it moves along its own axis, and stands where the satellites saw it stand.
+"""The constraints of a wheeled vehicle: it moves along its own axis, and stands where the satellites saw it stand.
 
 Both are options (``motion.nonholonomic``, ``motion.stops``), as they are wrong for boats, drones and a phone in a hand.
 """

@@ -1,4 +1,4 @@
-"""Logs of a spinning body: paper 000's bench by columns and flags, and the disc of flatball-ins."""
+"""Logs of a spinning body: the bench of Asghari et al. (2018) by columns and flags, and the disc of flatball-ins."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""``auv-dolphin``: the mission of paper 003, its exact truth, and what the sensors make of it."""
+"""``auv-dolphin``: the mission of Zia (2022), its exact truth, and what the sensors make of it."""
 
 import json
 from dataclasses import replace
@@ -45,7 +45,7 @@ def test_perfect_gyro_samples_are_the_turns_between_the_true_attitudes(perfect):
 
 
 def test_the_body_rates_are_those_of_the_papers_euler_kinematics(perfect):
-    """Paper 003, eq (4), inverted: p, q, r from the rates of roll, pitch, heading."""
+    """Zia 2022, eq (4), inverted: p, q, r from the rates of roll, pitch, heading."""
     angles = np.unwrap(euler(perfect.truth.q_nb, "ned"), axis=0)
     roll, pitch, _ = (angles[1:] + angles[:-1]).T / 2
     d_roll, d_pitch, d_heading = (np.diff(angles, axis=0) / (np.diff(perfect.truth.t_ns)[:, None] / 1e9)).T

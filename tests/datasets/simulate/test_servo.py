@@ -1,4 +1,4 @@
-"""The bench of paper 004: exact motion, data-sheet sensors, the paper's drift."""
+"""The bench of Byambajav et al.: exact motion, data-sheet sensors, the paper's drift."""
 
 import json
 
@@ -123,7 +123,7 @@ def test_the_bias_changes_while_the_device_warms_up() -> None:
 
 
 def test_the_accelerometer_s_angle_is_worse_at_the_high_rate(bench: Recording) -> None:
-    """Paper 004, fig 6."""
+    """Byambajav et al., fig 6."""
     imu, up_b = bench.require_imu(), rotation(bench.truth.q_nb).inv().apply([0, 0, 1])
     seen = imu.accel_b_mps2 / np.linalg.norm(imu.accel_b_mps2, axis=1, keepdims=True)
     off_deg = np.rad2deg(np.arccos(np.clip((seen * up_b).sum(axis=1), -1, 1)))

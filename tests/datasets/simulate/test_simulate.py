@@ -1,4 +1,4 @@
-"""The simulations: paper 002's protocol, exact truth, determinism, and accelerations of the paper's size."""
+"""The simulations: the protocol of Elmi Aziz and Mohseni Araste (2021), exact truth, determinism, accelerations."""
 
 import json
 from dataclasses import asdict, replace
@@ -190,7 +190,7 @@ def test_motion_stays_within_its_box(seed, kind):
 
 
 def test_base_pose_is_to_true_north(phones):
-    """Paper 002, eq (8): the magnetic azimuth at rest differs from the true one by the declination."""
+    """Elmi Aziz and Mohseni Araste 2021, eq (8): magnetic and true azimuth at rest differ by the declination."""
     recording = simulate("phone-3", minutes=1.5, sensor=PERFECT)
     np.testing.assert_allclose(np.rad2deg(euler(recording.base_pose, "nwu")), [0.4, -0.3, 40.0], atol=1e-9)
     _, _, magnetic = acc_angles(recording.imu.accel_b_mps2[:100], recording.mag.mag_b_ut[:100]).T
@@ -211,7 +211,7 @@ def test_every_swing_is_motion(seed, kind):
 
 
 def acc_angles(accel_b, mag_b):
-    """Roll, pitch, magnetic azimuth (N, 3) by paper 002, eqs (4)-(6)."""
+    """Roll, pitch, magnetic azimuth (N, 3) by Elmi Aziz and Mohseni Araste 2021, eqs (4)-(6)."""
     roll = np.arctan2(-accel_b[:, 1], accel_b[:, 2])
     pitch = np.arcsin(accel_b[:, 0] / np.linalg.norm(accel_b, axis=1))
     west = np.cos(roll) * mag_b[:, 1] + np.sin(roll) * mag_b[:, 2]

@@ -23,7 +23,7 @@ def true_at(recording):
 
 
 def variances(recording):
-    """D4 and D5 by the truth: paper 000, eqs (28) and (30)."""
+    """D4 and D5 by the truth: Asghari et al. 2018, eqs (28) and (30)."""
     spin, rate = recording.spin, true_at(recording)
     d1, d2 = BENCH.accel_r_b_m[0, 2], BENCH.accel_r_b_m[1, 1]
     turning = np.gradient(rate, spin.t_ns / 1e9)
