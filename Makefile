@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick kernels wheel fuzz test-data test-wheel lint types format docs clean
+.PHONY: demo test quick kernels wheel fuzz properties test-data test-wheel lint types format docs clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -22,6 +22,10 @@ quick: .venv/.dev
 FUZZ_MINUTES ?= 10
 fuzz: .venv/.dev
 	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES)
+
+# The property tests with new examples at every run, twenty times as many; `make test` repeats the same ones.
+properties: .venv/.dev
+	STILLPOINT_HYPOTHESIS=draw $(PYTEST) -q -n auto -m hypothesis
 
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data

@@ -56,15 +56,16 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
 
     Raises :class:`BadParameter` when one is missing, or belongs to another recording.
     """
-    wholes = {part.info.extra.get(WHOLE, "") for part in parts}
-    if len(wholes) != 1 or "" in wholes:
+    wholes = {part.info.extra.get(WHOLE) for part in parts}
+    whole = wholes.pop()
+    if wholes or whole is None:
         raise BadParameter(f"{', '.join(part.name for part in parts[:3])}: are no parts of one recording")
     numbered = {part.info.extra[PART]: part for part in parts}
     count = int(parts[0].info.extra[PART].rpartition(" ")[2])
     missing = [k for k in range(1, count + 1) if f"{k} of {count}" not in numbered]
     if missing or len(numbered) != len(parts):
         which = f"part {missing[0]} of {count} is missing" if missing else "a part is given twice"
-        raise BadParameter(f"{wholes.pop()}: {which}; give every part once")
+        raise BadParameter(f"{whole}: {which}; give every part once")
     ordered = [numbered[f"{k} of {count}"] for k in range(1, count + 1)]
     streams: dict[str, Any] = {}
     for name in STREAMS:
@@ -74,7 +75,7 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
     others = {name: _join_streams([part.extra[name] for part in ordered if name in part.extra]) for name in names}
     info = ordered[0].info
     extra = {key: value for key, value in info.extra.items() if key not in (WHOLE, PART)}
-    return replace(ordered[0], name=wholes.pop(), info=replace(info, extra=extra), extra=others, **streams)
+    return replace(ordered[0], name=whole, info=replace(info, extra=extra), extra=others, **streams)
 
 
 def read_parts(paths: Sequence[Path]) -> Recording:

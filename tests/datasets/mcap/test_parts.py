@@ -1,5 +1,7 @@
 """Parts of a recording make the whole one again, bit for bit, whatever streams and gaps it has."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from anything import recordings
@@ -25,6 +27,12 @@ def test_split_and_join_give_the_whole_recording(tmp_path_factory, recording, sh
     parts = split_recording(recording, span_s) if recording.duration_s / span_s < 200 else [recording]
     if len(parts) > 1:
         assert_written_alike(join_recordings(parts[::-1]), recording, tmp_path_factory.mktemp("parts"))
+
+
+def test_a_recording_without_a_name_is_joined_too(tmp_path):
+    """The name of the whole is then the empty string, which must not be taken for no name in the file."""
+    nameless = replace(read(write_recording(tmp_path / "run.mcap", n=1000)), name="")
+    assert_written_alike(join_recordings(split_recording(nameless, 3.0)), nameless, tmp_path)
 
 
 def test_parts_lie_between_multiples_of_the_length(tmp_path):
