@@ -15,7 +15,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters import peers
 from stillpoint.filters.front.heading_source import Heading
-from stillpoint.filters.front.sources import Sources, find_sources, prepare_log
+from stillpoint.filters.front.sources import Sources, find_sources, prepare_log, record_choices
 from stillpoint.filters.precision import Precision, compare_with_double, to_precision
 from stillpoint.filters.sample import Log, Track, collect_counts
 from stillpoint.filters.spin.run import estimate_spin
@@ -39,7 +39,8 @@ def estimate(
     At each IMU sample a filter gets the newest field that it has not had, if there is one (``mag.t_ns <= t_ns``). The
     declination comes from the recording's date and place; without them n is magnetic East-North-Up. A magnetometer
     that is not calibrated is left out. The diagnostics say what the heading refers to; those that begin with ``n_``
-    are counts of what was left out or met.
+    are counts of what was left out or met, and ``asked`` holds ``heading``, ``heading_params`` and ``ranges`` where
+    they are not the defaults.
 
     Parameters
     ----------
@@ -77,6 +78,7 @@ def estimate(
         if isinstance(entry, Peer) and precision != "double":
             raise BadParameter(f"{name}: computes in its package's precision; leave precision out")
         imu, sources = recording.require_imu(), find_sources(recording, heading, heading_params, ranges)
+        sources = sources._replace(facts=sources.facts | record_choices(heading, heading_params, ranges))
         one = partial(_estimate_attitude, recording.name, imu, name, entry, settings, sources)
     made = one(precision)
     if precision == "double":

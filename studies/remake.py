@@ -2,21 +2,22 @@
 
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stillpoint.datasets.archive import Archive, Entry
-from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration, calibration_of, load_calibration
+from stillpoint.datasets.calibration.device import SUFFIX as DEVICE_SUFFIX
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.mcap.store import read, read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.filters import estimate
-from stillpoint.smoother import reference
+from stillpoint.smoother import attitude_reference, reference
 
 KINDS = ("reference", "roll reference", "estimate")
 
@@ -70,7 +71,9 @@ def _job_of(archive: Archive, entry: Entry) -> RemakeJob | str:
     others = [parent for parent in kept.values() if parent is not None and parent.kind != "recording"]
     if len(recordings) != 1:
         return "it does not say which recording it was made from"
-    if len(others) > 1 or any(parent.kind != "reference" for parent in others):
+    if len(others) > 1 or any(
+        parent.kind != "reference" and not parent.file_name.endswith(DEVICE_SUFFIX) for parent in others
+    ):
         return f"it was made from {', '.join(parent.file_name for parent in others)} too, which is no calibration"
     return RemakeJob(
         kept=archive.path_of(entry),
@@ -99,10 +102,12 @@ def remake(job: RemakeJob) -> Remade:
 
 
 def _remake_estimate(kept: Estimate, recording: Recording, job: RemakeJob) -> Estimate:
+    digest = sha256(job.recording)
     if job.calibration is not None:
-        recording = apply_calibration(recording, load_calibration(job.calibration), sha256(job.recording))
-    elif "calibrated_by" in kept.diagnostics:
-        raise BadParameter(f"{job.file_name}: was calibrated by a reference that was not kept; make it with a file")
+        recording = apply_calibration(recording, load_calibration(job.calibration), digest)
+    elif "calibrated_by" in kept.diagnostics:  # `estimate --calibration reference` made one and did not write it
+        found = replace(attitude_reference(recording), made_from={job.recording.name: digest})
+        recording = apply_calibration(recording, calibration_of(found), digest)
     asked: Mapping[str, Any] = kept.diagnostics.get("asked", {})
     return estimate(
         recording,

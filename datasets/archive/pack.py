@@ -18,6 +18,7 @@ from stillpoint.datasets.archive.bundle import CHECKSUMS, FORMAT, MANIFEST
 from stillpoint.datasets.archive.incoming import Given
 from stillpoint.datasets.archive.record import SHA256
 from stillpoint.datasets.errors import BadFile, BadParameter
+from stillpoint.datasets.files.atomic import write_atomically, write_folder_atomically
 from stillpoint.datasets.files.remote import open_binary
 
 BLOCK = 1 << 20
@@ -47,23 +48,16 @@ def write_bundle(files: Mapping[str, Path | bytes], target: Path) -> None:
     """
     if target.exists():
         raise BadParameter(f"{target}: is there already; name a new folder, .zip or .tar")
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.suffix == ".zip":
-            _write_zip(files, part)
-        elif target.suffix == ".tar":
-            _write_tar(files, part)
+        if target.suffix in (".zip", ".tar"):
+            with write_atomically(target) as file:
+                (_write_zip if target.suffix == ".zip" else _write_tar)(files, file)
         else:
-            _write_folder(files, part)
-        part.rename(target)
+            with write_folder_atomically(target) as folder:
+                _write_folder(files, folder)
     except OSError as error:
         raise BadFile(f"{target}: cannot be written ({error.strerror}); check the disk and the folder") from error
-    finally:
-        if part.is_dir():
-            shutil.rmtree(part, ignore_errors=True)
-        else:
-            part.unlink(missing_ok=True)
 
 
 def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
@@ -73,8 +67,8 @@ def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
             shutil.copyfileobj(source, out, BLOCK)
 
 
-def _write_zip(files: Mapping[str, Path | bytes], target: Path) -> None:
-    with zipfile.ZipFile(target, "x") as out:
+def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
+    with zipfile.ZipFile(target, "w") as out:
         for path, content in files.items():
             info = zipfile.ZipInfo(path, _FIXED_TIME)
             is_packed = path.endswith(".mcap")
@@ -84,8 +78,8 @@ def _write_zip(files: Mapping[str, Path | bytes], target: Path) -> None:
                 shutil.copyfileobj(source, member, BLOCK)
 
 
-def _write_tar(files: Mapping[str, Path | bytes], target: Path) -> None:
-    with tarfile.open(target, "x", format=tarfile.PAX_FORMAT) as out:
+def _write_tar(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
+    with tarfile.open(fileobj=target, mode="w", format=tarfile.PAX_FORMAT) as out:
         for path, content in files.items():
             info = tarfile.TarInfo(path)
             info.mode = 0o644

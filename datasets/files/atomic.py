@@ -7,6 +7,7 @@ the same folder removes the parts whose process no longer runs on this host. Par
 
 import os
 import secrets
+import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,7 +40,28 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
-    _sync_folder(target.parent)
+    _sync(target.parent)
+
+
+@contextmanager
+def write_folder_atomically(path: Path) -> Iterator[Path]:
+    """Make a folder that appears as ``path``, which is not there yet, when the block ends without an error.
+
+    Yields the folder to write into. Its files are on disk before the name is. Raises ``OSError``.
+    """
+    target = path.resolve()
+    _remove_stale_parts_once(target.parent)
+    part = target.with_name(_make_part_name(target.name))
+    part.mkdir()
+    try:
+        yield part
+        for file in part.rglob("*"):
+            _sync(file)
+        part.rename(target)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    _sync(target.parent)
 
 
 def remove_stale_parts(folder: Path) -> int:
@@ -48,7 +70,10 @@ def remove_stale_parts(folder: Path) -> int:
     for part in folder.glob(f".*{SUFFIX}"):
         if _is_stale(part.name):
             try:
-                part.unlink()
+                if part.is_dir():
+                    shutil.rmtree(part)
+                else:
+                    part.unlink()
                 removed += 1
             except OSError:
                 continue  # another process was faster, or the folder is read-only
@@ -96,10 +121,11 @@ def _read_start(pid: int) -> int:
     return int(stat.rsplit(")", 1)[1].split()[19])
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make a new name itself durable; where the file system does not offer it, the file is whole all the same."""
+def _sync(path: Path) -> None:
+    """Make a file, or the names in a folder, durable; where the system does not offer it, they are whole all the same.
+    """
     try:
-        handle = os.open(folder, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY)
     except OSError:
         return
     try:

@@ -1,6 +1,7 @@
 """Choose the sources of a run besides its IMU: the magnetometer, satellite fixes, and the north that these define."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from math import degrees, pi
 from typing import Any, NamedTuple
 
@@ -46,6 +47,20 @@ def make_front(
         return front.Coefficients(full_scales, None)
     by_course = choose_settings(heading_source.Params(), heading_params, "heading")
     return front.Coefficients(full_scales, heading_source.coefficients(by_course, declination_rad))
+
+
+def record_choices(
+    heading: Heading, heading_params: Settings | Mapping[str, Any] | None, ranges: Settings | Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Return what was asked of the stages in front, as diagnostics: ``{"asked": …}``, or nothing where all is default.
+
+    Every setting is written out, so that a later version with other defaults can make the same estimate.
+    """
+    full_scales = choose_settings(guard.Ranges(), ranges, "range")
+    if heading == "mag":
+        return {} if full_scales == guard.Ranges() else {"asked": {"heading": heading, "ranges": asdict(full_scales)}}
+    by_course = choose_settings(heading_source.Params(), heading_params, "heading")
+    return {"asked": {"heading": heading, "heading_params": asdict(by_course), "ranges": asdict(full_scales)}}
 
 
 def find_sources(

@@ -8,8 +8,11 @@ from known import known_recording
 
 from stillpoint.datasets import Recording, read, write
 from stillpoint.datasets.archive import create_archive
+from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
+from stillpoint.datasets.calibration.device import DeviceFile, write_device
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.mcap.store import sha256
+from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.studies.remake import draw_jobs, flatten, largest_difference_rad, remake
 
@@ -35,6 +38,36 @@ def test_estimates_come_out_the_same(archive):
     jobs, reasons = draw_jobs(archive, None, 0)
     assert reasons == {}
     assert [remake(job).difference_rad for job in jobs] == [0.0, 0.0]
+
+
+def test_what_was_asked_beside_the_parameters_is_asked_again(tmp_path):
+    """A full scale that leaves samples out, the course as heading with a setting of its own, and a calibration by file."""
+    recording = simulate("car", 0, minutes=1.0)
+    write(tmp_path / "drive.mcap", recording)
+    made_from = {"drive.mcap": sha256(tmp_path / "drive.mcap")}
+    device = DeviceFile("", 1.01 * np.eye(3), np.zeros((3, 3)), np.eye(3), np.zeros((3, 3)), *np.zeros((2, 3)), (), ())
+    write_device(tmp_path / "imu.calibration.toml", device)
+    known = load_calibration(tmp_path / "imu.calibration.toml")
+    files = [tmp_path / "drive.mcap", tmp_path / "imu.calibration.toml"]
+    for name, asked, calibration in (
+        ("cut", {"ranges": {"accel_mps2": 9.9}}, None),
+        ("course", {"heading": "gps-course", "heading_params": {"least_speed_mps": 5.0}}, None),
+        ("calibrated", {}, known),
+    ):
+        used = recording if calibration is None else apply_calibration(recording, calibration)
+        made = estimate(used, "cf", **asked)
+        if calibration is not None:
+            made = replace(made, diagnostics={**made.diagnostics, "calibrated_by": calibration.name})
+        parents = made_from | ({} if calibration is None else {calibration.name: calibration.sha256})
+        files.append(tmp_path / f"{name}.cf.estimate.mcap")
+        write(files[-1], replace(made, made_from=parents))
+    plain = estimate(recording, "cf")
+    assert min(largest_difference_rad(plain, read(file)) for file in files[2:]) > 1e-3  # each of them matters
+    with create_archive(tmp_path / "archive") as opened:
+        list(opened.add(files))
+        jobs, reasons = draw_jobs(opened, None, 0)
+        assert reasons == {}
+        assert [remake(job).difference_rad for job in jobs] == [0.0, 0.0, 0.0]
 
 
 def test_an_estimate_that_was_changed_is_found(archive, tmp_path):

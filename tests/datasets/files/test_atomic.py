@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stillpoint.datasets.files.atomic import remove_stale_parts, write_atomically
+from stillpoint.datasets.files.atomic import remove_stale_parts, write_atomically, write_folder_atomically
 
 WRITE_AND_WAIT = """
 import sys, time
@@ -113,3 +113,25 @@ def test_verb_told_to_end_exits_quietly_and_leaves_nothing(tmp_path, sent, code)
     assert "Traceback" not in stderr
     assert verb.returncode == code
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    with write_folder_atomically(tmp_path / "made") as folder:
+        (folder / "below").mkdir()
+        (folder / "below" / "a").write_bytes(b"whole")
+        assert not (tmp_path / "made").exists()
+    assert (tmp_path / "made" / "below" / "a").read_bytes() == b"whole"
+    with pytest.raises(ValueError, match="in the middle"), write_folder_atomically(tmp_path / "other") as folder:
+        (folder / "a").touch()
+        raise ValueError("in the middle")
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_the_folder_of_a_dead_process_is_removed(tmp_path):
+    with write_atomically(tmp_path / "a") as _:
+        name = list_parts(tmp_path)[0].name
+    dead = tmp_path / (name.rsplit(".", 2)[0] + ".1.part")
+    dead.mkdir()
+    (dead / "half").touch()
+    assert remove_stale_parts(tmp_path) == 1
+    assert not dead.exists()
