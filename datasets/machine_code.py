@@ -31,7 +31,7 @@ ANNOUNCE = "STILLPOINT_SAY_COMPILING"
 SHARED = ("compiled.py", "quaternion.py")
 
 
-class KernelCache(FunctionCache):
+class _KernelCache(FunctionCache):
     """numba's cache of one function, with the kernels of the package behind it."""
 
     ships = False  # whether the function is a kernel: Python calls it
@@ -72,12 +72,12 @@ class KernelCache(FunctionCache):
 
 
 def keep_on_disk(dispatcher: Any, ships: bool) -> None:
-    """Let a compiled function use :class:`KernelCache`; ``ships``: Python calls it, so it is one of the kernels.
+    """Let a compiled function use :class:`_KernelCache`; ``ships``: Python calls it, so it is one of the kernels.
 
     Raises RuntimeError where no folder can be written. This is numba's private ``_cache`` of a dispatcher, which
     ``njit(cache=True)`` sets; checked with numba 0.68.1.
     """
-    dispatcher._cache = KernelCache(dispatcher.py_func)
+    dispatcher._cache = _KernelCache(dispatcher.py_func)
     dispatcher._cache.ships = ships
 
 

@@ -51,7 +51,7 @@ def drop_non_measurements(recording: Recording) -> tuple[Recording, Dropped]:
     """
     imu, mag, dropped = recording.imu, recording.mag, Dropped()
     if imu is not None:
-        good = within(imu.gyro_b_radps, LARGEST_RADPS) & within(imu.accel_b_mps2, LARGEST_MPS2)
+        good = _is_within(imu.gyro_b_radps, LARGEST_RADPS) & _is_within(imu.accel_b_mps2, LARGEST_MPS2)
         if not good.all() and good.sum() > 1:
             dropped = Dropped(imu=int((~good).sum()))
             imu = Imu(imu.t_ns[good], imu.gyro_b_radps[good], imu.accel_b_mps2[good])
@@ -64,8 +64,8 @@ def drop_non_measurements(recording: Recording) -> tuple[Recording, Dropped]:
 def drop_non_fields(mag: Mag, imu: Imu) -> tuple[Mag | None, Dropped]:
     """Return the magnetometer without samples that are no measurement, None where nothing is left, and their counts."""
     zero = ~mag.mag_b_ut.any(axis=1)
-    beyond = ~within(mag.mag_b_ut, LARGEST_UT)
-    frozen = find_frozen(mag, imu) & ~zero & ~beyond
+    beyond = ~_is_within(mag.mag_b_ut, LARGEST_UT)
+    frozen = _find_frozen(mag, imu) & ~zero & ~beyond
     keep = ~(zero | beyond | frozen)
     dropped = Dropped(0, int(zero.sum()), int(beyond.sum()), int(frozen.sum()))
     if keep.all():
@@ -73,12 +73,12 @@ def drop_non_fields(mag: Mag, imu: Imu) -> tuple[Mag | None, Dropped]:
     return (Mag(mag.t_ns[keep], mag.mag_b_ut[keep]) if keep.any() else None), dropped
 
 
-def within(values: Floats, largest: float) -> NDArray[np.bool_]:
+def _is_within(values: Floats, largest: float) -> NDArray[np.bool_]:
     """Return which rows (N, 3) have every component below ``largest`` in size."""
     return np.asarray((np.abs(values) < largest).all(axis=1))
 
 
-def find_frozen(mag: Mag, imu: Imu) -> NDArray[np.bool_]:
+def _find_frozen(mag: Mag, imu: Imu) -> NDArray[np.bool_]:
     """Return which samples of the magnetometer belong to a run of equal values during which the IMU shows a turning
     body.
 

@@ -46,7 +46,7 @@ def _check_imu(name: str, imu: "Imu") -> None:
             f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
             "multiply by pi/180, or keep it with --units-unchecked for the doctor"
         )
-    size = still_norm(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
+    size = _still_norm(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
     if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
         _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
         hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
@@ -75,7 +75,7 @@ def describe_field_size(median_ut: float) -> str:
     return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
 
 
-def still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:
+def _still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:
     """Return the mean length over the calmest second without spin; None when there is none or the stream is shorter."""
     seconds = (t_ns - t_ns[0]) // int(WINDOW_S * 1e9)
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))

@@ -42,7 +42,7 @@ def make_begin(estimator: ModuleType) -> Callable[[Any, Any], Any]:
 
 
 @cache
-def make_advance(estimator: ModuleType) -> Any:
+def _make_advance(estimator: ModuleType) -> Any:
     """Return the function that takes the cell and one sample, and returns the output."""
 
     @compiled_entry
@@ -76,8 +76,8 @@ def make_advance(estimator: ModuleType) -> Any:
 
 
 def compile_advance(estimator: ModuleType, cell: Any) -> Advance:
-    """Compile :func:`make_advance` for this cell and return the machine code's entry: no type lookup per call."""
-    return cast(Advance, make_advance(estimator).compile((typeof(cell), *ARGUMENTS)))
+    """Compile :func:`_make_advance` for this cell and return the machine code's entry: no type lookup per call."""
+    return cast(Advance, _make_advance(estimator).compile((typeof(cell), *ARGUMENTS)))
 
 
 @compiled_entry

@@ -40,7 +40,7 @@ def euler_frame(q: Quaternion) -> Frame:
 
 
 @compiled_inside
-def half_angle_cos_sin(angle: float) -> tuple[float, float]:
+def _half_angle_cos_sin(angle: float) -> tuple[float, float]:
     """Return cosine and sine of half an angle in rad."""
     cosine, share = half_angle(angle * angle)
     return cosine, angle * share
@@ -49,7 +49,7 @@ def half_angle_cos_sin(angle: float) -> tuple[float, float]:
 @compiled_inside
 def tilt_rotation(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
     """Return a turn by ``pitch`` about the axis of pitch, then by ``roll`` about body x, to multiply from the right."""
-    (cp, sp), (cr, sr) = half_angle_cos_sin(pitch), half_angle_cos_sin(roll)
+    (cp, sp), (cr, sr) = _half_angle_cos_sin(pitch), _half_angle_cos_sin(roll)
     y, z = pitch_b[1] * sp, pitch_b[2] * sp
     return cp * cr, cp * sr, y * cr + z * sr, z * cr - y * sr
 
@@ -57,7 +57,7 @@ def tilt_rotation(roll: float, pitch: float, pitch_b: Vector) -> Quaternion:
 @compiled_inside
 def turn_about_up(q: Quaternion, angle: float) -> Quaternion:
     """Return the attitude after a turn about up."""
-    c, s = half_angle_cos_sin(angle)
+    c, s = _half_angle_cos_sin(angle)
     return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
 
 
@@ -80,7 +80,7 @@ def bound_hidden_turns(q_nb: Quaternion, hidden_b_rad: Vector) -> Vector:
 
 
 @compiled_inside
-def add_axis_error(cov: Nine, variance: float, axis: Vector) -> Nine:
+def _add_axis_error(cov: Nine, variance: float, axis: Vector) -> Nine:
     """Add an independent error about this axis to a 3 x 3 covariance."""
     x, y, z = axis
     ax, ay, az = variance * x, variance * y, variance * z
@@ -89,18 +89,18 @@ def add_axis_error(cov: Nine, variance: float, axis: Vector) -> Nine:
 
 
 @compiled_apart
-def steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
+def _steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
     """Compute :func:`covariance` near the vertical."""
     (ux, uy, uz), across, cos_pitch = frame
     share = cos_pitch * PER_STEEP
     mirrored = min(roll, ANY_ANGLE_RAD2) * (1.0 - share * share) / 2.0
     tilt = max(pitch - roll * cos_pitch * cos_pitch, 0.0) * (1.0 - share * share)
     cov = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    cov = add_axis_error(cov, min(roll, ANY_ANGLE_RAD2) - mirrored, (1.0, 0.0, 0.0))
-    cov = add_axis_error(cov, mirrored, (1.0 - 2.0 * ux * ux, -2.0 * ux * uy, -2.0 * ux * uz))
-    cov = add_axis_error(cov, pitch, across)
-    cov = add_axis_error(cov, heading, (ux, uy, uz))
-    return add_axis_error(cov, tilt, cross((ux, uy, uz), across))
+    cov = _add_axis_error(cov, min(roll, ANY_ANGLE_RAD2) - mirrored, (1.0, 0.0, 0.0))
+    cov = _add_axis_error(cov, mirrored, (1.0 - 2.0 * ux * ux, -2.0 * ux * uy, -2.0 * ux * uz))
+    cov = _add_axis_error(cov, pitch, across)
+    cov = _add_axis_error(cov, heading, (ux, uy, uz))
+    return _add_axis_error(cov, tilt, cross((ux, uy, uz), across))
 
 
 @compiled_inside
@@ -115,7 +115,7 @@ def covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
     """
     up, (_, py, pz) = frame.up_b, frame.pitch_b
     if frame.cos_pitch < STEEP:
-        return steep_covariance(roll, pitch, heading, frame)
+        return _steep_covariance(roll, pitch, heading, frame)
     xy, xz, yz = heading * up[0] * up[1], heading * up[0] * up[2], heading * up[1] * up[2] + pitch * py * pz
     xx, yy = roll + heading * up[0] * up[0], pitch * py * py + heading * up[1] * up[1]
     return xx, xy, xz, xy, yy, yz, xz, yz, pitch * pz * pz + heading * up[2] * up[2]

@@ -24,7 +24,7 @@ def make_run(estimator: ModuleType) -> Callable[[Log, Any, Any, Track], Any]:
             write_output(track, k, output)
         return state
 
-    return compiled_entry(name_after(run, estimator))
+    return compiled_entry(_name_after(run, estimator))
 
 
 @cache
@@ -37,10 +37,10 @@ def make_spin_run(estimator: ModuleType) -> Callable[[SpinLog, Any, Any, SpinTra
             write_spin_output(track, k, output)
         return state
 
-    return compiled_entry(name_after(run, estimator))
+    return compiled_entry(_name_after(run, estimator))
 
 
-def name_after(function: Callable[..., Any], estimator: ModuleType) -> Callable[..., Any]:
+def _name_after(function: Callable[..., Any], estimator: ModuleType) -> Callable[..., Any]:
     """Name a function after its estimator, so that numba keeps the machine code of each in files of its own."""
     function.__qualname__ = f"{function.__name__}_{estimator.__name__.rpartition('.')[2]}"
     return function

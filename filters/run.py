@@ -111,7 +111,7 @@ def _estimate_attitude(
     )
 
 
-def to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
+def _to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
     """Return attitudes (N, 4) in true instead of magnetic East-North-Up; unchanged for a declination of 0."""
     if declination_rad == 0.0:
         return q_nb
@@ -144,7 +144,7 @@ def _run_peer(
     begun = perf_counter_ns()
     found = entry.batch(data, params)
     elapsed_ns = perf_counter_ns() - begun
-    columns = found._replace(q_nb=to_true_north(found.q_nb, sources.declination_rad))._asdict()
+    columns = found._replace(q_nb=_to_true_north(found.q_nb, sources.declination_rad))._asdict()
     return columns, met | counted, elapsed_ns
 
 

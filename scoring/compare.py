@@ -71,7 +71,7 @@ def compare(
     )
 
 
-def heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
+def _heading_covariance(q_nb: Floats, heading_sd_rad: float) -> Floats:
     """Return the covariance (N, 3, 3) in body axes, at attitudes (N, 4), of a heading error that all samples share.
 
     It counts where no heading was aligned away; ``Reference.cov_b_rad2`` is relative to the mean heading.
@@ -86,7 +86,7 @@ def _shared_covariance(reference: Reference, q_nb: Floats, align: AlignKind) -> 
     if "mounting" not in align:
         cov += reference.mounting_cov_b_rad2
     if align == "none":
-        cov += heading_covariance(q_nb, reference.heading_sd_rad)
+        cov += _heading_covariance(q_nb, reference.heading_sd_rad)
     return cov
 
 

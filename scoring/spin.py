@@ -148,14 +148,14 @@ def usual_zero(estimated: Estimate | SpinReference, truth: Encoder | SpinReferen
     its first sample would count at all others. The zero of an encoder is its index, so against it the mean is
     subtracted. Every other angle counts from the first sample.
     """
-    if not (isinstance(estimated, SpinReference) and is_absolute(estimated)):
+    if not (isinstance(estimated, SpinReference) and _is_absolute(estimated)):
         return "start"
     if isinstance(truth, SpinReference):
-        return "turns" if is_absolute(truth) else "start"
+        return "turns" if _is_absolute(truth) else "start"
     return "mean" if against == "encoder" else "turns"
 
 
-def is_absolute(reference: SpinReference) -> bool:
+def _is_absolute(reference: SpinReference) -> bool:
     """Return whether the angle of a reference comes from gravity: 0 where z points up."""
     return str(reference.diagnostics.get("angle", "")).startswith("from gravity")
 

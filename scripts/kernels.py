@@ -26,7 +26,7 @@ def main() -> int:
     return code
 
 
-def compile_all() -> None:
+def _compile_all() -> None:
     """Call every estimator, in batch and as a stream, and the reference, on short simulated recordings."""
     from stillpoint.datasets.simulate import simulate
     from stillpoint.filters import ESTIMATORS, SpinStream, Stream, estimate

@@ -58,15 +58,15 @@ class RedistributionParams(Settings):
 
 def redistribution(recording: Recording, params: RedistributionParams) -> Reference:
     """Return the rest-pose benchmark with closing errors spread in body axes, as published."""
-    return redistributed(recording, params, "body")
+    return _redistribute_in_order(recording, params, "body")
 
 
 def redistribution_earth(recording: Recording, params: RedistributionParams) -> Reference:
     """Return the rest-pose benchmark with closing errors spread in the earth frame, where they arise."""
-    return redistributed(recording, params, "earth")
+    return _redistribute_in_order(recording, params, "earth")
 
 
-def redistributed(recording: Recording, params: RedistributionParams, axes: Axes) -> Reference:
+def _redistribute_in_order(recording: Recording, params: RedistributionParams, axes: Axes) -> Reference:
     """Return the reference by error redistribution between returns to the base pose.
 
     Before the first rest and after the last return the gyro is integrated freely, and the covariance grows. Raises
@@ -91,11 +91,11 @@ def redistributed(recording: Recording, params: RedistributionParams, axes: Axes
     for start, stop in ((base.start, 0), (returns.spans[-1][1], n - 1)):
         path = swing(imu, base.gyro_bias_b_radps, start, stop, base.q_nb, walk_rad2)
         q_nb[path.rows] = path.q_nb
-        cov_n[path.rows] = repeat + scale * free_covariance(path, params.gyro)
+        cov_n[path.rows] = repeat + scale * _free_covariance(path, params.gyro)
     return Reference(
         t_ns=imu.t_ns,
         q_nb=q_nb,
-        cov_b_rad2=in_body(cov_n, q_nb),
+        cov_b_rad2=_rotate_to_body(cov_n, q_nb),
         gyro_bias_b_radps=np.tile(base.gyro_bias_b_radps, (n, 1)),
         method=METHOD_OF_AXES[axes],
         name=recording.name,
@@ -141,7 +141,7 @@ def spread_covariance(path: Swing, closing_n: Floats, scale: float, params: Redi
     return cov_n
 
 
-def free_covariance(path: Swing, errors: GyroErrors) -> Floats:
+def _free_covariance(path: Swing, errors: GyroErrors) -> Floats:
     """Return the covariance (M, 3, 3), earth frame, of a swing without a return."""
     variance = unknowns_variance(errors)
     cov_n = path.walk_rad2[:, None, None] * np.eye(3)
@@ -150,7 +150,7 @@ def free_covariance(path: Swing, errors: GyroErrors) -> Floats:
     return cov_n
 
 
-def in_body(cov_n: Floats, q_nb: Floats) -> Floats:
+def _rotate_to_body(cov_n: Floats, q_nb: Floats) -> Floats:
     """Return covariances (N, 3, 3) of a small rotation, turned from the earth frame to body axes."""
     r = rotation(q_nb).as_matrix()
     return r.transpose(0, 2, 1) @ cov_n @ r

@@ -81,21 +81,21 @@ ROLL_METHODS: dict[str, Method] = {
 """Methods for recordings with a spin stream: angle and rate about one axis."""
 
 
-def method_of(name: str) -> Method:
+def _method_of(name: str) -> Method:
     """Return a method of the table; raise :class:`BadParameter` with the nearest name for an unknown one."""
     known = METHODS | ROLL_METHODS
     require_known(name, known, "reference method")
     return known[name]
 
 
-def default_method(recording: Recording) -> str:
+def _default_method(recording: Recording) -> str:
     """Return the default method for the streams that a recording has."""
     return DEFAULT_ROLL_METHOD if recording.imu is None and recording.spin is not None else DEFAULT_METHOD
 
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
     """Return the method's settings with the user's changes; raise :class:`BadParameter` for a wrong one."""
-    return choose_settings(method_of(method).defaults, params, method)
+    return choose_settings(_method_of(method).defaults, params, method)
 
 
 def reference(
@@ -133,8 +133,8 @@ def reference(
     Unobservable
         The recording does not determine a reference.
     """
-    name = default_method(recording) if method is None else method
-    function = method_of(name).function
+    name = _default_method(recording) if method is None else method
+    function = _method_of(name).function
     if factors:
         if name != "graph":
             raise BadParameter(f"factors: are for the method graph, not {name}")

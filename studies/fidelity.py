@@ -83,7 +83,7 @@ class Fidelity:
         return {**asdict(self), "judges": list(map(asdict, self.judges)), "rows": list(map(asdict, self.rows))}
 
 
-def default_judges() -> list[str]:
+def _default_judges() -> list[str]:
     """Return every reference method, and every offline estimator whose package is installed."""
     return [*METHODS, *(name for name in default_estimators() if ESTIMATORS[name].offline)]
 
@@ -108,7 +108,7 @@ def measure_fidelity(
     sources = [source for source in survey_sources(files, store) if source.truth and source.error is None]
     if not sources:
         raise BadParameter("no recording has independent truth; fidelity compares with it")
-    names = list(dict.fromkeys(judges or default_judges()))
+    names = list(dict.fromkeys(judges or _default_judges()))
     entrants = find_entrants(list(dict.fromkeys([*(estimators or default_estimators())])), [])
     offline = [name for name in names if name not in METHODS]
     lines = list_lines(find_entrants(list(dict.fromkeys([*(e.spelling for e in entrants), *offline])), []), [NONE])

@@ -189,19 +189,19 @@ def tune(
         seed=seed,
         journal=folder / f"{estimator}.journal",
     )
-    outcomes = run_jobs(run_trials, [replace(spec, seed=seed + k) for k in range(max(workers, 1))], "trials")
+    outcomes = run_jobs(_run_trials, [replace(spec, seed=seed + k) for k in range(max(workers, 1))], "trials")
     errors = [outcome.error for outcome in outcomes if outcome.error]
     if len(errors) == len(outcomes):
         raise StillpointError(errors[0])
-    return summarise(spec)
+    return _summarise(spec)
 
 
-def run_trials(spec: TuneSpec) -> None:
+def _run_trials(spec: TuneSpec) -> None:
     """Run trials until the journal holds as many as were asked for."""
     study = _open_study(spec)
     if _is_done(study, spec):
         return
-    bench = Bench(spec)
+    bench = _Bench(spec)
 
     def score(trial: Any) -> float:
         params = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in spec.ranges}
@@ -216,7 +216,7 @@ def run_trials(spec: TuneSpec) -> None:
     study.optimize(score, callbacks=[stop_when_done])
 
 
-class Bench:
+class _Bench:
     """Recordings with their judges in memory, to score one setting after another."""
 
     def __init__(self, spec: TuneSpec) -> None:
@@ -249,9 +249,9 @@ class Bench:
         return rmse
 
 
-def summarise(spec: TuneSpec) -> Tuning:
+def _summarise(spec: TuneSpec) -> Tuning:
     """Read the trials of the journal and choose."""
-    bench = Bench(spec)
+    bench = _Bench(spec)
     trials = [
         TunedTrial(dict(trial.params), tuple(trial.user_attrs[RMSE_ATTRIBUTE]), float(trial.value))
         for trial in _complete(_open_study(spec))

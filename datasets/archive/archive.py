@@ -454,7 +454,7 @@ def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
         return [archive.path_of(archive.resolve(word)) for word in words]
 
 
-def is_sha256(text: str) -> bool:
+def _is_sha256(text: str) -> bool:
     """Return whether a text is a whole SHA-256 in hex."""
     return SHA256.fullmatch(text) is not None
 

@@ -175,7 +175,7 @@ class Catalogue:
 
 def put_object(connection: sqlite3.Connection, record: Record, described: Description, link: str) -> None:
     """Insert an object, or replace what the catalogue has about it."""
-    forget_object(connection, record.sha256)
+    _forget_object(connection, record.sha256)
     for table, rows in described_rows(record, described).items():
         _insert(connection, table, rows)
     connection.execute("UPDATE objects SET link = ? WHERE sha256 = ?", (link, record.sha256))
@@ -236,7 +236,7 @@ def put_labels(connection: sqlite3.Connection, record: Record) -> None:
     _insert(connection, "metadata", rows)
 
 
-def forget_object(connection: sqlite3.Connection, sha256: str) -> None:
+def _forget_object(connection: sqlite3.Connection, sha256: str) -> None:
     """Delete all rows of an object."""
     for table in TABLES:
         column = "child" if table == "parents" else "sha256"

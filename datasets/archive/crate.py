@@ -34,7 +34,7 @@ MCAP_FORMAT = "https://mcap.dev/spec"
 _MISSING = "{} needs the extra publish ({}); install it: pip install 'stillpoint[publish]'"
 
 
-def licence_url(licence: str) -> str | None:
+def _licence_url(licence: str) -> str | None:
     """The page of a licence at SPDX, None for one that is not known here."""
     known = SPDX.get(licence.lower()) or (licence if licence in SPDX.values() else None)
     return None if known is None else f"https://spdx.org/licenses/{known}"
@@ -54,7 +54,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
         licence: crate.add(
             ContextEntity(
                 crate,
-                licence_url(licence) or f"#licence-{_identifier(licence)}",
+                _licence_url(licence) or f"#licence-{_identifier(licence)}",
                 properties={"@type": "CreativeWork", "name": licence},
             )
         )
@@ -140,7 +140,7 @@ def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
     metadata = mlc.Metadata(
         name=_identifier(about.title),
         description=about.description or about.title,
-        license=[licence_url(licence) or licence for licence in licences] or ["not stated"],
+        license=[_licence_url(licence) or licence for licence in licences] or ["not stated"],
         url=about.url or f"https://example.org/{_identifier(about.title)}",
         cite_as="; ".join(cited(items)) or about.title,
         creators=[mlc.Person(name=name) for name in about.authors],

@@ -109,10 +109,10 @@ def _translator() -> Any:
             return Condition(f"NOT ({parts[0].sql})", parts[0].parameters)
 
         def comparison(self, parts: list[Any]) -> Condition:
-            return compare_field(_field(parts[0]), str(parts[1]), parts[2])
+            return _compare_field(_field(parts[0]), str(parts[1]), parts[2])
 
         def label(self, parts: list[Any]) -> Condition:
-            return match_label(_field(parts[0]), parts[1])
+            return _match_label(_field(parts[0]), parts[1])
 
         def anywhere(self, parts: list[str]) -> Condition:
             word = parts[0]
@@ -137,7 +137,7 @@ def _join(word: str, parts: list[Condition]) -> Condition:
     return Condition(sql, tuple(value for part in parts for value in part.parameters))
 
 
-def compare_field(name: str, operator: str, value: str) -> Condition:
+def _compare_field(name: str, operator: str, value: str) -> Condition:
     """The condition ``name operator value``."""
     head, dot, rest = name.partition(".")
     if head == "meta" and dot:
@@ -146,7 +146,7 @@ def compare_field(name: str, operator: str, value: str) -> Condition:
         column = f"t.{OF_STREAMS[head]}"
         return _within("streams", "stream", rest, _compare(column, operator, _number(name, value), number=True))
     if head == "tag":
-        return match_label("tag", value) if operator == "=" else _tag_condition(operator, value)
+        return _match_label("tag", value) if operator == "=" else _tag_condition(operator, value)
     if name in SCORE_FIGURES:
         test = _compare(f"t.{name}", operator, _number(name, value), number=True)
         return Condition(
@@ -160,7 +160,7 @@ def compare_field(name: str, operator: str, value: str) -> Condition:
     return _compare(column, operator, value, number=False)
 
 
-def match_label(name: str, value: str) -> Condition:
+def _match_label(name: str, value: str) -> Condition:
     """The condition ``name:value``."""
     if name == "has":
         return Condition("EXISTS (SELECT 1 FROM streams t WHERE t.sha256 = o.sha256 AND t.stream = ?)", (value,))
@@ -175,7 +175,7 @@ def match_label(name: str, value: str) -> Condition:
     if name == "is":
         raise BadParameter(f"query: is:{value} is not known; write is:removed or is:damaged")
     if name in FIELDS or "." in name:
-        return compare_field(name, "=", value)
+        return _compare_field(name, "=", value)
     raise BadParameter(f"query: no label {name}:; {nearest(name, [*LABELS, *FIELDS])}")
 
 

@@ -90,7 +90,7 @@ class FolderStorage:
         (self.root / key).unlink(missing_ok=True)
 
 
-class RemoteStorage:
+class _RemoteStorage:
     """Files behind an fsspec URL: S3, HTTP servers that take uploads, memory://, any other."""
 
     def __init__(self, url: str) -> None:
@@ -140,7 +140,7 @@ class RemoteStorage:
 
 def storage_at(place: str | Path) -> Storage:
     """The storage at a folder or at a URL."""
-    return RemoteStorage(url_of(place)) if is_url(place) else FolderStorage(Path(place))
+    return _RemoteStorage(url_of(place)) if is_url(place) else FolderStorage(Path(place))
 
 
 def read_key(storage: Storage, key: str) -> bytes:

@@ -78,10 +78,12 @@ def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) ->
         return None
     rows = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_SAMPLES)]
     force, field = force[rows] / size[rows, None], field[rows] / length[rows, None]
-    return Dips(force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), expected_dip(recording))
+    return Dips(
+        force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), _expected_dip(recording)
+    )
 
 
-def expected_dip(recording: Recording) -> float | None:
+def _expected_dip(recording: Recording) -> float | None:
     """Return the dip in rad of the World Magnetic Model at the recording's place, or its first fix; None without.
 
     A date outside the model, or none, is replaced by the nearest year of it: the dip moves by less than 0.2 deg a year.

@@ -211,7 +211,7 @@ def _report_signs(verdict: Verdict) -> list[Finding]:
 def _report_sensor(sensor: str, correction: Floats, agreeing: str) -> Finding:
     """Return the finding about one sensor in wrong axes."""
     text = describe(sensor, correction)
-    remedy = Remedy("matrix", sensor, text, flatten(correction))
+    remedy = Remedy("matrix", sensor, text, _flatten(correction))
     inverted = np.array_equal(correction, -IDENTITY)
     if inverted and sensor == "gyro":
         message = (
@@ -263,13 +263,13 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
     if abs(scale * DEG_PER_RAD - 1) < 0.15:
         factor = 1 / DEG_PER_RAD
         message = f"gyro: in deg/s by the {said}: multiply by {factor:.6g}"
-        remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", flatten(factor * IDENTITY))
+        remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _flatten(factor * IDENTITY))
         return Finding("gyro-units", "error", message, remedy, {"scale": scale})
     message = (
         f"gyro: rates must be multiplied by {scale:.4g} to fit the {said}: a wrong range or unit of the gyro, or a "
         f"time base that is wrong by this factor; multiply by {scale:.4g}, or the steps of time if the rate is wrong"
     )
-    remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", flatten(scale * IDENTITY))
+    remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", _flatten(scale * IDENTITY))
     sure = len(who) > 1 or who == ["truth"]
     return Finding("gyro-scale", "error", message, remedy if sure else None, {"scale": scale})
 
@@ -311,6 +311,6 @@ def report_tested_axes(witnesses: Sequence[Witness]) -> list[Finding]:
     return findings
 
 
-def flatten(matrix: Floats) -> tuple[float, ...]:
+def _flatten(matrix: Floats) -> tuple[float, ...]:
     """Return a matrix row by row, without negative zeros."""
     return tuple(float(value) + 0.0 for value in matrix.ravel())

@@ -82,7 +82,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
         return None
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
-    at_s, expected, swing = truth_forces(truth, origin)
+    at_s, expected, swing = _truth_forces(truth, origin)
     half = FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
     inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
@@ -110,7 +110,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     return find_lag(loss)
 
 
-def truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
+def _truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     """Times in s, specific force in body axes (n, 3), and what one metre of arm adds to it, (n, 3, 3).
 
     The force is gravity and the second difference of the positions; the arm's is that of the attitudes.

@@ -283,7 +283,7 @@ def displacement_about_pivot(seen: Seen, matrix: Floats) -> Floats:
     moved = np.zeros((n, MODES, 3))
     swung = np.zeros((n, MODES, 3, 3))
     for step in range(length):
-        half = rotation_matrices(0.5 * seen.turn[:, step] @ matrix.T)
+        half = _rotation_matrices(0.5 * seen.turn[:, step] @ matrix.T)
         attitude = attitude @ half
         moved += of_force[:, step, None] * np.einsum("nij,nj->ni", attitude, seen.force[:, step])[:, None]
         swung += of_path[:, step, None, None] * attitude[:, None]
@@ -292,7 +292,7 @@ def displacement_about_pivot(seen: Seen, matrix: Floats) -> Floats:
     return np.asarray(residual**2)
 
 
-def rotation_matrices(rotvec: Floats) -> Floats:
+def _rotation_matrices(rotvec: Floats) -> Floats:
     """(n, 3, 3) of rotation vectors (n, 3)."""
     return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 

@@ -23,7 +23,7 @@ TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0,
 
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
+class _Sensor:
     """One sensor's columns, and which samples fall into motion that the other sensors see."""
 
     name: str
@@ -64,19 +64,19 @@ def check_steps(recording: Recording) -> list[Finding]:
     return [finding for sensor in _sensors(recording) for finding in _coarse(sensor)]
 
 
-def _sensors(recording: Recording) -> list[Sensor]:
+def _sensors(recording: Recording) -> list[_Sensor]:
     sensors = []
     if recording.imu is not None:
         imu = recording.imu
         turning = stands_out(np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1))
         norm = np.linalg.norm(imu.accel_b_mps2, axis=1)
         shaken = np.abs(norm - np.median(norm)) > 0.03 * np.median(norm)
-        sensors.append(Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _near(turning | shaken)))
-        sensors.append(Sensor("accel", "imu", imu.t_ns, imu.accel_b_mps2, _near(turning | shaken)))
+        sensors.append(_Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _near(turning | shaken)))
+        sensors.append(_Sensor("accel", "imu", imu.t_ns, imu.accel_b_mps2, _near(turning | shaken)))
         if recording.mag is not None:
             mag = recording.mag
             at = np.clip(np.searchsorted(imu.t_ns, mag.t_ns), 0, len(imu.t_ns) - 1)
-            sensors.append(Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
+            sensors.append(_Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
     if recording.spin is not None:
         spin = recording.spin
         pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > SPIN_AT_REST_MPS2
@@ -84,7 +84,7 @@ def _sensors(recording: Recording) -> list[Sensor]:
         for name, values in (("spin-accel", spin.accel_mps2), ("spin-gyro", spin.gyro_radps)):
             whole = np.isfinite(values).all(axis=1)
             if values.shape[1] and whole.any():
-                sensors.append(Sensor(name, "spin", spin.t_ns[whole], values[whole], (pressed | turning)[whole]))
+                sensors.append(_Sensor(name, "spin", spin.t_ns[whole], values[whole], (pressed | turning)[whole]))
     return sensors
 
 
@@ -98,7 +98,7 @@ def _share_around(mask: NDArray[np.bool_], width: int) -> Floats:
     return np.asarray(np.convolve(mask, np.ones(width) / width, mode="same"))
 
 
-def _stuck(sensor: Sensor) -> list[Finding]:
+def _stuck(sensor: _Sensor) -> list[Finding]:
     still = [k for k in range(sensor.values.shape[1]) if (sensor.values[:, k] == sensor.values[0, k]).all()]
     if not still:
         return []
@@ -113,11 +113,11 @@ def _stuck(sensor: Sensor) -> list[Finding]:
     return [Finding(code, "error", message + "; no attitude can be had without it: record or import again")]
 
 
-def _clipped(sensor: Sensor) -> list[Finding]:
+def _clipped(sensor: _Sensor) -> list[Finding]:
     findings = []
     for k, name in enumerate(sensor.axes):
         column = sensor.values[:, k]
-        step, span = smallest_step(column), float(np.ptp(column))
+        step, span = _smallest_step(column), float(np.ptp(column))
         for sign in (1.0, -1.0):
             toward = sign * column
             extreme = float(toward.max())
@@ -140,7 +140,7 @@ def _clipped(sensor: Sensor) -> list[Finding]:
     return findings
 
 
-def _frozen(sensor: Sensor) -> list[Finding]:
+def _frozen(sensor: _Sensor) -> list[Finding]:
     same = repeats(sensor.values)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
@@ -161,7 +161,7 @@ def _frozen(sensor: Sensor) -> list[Finding]:
     return [Finding(f"{sensor.name}-frozen", "error", message, remedy if sensor.stream != "spin" else None, values)]
 
 
-def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
+def _held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     if sensor.stream == "spin" or sensor.moving.sum() < 20:
         return []
     same = repeats(sensor.values)
@@ -185,9 +185,9 @@ def _held(sensor: Sensor, recording: Recording) -> list[Finding]:
     return [Finding(f"{sensor.name}-held", "warning", message, remedy, {"share": share})]
 
 
-def _slow_for_its_steps(sensor: Sensor, same: NDArray[np.bool_], where: NDArray[np.bool_]) -> bool:
+def _slow_for_its_steps(sensor: _Sensor, same: NDArray[np.bool_], where: NDArray[np.bool_]) -> bool:
     """Do values repeat because the converter's steps are larger than what happens between samples?"""
-    step = np.array([smallest_step(column) for column in sensor.values.T])
+    step = np.array([_smallest_step(column) for column in sensor.values.T])
     changes = np.abs(np.diff(sensor.values, axis=0))[(where & ~same)[1:]]
     if len(changes) == 0 or not step.any():
         return False
@@ -204,10 +204,10 @@ def _other(sensor: str, recording: Recording) -> Floats:
     return imu.accel_b_mps2 if sensor == "gyro" else imu.gyro_b_radps
 
 
-def _coarse(sensor: Sensor) -> list[Finding]:
+def _coarse(sensor: _Sensor) -> list[Finding]:
     if sensor.name not in COARSE:
         return []
-    steps = [smallest_step(column) for column in sensor.values.T]
+    steps = [_smallest_step(column) for column in sensor.values.T]
     step = max(steps)
     if step <= COARSE[sensor.name]:
         return []
@@ -218,7 +218,7 @@ def _coarse(sensor: Sensor) -> list[Finding]:
     return [Finding(f"{sensor.name}-coarse", "warning", message, values={"step": step})]
 
 
-def smallest_step(column: Floats) -> float:
+def _smallest_step(column: Floats) -> float:
     """The step of the converter: the smallest difference between values that all differ by whole steps, else 0."""
     levels = np.unique(column)
     if len(levels) < 2 or len(levels) > 0.5 * len(column):

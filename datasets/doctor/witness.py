@@ -151,7 +151,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
         return Witness("mag", None)
     rough = find_lag(_robust_loss(grid, lambda at: at.design(np.zeros(3))))
     at = grid.at_lag(rough.lag_s if rough and rough.clear else 0.0)
-    centre = sphere_centre(mag.mag_b_ut)
+    centre = _sphere_centre(mag.mag_b_ut)
     weight = robust_solve(at.design(centre), at.change, np.ones(len(grid)))[2]
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
     _, null = solve(_bias_columns(at, centre), at.change, weight)
@@ -211,7 +211,7 @@ def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
     return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), matrix) / usual))
 
 
-def sphere_centre(vectors: Floats) -> Floats:
+def _sphere_centre(vectors: Floats) -> Floats:
     """Centre of the sphere closest to the points (n, 3): the hard iron, where all directions were seen."""
     middle = vectors.mean(axis=0)
     around = vectors - middle

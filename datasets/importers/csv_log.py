@@ -78,7 +78,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     """
     options = apply_config(options)
     log = Log()
-    reading = Reading(read_table(file, options.delimiter, log), options, log)
+    reading = _Reading(read_table(file, options.delimiter, log), options, log)
     found = {what: reading.read_sensor(what) for what in SENSORS}
     if found["gyro"] is None or found["accel"] is None:
         raise BadParameter(
@@ -92,7 +92,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     gps = make_gps(streams["gps"], log) if "gps" in streams else None
     truth = reading.make_truth(streams["truth"]) if "truth" in streams else None
     files = [file]
-    if truth is None and (truth_file := find_truth_file(options, file)) is not None:
+    if truth is None and (truth_file := _find_truth_file(options, file)) is not None:
         truth = reading.read_truth_file(truth_file)
         files += [truth_file] if truth_file.is_file() else []
     sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
@@ -100,7 +100,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     return Imported(Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info))
 
 
-def find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
+def _find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
     """Return the truth's own file where ``--truth`` names one; in a folder of logs ``{name}`` stands for the log's."""
     if options.truth is None or options.truth.count(",") == 3:
         return None
@@ -111,7 +111,7 @@ def find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
 
 
 @dataclass(frozen=True)
-class Reading:
+class _Reading:
     """One table, read as the options say."""
 
     table: Table

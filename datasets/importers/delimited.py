@@ -21,7 +21,7 @@ ROWS_AT_ONCE = 50_000  # that become numbers together
 SAMPLED = 30  # lines at the end of a file that tell its delimiter and its number of columns
 
 
-class SplitLines(Sequence[list[str]]):
+class _SplitLines(Sequence[list[str]]):
     """Lines that are split into cells when asked for; as lists of texts a file would take 15 times its size."""
 
     def __init__(self, lines: list[str], delimiter: str) -> None:
@@ -34,11 +34,11 @@ class SplitLines(Sequence[list[str]]):
     @overload
     def __getitem__(self, place: int) -> list[str]: ...
     @overload
-    def __getitem__(self, place: slice) -> "SplitLines": ...
-    def __getitem__(self, place: int | slice) -> "list[str] | SplitLines":
+    def __getitem__(self, place: slice) -> "_SplitLines": ...
+    def __getitem__(self, place: int | slice) -> "list[str] | _SplitLines":
         """Return the cells of a line, or some of the lines."""
         if isinstance(place, slice):
-            return SplitLines(self.lines[place], self.delimiter)
+            return _SplitLines(self.lines[place], self.delimiter)
         return self._split(self.lines[place])
 
     def __iter__(self) -> Iterator[list[str]]:
@@ -217,7 +217,7 @@ def _find_delimiter(content: list[str]) -> str:
 def _split_cells(lines: list[str], content: list[int], delimiter: str) -> tuple[Sequence[list[str]], list[int]]:
     """Return the cells of the lines, stripped, and the number of the line on which each row starts."""
     if delimiter == " " or not any('"' in lines[k] for k in content):
-        return SplitLines([lines[k] for k in content], delimiter), [k + 1 for k in content]
+        return _SplitLines([lines[k] for k in content], delimiter), [k + 1 for k in content]
     rows, numbers = [], []
     reader = csv.reader(io.StringIO("\n".join(lines[k] for k in content)), delimiter=delimiter, skipinitialspace=True)
     before = 0

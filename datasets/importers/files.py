@@ -25,10 +25,10 @@ def reading(where: Path | str, what: str, remedy: str = RESTORE) -> Iterator[Non
     except StillpointError:
         raise
     except Exception as error:
-        raise BadSource(f"{where}: cannot be read as {what} ({describe_failure(error)}); {remedy}") from error
+        raise BadSource(f"{where}: cannot be read as {what} ({_describe_failure(error)}); {remedy}") from error
 
 
-def describe_failure(error: Exception) -> str:
+def _describe_failure(error: Exception) -> str:
     """Return the first line of an exception, or its kind where it says nothing."""
     if isinstance(error, MemoryError):
         return "it claims more memory than there is"
@@ -73,10 +73,10 @@ def read_text(file: Path) -> str:
         size = file.stat().st_size
         if size > limited(LARGEST_MEMBER):
             raise BadSource(f"{file}: has {size} bytes, more than {limited(LARGEST_MEMBER)}; give --large to read it")
-        return decode_text(file.read_bytes(), file)
+        return _decode_text(file.read_bytes(), file)
 
 
-def decode_text(data: bytes, file: Path | str) -> str:
+def _decode_text(data: bytes, file: Path | str) -> str:
     """Return bytes as text in UTF-8, UTF-16 or else Latin-1; raises :class:`BadSource`."""
     try:
         return data.decode("utf-8-sig")
@@ -158,7 +158,7 @@ def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
             if len(data) > member.file_size:
                 raise BadSource(f"{source}: {member.filename} holds more bytes than it claims; export it again")
             left -= len(data)
-            texts[member.filename] = decode_text(data, source / member.filename)
+            texts[member.filename] = _decode_text(data, source / member.filename)
     return texts
 
 

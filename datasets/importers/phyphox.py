@@ -40,7 +40,7 @@ PLACE = (("latitude", "°"), ("longitude", "°"), ("height", "m"), ("direction",
 
 
 @dataclass(frozen=True)
-class Found:
+class _Found:
     """One sensor's columns in one file."""
 
     sensor: str
@@ -91,7 +91,7 @@ def _open(source: Path) -> Bundle:
     return open_bundle(source)
 
 
-def _find_sensors(table: Table, log: Log) -> Iterator[Found]:
+def _find_sensors(table: Table, log: Log) -> Iterator[_Found]:
     """Yield the sensors of a file, by the units of columns that end in x, y, z."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for column in table.columns:
@@ -107,10 +107,10 @@ def _find_sensors(table: Table, log: Log) -> Iterator[Found]:
         if sensor == "accel" and WITHOUT_GRAVITY.search(f"{what} {Path(table.where).name}"):
             log.noted(f"{Path(table.where).name}: acceleration without gravity is not imported")
             continue
-        yield Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
+        yield _Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
 
 
-def _read_series(source: Path, sensor: str, found: list[Found], starts: Floats, log: Log) -> Series | None:
+def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats, log: Log) -> Series | None:
     here = [one for one in found if one.sensor == sensor]
     if len(here) > 1:
         places = " and ".join(f"{Path(one.table.where).name} ({one.columns[0]})" for one in here)

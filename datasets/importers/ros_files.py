@@ -84,11 +84,11 @@ def _full_type(kind: str) -> str:
 
 def _find_files(source: Path) -> tuple[list[Path], Callable[[Path], Container]]:
     if source.is_file():
-        readers: dict[str, Callable[[Path], Container]] = {".mcap": Scan, ".bag": BagScan, ".db3": Db3Scan}
+        readers: dict[str, Callable[[Path], Container]] = {".mcap": Scan, ".bag": _BagScan, ".db3": _Db3Scan}
         if source.suffix not in readers:
             raise BadSource(f"{source}: is no bag; name a ROS 1 .bag, the folder of a ROS 2 bag, or an .mcap")
         return [source], readers[source.suffix]
-    for suffix, scan in ((".mcap", Scan), (".db3", Db3Scan)):
+    for suffix, scan in ((".mcap", Scan), (".db3", _Db3Scan)):
         files = sorted(source.glob(f"*{suffix}"), key=lambda file: (len(file.name), file.name))
         if files:
             return files, scan
@@ -144,7 +144,7 @@ class _MessageFile:
         self.counts.setdefault(number, 0)
 
 
-class BagScan(_MessageFile):
+class _BagScan(_MessageFile):
     """A ROS 1 bag (format 2.0), read from front to back without its index, so that a cut one gives its whole chunks."""
 
     def blocks(self) -> Iterator[Block]:
@@ -231,7 +231,7 @@ def _split_fields(data: bytes) -> Iterator[tuple[str, bytes]]:
         at = end
 
 
-class Db3Scan(_MessageFile):
+class _Db3Scan(_MessageFile):
     """The SQLite file of a ROS 2 bag."""
 
     def blocks(self) -> Iterator[Block]:

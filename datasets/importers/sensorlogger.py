@@ -31,7 +31,7 @@ MAG_FILES = {
 
 
 @dataclass(frozen=True)
-class Phone:
+class _Phone:
     """The device as ``Metadata.csv`` describes it, or the user where it does not."""
 
     platform: str  # "ios" or "android"
@@ -79,7 +79,7 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
     return Imported(Recording(bundle.name, imu=imu, mag=mag, gps=gps, info=info), estimates)
 
 
-def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
+def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> _Phone:
     name = bundle.find("Metadata.csv")
     metadata: dict[str, str] = {}
     if name is not None:
@@ -101,7 +101,7 @@ def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> Phone:
             "Metadata.csv does not state whether units and frames were standardised; taken as off, the app's default"
         )
     standardised = metadata.get("standardisation", "").strip().lower() == "true"
-    return Phone(platform, standardised, metadata.get("device name", ""))
+    return _Phone(platform, standardised, metadata.get("device name", ""))
 
 
 def _read_series(bundle: Bundle, name: str, log: Log) -> Series:
@@ -111,7 +111,7 @@ def _read_series(bundle: Bundle, name: str, log: Log) -> Series:
     return sort_by_time(drop_incomplete_rows(series, name, log), name, log)
 
 
-def _read_force(bundle: Bundle, phone: Phone, log: Log) -> Series:
+def _read_force(bundle: Bundle, phone: _Phone, log: Log) -> Series:
     """Return the specific force: the raw one where it was logged, else the total, else motion plus gravity."""
     raw, total = bundle.find("AccelerometerUncalibrated.csv"), bundle.find("TotalAcceleration.csv")
     sign = -1.0 if phone.inverted else 1.0
@@ -133,7 +133,7 @@ def _read_force(bundle: Bundle, phone: Phone, log: Log) -> Series:
     return force
 
 
-def _check_platform(force: Series, raw: bool, phone: Phone, where: str) -> None:
+def _check_platform(force: Series, raw: bool, phone: _Phone, where: str) -> None:
     """Raise :class:`BadSource` where the size of the raw specific force fits the units of the other platform."""
     usual_mps2 = float(np.median(np.linalg.norm(force.values, axis=1))) if len(force.values) else np.nan
     factor = STANDARD_GRAVITY_MPS2 if phone.inverted else 1.0 / STANDARD_GRAVITY_MPS2

@@ -61,7 +61,7 @@ TIME_NAME = re.compile(
 
 
 @dataclass(frozen=True)
-class PoseOptions:
+class _PoseOptions:
     """How to read a trajectory; None lets the file say it."""
 
     format: Format | None = None
@@ -78,7 +78,7 @@ class PoseOptions:
 def read_trajectory(path: Path | str, *, name: str | None = None, **options: Any) -> Estimate:
     """Return the attitudes of a trajectory file as an estimate, called ``name`` or by the name of the file.
 
-    ``options`` are the fields of :class:`PoseOptions`. Raises :class:`BadSource` for a file that is no trajectory,
+    ``options`` are the fields of :class:`_PoseOptions`. Raises :class:`BadSource` for a file that is no trajectory,
     :class:`BadParameter` for an option that does not fit.
     """
     poses = read_poses(path, **options)
@@ -90,7 +90,7 @@ def read_poses(path: Path | str, log: Log | None = None, **options: Any) -> Trut
 
     What was sorted or dropped goes to ``log``. Positions are NaN-free or None.
     """
-    given = PoseOptions(**options)
+    given = _PoseOptions(**options)
     if given.frame not in EULER_FRAMES:
         raise BadParameter(f"frame {given.frame!r}: is not one of {', '.join(EULER_FRAMES)}")
     log = log or Log()
@@ -103,11 +103,11 @@ def read_poses(path: Path | str, log: Log | None = None, **options: Any) -> Trut
     return turn_truth(poses, given.frame, given.inverse)
 
 
-def _is_bag(file: Path, options: PoseOptions) -> bool:
+def _is_bag(file: Path, options: _PoseOptions) -> bool:
     return options.format == "bag" or (options.format is None and (file.is_dir() or file.suffix in BAGS))
 
 
-def _read_bag(file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
     with reading(file, "a bag"):
         bag = open_ros(file)
         found = sorted(topic for topic, kind in bag.types.items() if kind in POSES and topic != "/tf_static")
@@ -125,7 +125,7 @@ def _read_bag(file: Path, options: PoseOptions, log: Log) -> Truth:
         return read_pose_topic(bag, topic, bag.read([topic]), options.parent, options.child, log)
 
 
-def _read_text_poses(file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_text_poses(file: Path, options: _PoseOptions, log: Log) -> Truth:
     if file.is_dir():
         raise BadSource(f"{file}: is a folder; name the file of a trajectory")
     table = parse(_read_or_refuse(file), str(file))
@@ -142,7 +142,7 @@ def _read_or_refuse(file: Path) -> str:
     return text
 
 
-def _recognise(table: Table, file: Path, options: PoseOptions) -> Format:
+def _recognise(table: Table, file: Path, options: _PoseOptions) -> Format:
     """Return the format of a text by its columns; raises :class:`BadSource` with what the columns are."""
     if options.quaternion is not None or options.time is not None:
         return "csv"
@@ -173,7 +173,7 @@ def _largest(cell: str) -> float:
         return 0.0
 
 
-def _read_tum(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     wanted = "a TUM pose is eight numbers: seconds x y z qx qy qz qw"
     if len(table.columns) != TUM_WIDTH:
         raise BadSource(f"{file}: its first line has {len(table.columns)} words; {wanted}")
@@ -186,7 +186,7 @@ def _read_tum(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth
     return _make_poses(t_ns, from_xyzw(values[:, 3:]), values[:, :3], table, log, wanted)
 
 
-def _read_euroc(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_euroc(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     names = table.columns
     if len(names) < EUROC_WIDTH:
         raise BadSource(f"{file}: its header has {len(names)} names; a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
@@ -195,7 +195,7 @@ def _read_euroc(table: Table, file: Path, options: PoseOptions, log: Log) -> Tru
     return _make_poses(t_ns, values[:, 3:], values[:, :3], table, log, "a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
 
 
-def _read_kitti(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_kitti(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     times = options.times or file.with_name("times.txt")
     if not times.is_file():
         raise BadSource(f"{file}: KITTI poses have no stamps, and there is no {times.name} beside them; name that file")
@@ -214,7 +214,7 @@ def _read_kitti(table: Table, file: Path, options: PoseOptions, log: Log) -> Tru
     return _make_poses(stamps.times(stamps.columns[0], "s"), q_nb, matrices[:, :, 3], table, log, "")
 
 
-def _read_csv(table: Table, file: Path, options: PoseOptions, log: Log) -> Truth:
+def _read_csv(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     time = _find_time(table) if options.time is None else split(options.time, "s")
     quaternions = _find_quaternion(table) if options.quaternion is None else options.quaternion
     if time is None:

@@ -28,7 +28,7 @@ ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing ma
 
 
 @dataclass(frozen=True)
-class Device:
+class _Device:
     """How the folders of one device look."""
 
     name: str
@@ -39,10 +39,10 @@ class Device:
     inverse: bool  # the quaternion takes the Earth to the sensor
 
 
-NGIMU = Device(
+NGIMU = _Device(
     "NGIMU", "sensors.csv", ("Time (s)", "s"), ("sensors.csv", "Magnetometer {} (uT)", "uT"), "quaternion.csv", True
 )
-XIMU3 = Device(
+XIMU3 = _Device(
     "x-IMU3", "Inertial.csv", ("Timestamp (us)", "us"), ("Magnetometer.csv", "{} (a.u.)", ""), "Quaternion.csv", False
 )
 
@@ -67,7 +67,7 @@ def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
     return _read_folder(folder, XIMU3, options)
 
 
-def _read_folder(folder: Path, device: Device, options: OwnOptions) -> Imported:
+def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported:
     log = Log()
     table = read_table(folder / device.imu, ",", log)
     log.converted(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
@@ -98,13 +98,13 @@ def _read_folder(folder: Path, device: Device, options: OwnOptions) -> Imported:
     return Imported(Recording(folder.name, imu=imu, mag=mag, info=info), estimates)
 
 
-def _read_columns(table: Table, device: Device, columns: tuple[str, ...], what: str, log: Log) -> Series:
+def _read_columns(table: Table, device: _Device, columns: tuple[str, ...], what: str, log: Log) -> Series:
     series = Series(table.times(*device.time), table.floats(columns))
     return sort_by_time(drop_incomplete_rows(series, what, log), what, log)
 
 
 def _read_mag(
-    folder: Path, device: Device, options: OwnOptions, files: list[Path], log: Log
+    folder: Path, device: _Device, options: OwnOptions, files: list[Path], log: Log
 ) -> tuple[Mag | None, bool]:
     name, column, unit = device.mag
     if not (folder / name).is_file():

@@ -61,7 +61,7 @@ class LocalFile:
             return file.read(max(end - start, 0))
 
 
-def open_source(path: Path | str) -> Source:
+def _open_source(path: Path | str) -> Source:
     """Return the bytes of a local file, or of a file behind a URL."""
     return RangedFile(path) if is_url(path) else LocalFile(Path(path))
 
@@ -87,7 +87,7 @@ def read_part(
     :class:`~stillpoint.datasets.files.remote.RangedFile` counts what it fetched. Raises :class:`BadFile` when the
     file is damaged or has no index.
     """
-    source = source or open_source(path)
+    source = source or _open_source(path)
     log = read_columns(IndexedScan(Path(path), source, topics, window), topics, columns)
     if window is None:
         return log
@@ -118,7 +118,7 @@ class IndexedScan(Scan):
     @classmethod
     def open(cls, path: Path | str) -> "IndexedScan":
         """Return a scan over all topics of a local file or of a URL."""
-        return cls(Path(path), open_source(path), None, None)
+        return cls(Path(path), _open_source(path), None, None)
 
     def blocks(self) -> Iterator[Block]:
         """The messages of the chunks that are needed; raises :class:`BadFile`."""

@@ -187,7 +187,7 @@ class Voyage:
 def simulate_mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one mission. Raises :class:`BadParameter` when ``minutes`` leave no room for a cruise."""
     path = sail(sea, plan_phases(minutes * 60, kind), seed)
-    drift = draw_drift(sensor.drift, seed)
+    drift = _draw_drift(sensor.drift, seed)
     facts = {"sea": asdict(sea), "phases_s": asdict(path.phases), "body_axes": "forward, right, down"}
     drawn = {"drift": {"sign": drift.sign.tolist(), "phase_rad": drift.phase_rad.tolist()}}
     recording = record_path(path, sensor, CASPIAN, Order(kind, seed, minutes, rate_hz), facts, drawn)
@@ -222,7 +222,7 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
     def voyage(ascent_pitch_deg: float) -> Voyage:
         euler = euler_ned_rad(sea, when, t, ascent_pitch_deg, seed)
         return Voyage(
-            make_interp_spline(t, euler, k=5), make_interp_spline(t, velocities(sea, when, t, euler, seed), k=5), when
+            make_interp_spline(t, euler, k=5), make_interp_spline(t, _velocities(sea, when, t, euler, seed), k=5), when
         )
 
     def left_m(ascent_pitch_deg: float) -> float:
@@ -233,25 +233,25 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
 
 def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
     """Return roll, pitch, heading (N, 3) in North-East-Down."""
-    rough = roughness(sea, when, t_s)
+    rough = _roughness(sea, when, t_s)
     roll = rough * sea.roll_deg * sum_waves(ROLLING, t_s, seed, "roll")
     pitch = rough * sea.pitch_deg * sum_waves(PITCHING, t_s, seed, "pitch")
-    pitch += -DIVE_PITCH_DEG * smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
-    pitch += ascent_pitch_deg * smooth_window(when.ascent_s, when.surfaced_s, t_s, 2.5)
-    heading = HEADING_DEG + SLALOM_DEG * smooth_window(*SLALOM_S, t_s, 6.0)
+    pitch += -DIVE_PITCH_DEG * _smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
+    pitch += ascent_pitch_deg * _smooth_window(when.ascent_s, when.surfaced_s, t_s, 2.5)
+    heading = HEADING_DEG + SLALOM_DEG * _smooth_window(*SLALOM_S, t_s, 6.0)
     heading += SNAKING_DEG * sum_waves(((1.0, 1 / SNAKING_PERIOD_S),), t_s, seed, "snaking")
     heading += rough * sea.yaw_deg * sum_waves(YAWING, t_s, seed, "yaw")
     return np.deg2rad(np.column_stack([roll, pitch, heading]))
 
 
-def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
+def _velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int) -> Floats:
     """Return the velocity in n (N, 3): along the body's x axis, plus the waves across the heading and upwards."""
     _, pitch, heading = euler_rad.T
-    below = smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
+    below = _smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
     speed = SPEED_MPS[0] + (SPEED_MPS[1] - SPEED_MPS[0]) * below
     forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
     right = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros_like(heading)])
-    rough = roughness(sea, when, t_s)
+    rough = _roughness(sea, when, t_s)
     sway = rough * sea.sway_mps2 * sum_waves(SWAYING, t_s, seed, "sway") / (2 * np.pi * SWAYING[0][1])
     heave = rough * sea.heave_mps2 * sum_waves(HEAVING, t_s, seed, "heave") / (2 * np.pi * HEAVING[0][1])
     moved = speed[:, None] * forward + sway[:, None] * right
@@ -259,12 +259,12 @@ def velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: int
     return moved
 
 
-def roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
+def _roughness(sea: Sea, when: Phases, t_s: Floats) -> Floats:
     """Return the share of the waves that the vehicle feels: 1 on the surface."""
-    return 1 - (1 - sea.share_below) * smooth_window(when.dive_s, when.surfaced_s, t_s, 5.0)
+    return 1 - (1 - sea.share_below) * _smooth_window(when.dive_s, when.surfaced_s, t_s, 5.0)
 
 
-def smooth_window(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
+def _smooth_window(start_s: float, end_s: float, t_s: Floats, soft_s: float) -> Floats:
     """Return 1 between two times and 0 outside, with the edges of a normal distribution of this sd."""
     return np.asarray(ndtr((t_s - start_s) / soft_s) - ndtr((t_s - end_s) / soft_s))
 
@@ -278,7 +278,7 @@ def sum_waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: in
     return np.sum(parts, axis=0)
 
 
-def draw_drift(model: DriftModel, seed: int) -> Drift:
+def _draw_drift(model: DriftModel, seed: int) -> Drift:
     """Draw the gyro drift of one unit."""
     rng = make_generator(seed, "gyro/drift")
     return Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))

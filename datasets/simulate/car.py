@@ -95,13 +95,13 @@ class Drive(Voyage):
 
 def simulate_drive(kind: str, sensor: CarSensor, seed: int, minutes: float, rate_hz: float) -> Recording:
     """Simulate one drive."""
-    path = plan_drive(minutes * 60, seed)
+    path = _plan_drive(minutes * 60, seed)
     facts = {"body_axes": "forward, left, up", "receiver": asdict(sensor.receiver)}
     recording = record_path(path, sensor, TOWN, Order(kind, seed, minutes, rate_hz), facts)
     return replace(recording, gps=_fixes(path, sensor, seed), extra={"wheel": _wheel(path, sensor.wheel, seed)})
 
 
-def plan_drive(total_s: float, seed: int) -> Drive:
+def _plan_drive(total_s: float, seed: int) -> Drive:
     """Return the path of one drive: legs between stops, on each a speed and turns to either side."""
     t_s = np.arange(-MARGIN_S, total_s + MARGIN_S, 1 / KNOTS_HZ)
     draw = make_generator(seed, "car/path")

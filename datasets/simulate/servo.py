@@ -114,11 +114,11 @@ class Swings:
         start, end = self.rests_s[swing, 1], self.rests_s[swing + 1, 0]
         since = np.where(t > self.rests_s[rest, 1], t - start, 0.0)
         period, w = 1 / self.rates_hz[swing], 2 * np.pi * self.rates_hz[swing]
-        size, size_1, size_2 = evaluate_minimum_jerk(np.minimum(since, end - start - since) / period)
+        size, size_1, size_2 = _evaluate_minimum_jerk(np.minimum(since, end - start - since) / period)
         falls = np.where(since > (end - start) / 2, -1.0, 1.0)
         size_1, size_2 = falls * size_1 / period, size_2 / period**2
         sine, cosine = np.sin(w * since), np.cos(w * since)
-        moved, moved_1, moved_2 = evaluate_minimum_jerk(since / (end - start))
+        moved, moved_1, moved_2 = _evaluate_minimum_jerk(since / (end - start))
         way = np.where(since > 0, self.homes_rad[swing + 1] - self.homes_rad[swing], 0.0)
         angle = self.homes_rad[rest] + way * moved + self.amplitude_rad * size * sine
         rate = way * moved_1 / (end - start) + self.amplitude_rad * (size_1 * sine + size * w * cosine)
@@ -155,7 +155,7 @@ class Swings:
         return np.asarray(t > self.rests_s[rest, 1])
 
 
-def evaluate_minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
+def _evaluate_minimum_jerk(share: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the stroke from 0 to 1 and its first two derivatives; it is still before 0 and after 1."""
     u = np.clip(share, 0.0, 1.0)
     value = u**3 * (10 + u * (6 * u - 15))
@@ -197,10 +197,10 @@ def plan_swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
         np.array(bench.lever_b_m),
         join_strokes([0.0, total_s], np.zeros((2, 3))),
     )
-    return replace(still, shake_n_m=add_servo_steps(bench, still, seed, kind))
+    return replace(still, shake_n_m=_add_servo_steps(bench, still, seed, kind))
 
 
-def add_servo_steps(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:
+def _add_servo_steps(bench: Bench, path: Swings, seed: int, kind: str) -> BPoly:
     """Return small strokes at every step of the servo's controller, larger at higher rates and none at rest."""
     times = np.arange(0.0, path.duration_s, bench.step_s)
     rate_degps = np.rad2deg(np.abs(path.angle(times)[1]))

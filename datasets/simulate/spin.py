@@ -41,7 +41,7 @@ FLIGHT = Scenario(Motor(decaying_spin, ripple_degps=0.0, once_per_turn_degps=0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class _Motion:
     """The motion of the body at the sampling instants."""
 
     t_s: Floats  # (N,)
@@ -82,13 +82,13 @@ def simulate_trial(
     )
 
 
-def _motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) -> Motion:
+def _motion(scenario: Scenario, path: SpinPath, tilt_deg: float, t_s: Floats) -> _Motion:
     angle, rate, accel = path.angle_rad(t_s), np.zeros((len(t_s), 3)), np.zeros((len(t_s), 3))
     rate[:, 0], accel[:, 0] = path.rate_radps(t_s), path.accel_radps2(t_s)
     if scenario.flight is None:
-        return Motion(t_s, angle, rate, accel, _gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
+        return _Motion(t_s, angle, rate, accel, _gravity_b_mps2(angle, np.deg2rad(tilt_deg)))
     rate[:, 1:], accel[:, 1:] = coning_radps(scenario.flight, path, t_s)
-    return Motion(t_s, angle, rate, accel, braking_b_mps2(scenario.flight, path, t_s))
+    return _Motion(t_s, angle, rate, accel, braking_b_mps2(scenario.flight, path, t_s))
 
 
 def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
@@ -99,7 +99,7 @@ def _gravity_b_mps2(angle_rad: Floats, tilt_rad: float) -> Floats:
 
 
 def _spin(
-    geometry: SpinGeometry, motion: Motion, sensor: SpinSensor, t_ns: Times, seed: int
+    geometry: SpinGeometry, motion: _Motion, sensor: SpinSensor, t_ns: Times, seed: int
 ) -> tuple[Spin, dict[str, Any], tuple[str, ...]]:
     """Return the recorded stream, the errors drawn, and notes on both."""
     count = len(geometry.accel_r_b_m)
@@ -123,7 +123,7 @@ def _spin(
 
 
 def _accelerometer(
-    part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: Motion, sensor: SpinSensor, seed: int, name: str
+    part: SpinAccel, stated_arm_m: Floats, axis: Floats, motion: _Motion, sensor: SpinSensor, seed: int, name: str
 ) -> tuple[Floats, dict[str, float]]:
     """Return samples (N,) with all their errors, and the errors drawn."""
     sizes = {"arm": part.arm_error, "scale": part.scale_error, "bias": part.bias_mg * STANDARD_GRAVITY_MPS2 / 1e3}
@@ -142,7 +142,7 @@ def _accelerometer(
     return np.clip(felt, -limit, limit), drawn
 
 
-def _shaking(part: SpinAccel, motion: Motion, seed: int, name: str) -> Floats:
+def _shaking(part: SpinAccel, motion: _Motion, seed: int, name: str) -> Floats:
     """Return the vibration of the motor (N,), with a random phase."""
     phases = make_generator(seed, f"spin/{name}/vibration").uniform(0, 2 * np.pi, 2)
     once, twice = np.sqrt(2) * part.vibration_1x_mps2, np.sqrt(2) * part.vibration_2x_mps2
@@ -166,7 +166,7 @@ def _glitches(part: SpinAccel, t_s: Floats, seed: int, name: str) -> tuple[int, 
     return int(spoilt.sum()), np.asarray(spoilt * np.where(kinds[:, 1] < 0.5, -size, size) * STANDARD_GRAVITY_MPS2)
 
 
-def _gyros(axes: Floats, motion: Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
+def _gyros(axes: Floats, motion: _Motion, sensor: SpinSensor, seed: int) -> tuple[Floats, list[float]]:
     """Return samples (N, m) of the gyros at the instants of the stamps, and their biases."""
     bias = np.deg2rad(sensor.gyro_bias_degps) * make_generator(seed, "spin/gyro/bias").standard_normal(len(axes))
     noise = make_generator(seed, "spin/gyro/noise").standard_normal((len(motion.t_s), len(axes)))

@@ -82,19 +82,19 @@ def make_white_noise(name: str, centre_mps2: float, radial_mps2: float, tangenti
     return SpinSensor(name, centre, radial, tangential, gyro_noise_degps=0.1)
 
 
-def add_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
+def _add_glitches(sensor: SpinSensor, per_s: float) -> SpinSensor:
     """Return the sensor with glitches of the slip rings on F4, 4 to 8 g."""
     return replace(sensor, radial=replace(sensor.radial, glitches_per_s=per_s))
 
 
-def make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
+def _make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSensor]:
     """Return the presets of a scenario by name; ``white`` has the printed variances, ``quiet`` is the noise under
     glitches.
     """
     shaken_mps2 = (white.tangential.noise_mps2**2 - ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
     shaken = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
     vibration = replace(white, name="vibration", tangential=shaken)
-    glitch = replace(add_glitches(quiet, GLITCHES_PER_S), name="glitch")
+    glitch = replace(_add_glitches(quiet, GLITCHES_PER_S), name="glitch")
     noise = REPLICA_NOISE * glitch.radial.noise_mps2
     fitted = {"offset_mps2": RESIDUAL_F4_MPS2, "noise_mps2": noise, "glitch_low_g": REPLICA_GLITCH_LOW_G}
     replica = replace(glitch, name="replica", radial=replace(glitch.radial, **fitted))
@@ -104,7 +104,7 @@ def make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSenso
     return {one.name: one for one in (white, vibration, glitch, replica, loose, perfect)}
 
 
-def make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
+def _make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
     """Return presets of a shaft that is not vertical, with unknown biases and arm errors: gravity shows the angle."""
     radial, tangential = (replace(one, offset_mps2=0.1, arm_error=0.001) for one in (white.radial, white.tangential))
     unknown = replace(white, radial=radial, tangential=tangential)
@@ -120,11 +120,11 @@ REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out
 WHITE_CONSTANT = make_white_noise("white", 0.3, 0.8**0.5, 0.12**0.5)
 WHITE_VARIABLE = make_white_noise("white", 0.3, 0.4**0.5, 3.0**0.5)
 CONSTANT = {
-    **make_presets(WHITE_CONSTANT, make_white_noise("quiet", 0.06, 0.13, 0.08)),
-    **make_tilted_presets(WHITE_CONSTANT),
+    **_make_presets(WHITE_CONSTANT, make_white_noise("quiet", 0.06, 0.13, 0.08)),
+    **_make_tilted_presets(WHITE_CONSTANT),
 }
 VARIABLE = {
-    **make_presets(WHITE_VARIABLE, make_white_noise("quiet", 0.06, 0.3, 3.0**0.5)),
-    **make_tilted_presets(WHITE_VARIABLE),
+    **_make_presets(WHITE_VARIABLE, make_white_noise("quiet", 0.06, 0.3, 3.0**0.5)),
+    **_make_tilted_presets(WHITE_VARIABLE),
 }
-FLIGHT = make_presets(make_white_noise("white", 0.3, 0.3, 0.3), make_white_noise("quiet", 0.1, 0.1, 0.1))
+FLIGHT = _make_presets(make_white_noise("white", 0.3, 0.3, 0.3), make_white_noise("quiet", 0.1, 0.1, 0.1))

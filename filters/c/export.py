@@ -215,7 +215,7 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
         types.name(kind)
     step: Any = entry.step
     made = whole.add(step.py_func, kinds)
-    arrays = find_arrays(kinds[0], state, "")
+    arrays = _find_arrays(kinds[0], state, "")
     prototype = (SPIN_PROTOTYPE if is_spin else ATTITUDE_PROTOTYPE).format(prefix=prefix)
     update = _write_update(prototype, prefix, types, made, arrays, is_spin)
     functions = "\n".join(whole.bodies)
@@ -264,7 +264,7 @@ def _empty_sample(is_spin: bool) -> Sample | SpinSample:
     return Sample(0.0, NO_VECTOR, NO_VECTOR, NO_VECTOR, False, False, NO_VECTOR)
 
 
-def find_arrays(kind: CType, value: Any, path: str) -> list[tuple[str, Any]]:
+def _find_arrays(kind: CType, value: Any, path: str) -> list[tuple[str, Any]]:
     """Return the arrays in a state: the path of each from the state in C, and its values at the start."""
     if isinstance(kind, Array):
         return [(path, value)]
@@ -274,7 +274,7 @@ def find_arrays(kind: CType, value: Any, path: str) -> list[tuple[str, Any]]:
     return [
         one
         for k, (part, name) in enumerate(found)
-        for one in find_arrays(part, getattr(value, name), select_part(path, kind, k))
+        for one in _find_arrays(part, getattr(value, name), select_part(path, kind, k))
     ]
 
 

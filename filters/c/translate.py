@@ -55,7 +55,7 @@ RENAMED = {"exp": "exp_rotation", "log": "log_rotation"}  # C has these names fo
 MATH = {"sqrt": "SQRT", "sin": "SIN", "cos": "COS", "exp": "EXP", "atan2": "ATAN2"}
 
 
-class NotTranslated(TypeError):
+class _NotTranslated(TypeError):
     """A construct of Python for which there is no translation."""
 
 
@@ -82,7 +82,8 @@ class Translation:
         key = (function, tuple(kinds))
         if key not in self.functions:
             taken = {made.name for made in self.functions.values()}
-            name, k = RENAMED.get(function.__name__, function.__name__), 2
+            plain = function.__name__.lstrip("_")  # C reserves names that begin with an underscore
+            name, k = RENAMED.get(plain, plain), 2
             while name in taken:
                 name, k = f"{function.__name__}_{k}", k + 1
             body = _Body(self, function, kinds)
@@ -156,9 +157,9 @@ class _Body:
         else:
             raise self.refuse(node)
 
-    def refuse(self, node: ast.AST) -> NotTranslated:
+    def refuse(self, node: ast.AST) -> _NotTranslated:
         """Return the error for a construct without a translation."""
-        return NotTranslated(f"{self.tree.name}: {ast.unparse(node)} has no translation to C")
+        return _NotTranslated(f"{self.tree.name}: {ast.unparse(node)} has no translation to C")
 
     def add_block(self, statements: Sequence[ast.stmt]) -> None:
         """Translate the statements of a branch or loop."""
@@ -175,7 +176,7 @@ class _Body:
         text, kind = self.value(node.value)
         if not (self.returns == REAL and kind == INT):
             self.returns = kind
-        self.emit(f"return {strip_parentheses(text)};")
+        self.emit(f"return {_strip_parentheses(text)};")
 
     def add_if(self, node: ast.If) -> None:
         """Translate a branch."""
@@ -217,13 +218,13 @@ class _Body:
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             self.assign_each(target.elts, value.elts)
         elif isinstance(target, ast.Tuple):
-            self.unpack(target.elts, self.parts(value, names_in(target)))
+            self.unpack(target.elts, self.parts(value, _names_in(target)))
         else:
             self.store(target, *self.value(value))
 
     def assign_each(self, targets: Sequence[ast.expr], values: Sequence[ast.expr]) -> None:
         """Assign in order; through temporaries where a later value reads an earlier target."""
-        names, reads = [names_in(target) for target in targets], [names_in(value) for value in values]
+        names, reads = [_names_in(target) for target in targets], [_names_in(value) for value in values]
         if not any(names[i] & reads[j] for j in range(len(values)) for i in range(j)):
             for target, value in zip(targets, values, strict=True):
                 self.assign(target, value)
@@ -262,12 +263,12 @@ class _Body:
         self.temporaries += 1
         name = f"held{self.temporaries}"
         self.declare_early(name, kind)
-        self.emit(f"{name} = {strip_parentheses(text)};")
+        self.emit(f"{name} = {_strip_parentheses(text)};")
         return name, kind
 
     def store(self, target: ast.expr, text: str, kind: CType) -> None:
         """Assign one value."""
-        text = strip_parentheses(text)
+        text = _strip_parentheses(text)
         if not isinstance(target, ast.Name):
             self.emit(f"{self.value(target, is_target=True)[0]} = {text};")
             return
@@ -279,7 +280,7 @@ class _Body:
         if name in self.locals:
             known = self.locals[name]
             if known != kind and not {known, kind} <= {REAL, INT, BOOL}:
-                raise NotTranslated(f"{self.tree.name}: {name} changes its type")
+                raise _NotTranslated(f"{self.tree.name}: {name} changes its type")
             self.emit(f"{name} = {text};")
         elif self.depth == 1:
             self.locals[name] = kind
@@ -295,18 +296,18 @@ class _Body:
         self.locals[name] = kind
         zero = "NULL" if isinstance(kind, Array) else "0"
         if isinstance(kind, Tuple | Struct):
-            zero = write_zero(kind)
+            zero = _write_zero(kind)
         self.early.append(f"    {declare(self.types.name(kind), name)} = {zero};")
 
     # Expressions
 
     def bare(self, node: ast.expr) -> str:
         """Return an expression without the parentheses around it."""
-        return strip_parentheses(self.value(node)[0])
+        return _strip_parentheses(self.value(node)[0])
 
     def value(self, node: ast.expr, is_target: bool = False) -> Value:
         """Return an expression in C and its type."""
-        if not is_target and is_constant_sum(node):
+        if not is_target and _is_constant_sum(node):
             return self.constant(eval(compile(ast.Expression(node), "constant", "eval"), {}))
         kinds: dict[type[ast.expr], Callable[[Any], Value]] = {
             ast.Name: self.name,
@@ -369,7 +370,7 @@ class _Body:
             at = [self.value(place)[0] for place in places]
             if len(at) == len(kind.shape):
                 place = at[0] if len(at) == 1 else f"{at[0]} * {kind.shape[1]} + {at[1]}"
-                return f"{text}[{strip_parentheses(place)}]", REAL
+                return f"{text}[{_strip_parentheses(place)}]", REAL
             return f"({text} + {at[0]} * {kind.shape[1]})", Array(kind.shape[1:])
         parts = parts_of(kind)
         place, _ = self.value(node.slice)
@@ -382,9 +383,9 @@ class _Body:
     def binary(self, node: ast.BinOp) -> Value:
         """Return an operation on two numbers; parentheses keep Python's order."""
         (left, kind), (right, other) = self.value(node.left), self.value(node.right)
-        result, rank = REAL if REAL in (kind, other) else INT, rank_of(node)
-        left = strip_parentheses(left) if rank_of(node.left) >= rank else left
-        right = strip_parentheses(right) if rank_of(node.right) > rank else right
+        result, rank = REAL if REAL in (kind, other) else INT, _rank_of(node)
+        left = _strip_parentheses(left) if _rank_of(node.left) >= rank else left
+        right = _strip_parentheses(right) if _rank_of(node.right) > rank else right
         if isinstance(node.op, ast.FloorDiv) and result == INT:
             return f"({left} / {right})", INT  # of numbers that are not negative
         if type(node.op) not in BINARY:
@@ -417,7 +418,7 @@ class _Body:
         """Return a tuple."""
         values = [self.value(part) for part in node.elts]
         kind = Tuple(tuple(part for _, part in values))
-        name, inner = self.types.name(kind), ", ".join(strip_parentheses(text) for text, _ in values)
+        name, inner = self.types.name(kind), ", ".join(_strip_parentheses(text) for text, _ in values)
         return (f"({name}){{{{{inner}}}}}" if kind.is_even else f"({name}){{{inner}}}"), kind
 
     def call(self, node: ast.Call) -> Value:
@@ -429,7 +430,7 @@ class _Body:
         if isinstance(found, type) and hasattr(found, "_fields"):
             return self.build(found, node)
         values = [self.value(argument) for argument in node.args]
-        texts = [strip_parentheses(text) for text, _ in values]
+        texts = [_strip_parentheses(text) for text, _ in values]
         if isinstance(name, str) and getattr(found, "__module__", "") in ("math", "builtins"):
             found = name
         if isinstance(found, str):
@@ -474,7 +475,7 @@ class _Body:
                 values.append(self.value(argument))
         kept = [(name, *value) for name, value in zip(made._fields, values, strict=True) if value[1] != NOTHING]
         kind = self.known_struct(made, Struct(made, tuple(k[0] for k in kept), tuple(k[2] for k in kept)))
-        return f"({self.types.name(kind)}){{{', '.join(strip_parentheses(k[1]) for k in kept)}}}", kind
+        return f"({self.types.name(kind)}){{{', '.join(_strip_parentheses(k[1]) for k in kept)}}}", kind
 
     def known_struct(self, made: type, kind: Struct) -> Struct:
         """Return the type that this named tuple already has where only numbers differ, int for real."""
@@ -516,26 +517,26 @@ def wrap_lines(text: str) -> str:
     return "\n".join(wrapped)
 
 
-def names_in(node: ast.AST) -> set[str]:
+def _names_in(node: ast.AST) -> set[str]:
     """Return the names in an expression."""
     return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
 
 
-def is_constant_sum(node: ast.expr) -> bool:
+def _is_constant_sum(node: ast.expr) -> bool:
     """Return whether Python computes this expression beforehand: it has no names."""
     allowed = ast.Constant | ast.BinOp | ast.UnaryOp | ast.operator | ast.unaryop
     has_truth = any(isinstance(part, ast.Not) for part in ast.walk(node))
     return not has_truth and all(isinstance(part, allowed) for part in ast.walk(node))
 
 
-def rank_of(node: ast.expr) -> int:
+def _rank_of(node: ast.expr) -> int:
     """Return how tightly a binary operation binds: sums 1, products 2; 0 for anything else."""
     if not isinstance(node, ast.BinOp):
         return 0
     return 1 if isinstance(node.op, ast.Add | ast.Sub) else 2
 
 
-def strip_parentheses(text: str) -> str:
+def _strip_parentheses(text: str) -> str:
     """Return an expression without one pair of parentheses around the whole of it."""
     if not (text.startswith("(") and text.endswith(")")):
         return text
@@ -547,11 +548,11 @@ def strip_parentheses(text: str) -> str:
     return text
 
 
-def write_zero(kind: CType) -> str:
+def _write_zero(kind: CType) -> str:
     """Return the initialiser of zeros with the braces that the type has."""
     if isinstance(kind, Scalar):
         return "0"
     if isinstance(kind, Array):
         return "NULL"
-    inner = ", ".join(write_zero(part) for part in parts_of(kind))
+    inner = ", ".join(_write_zero(part) for part in parts_of(kind))
     return f"{{{{{inner}}}}}" if isinstance(kind, Tuple) and kind.is_even else f"{{{inner}}}"

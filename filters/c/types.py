@@ -117,7 +117,7 @@ class TypeTable:
 
     def _list_members(self, kind: Tuple | Struct) -> list[str]:
         if isinstance(kind, Struct):
-            comments = read_field_comments(kind.of)
+            comments = _read_field_comments(kind.of)
             named = zip(kind.names, kind.parts, strict=True)
             return [
                 f"    {declare(self.name(part), name)};"
@@ -162,7 +162,7 @@ def declare(kind: str, name: str) -> str:
     return f"{kind}{name}" if kind.endswith("*") else f"{kind} {name}"
 
 
-def read_field_comments(of: type) -> dict[str, str]:
+def _read_field_comments(of: type) -> dict[str, str]:
     """Return the comments beside the fields of a named tuple: units and meaning."""
     found = re.findall(r"^    (\w+): .*?  # (.*)$", inspect.getsource(of), flags=re.MULTILINE)
     return {name: comment.replace("*/", "").replace("noqa", "") for name, comment in found}

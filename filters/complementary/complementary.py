@@ -102,7 +102,7 @@ def transition_matrix(dt_s: float, c: Coefficients) -> tuple[float, float, float
 
 
 @compiled_inside
-def correct_component(e: float, b: float, dt_s: float, rows: tuple[float, float, float, float]) -> tuple[float, float]:
+def _correct_component(e: float, b: float, dt_s: float, rows: tuple[float, float, float, float]) -> tuple[float, float]:
     """Return the turn of the estimate about one axis, and the new b, after ``dt_s`` of eq (11).
 
     ``e`` is the error left after the estimate was moved on by rate and b; in (11), b acts within the interval.
@@ -112,7 +112,7 @@ def correct_component(e: float, b: float, dt_s: float, rows: tuple[float, float,
 
 
 @compiled_inside
-def correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
+def _correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
     """Turn the predicted state towards the attitude of the fields."""
     fields, q_nb, is_headed, n_no_north = state.fields, state.q_nb, state.is_headed, 0
     up_n = rotate(q_nb, scale(fields.accel_b_mps2, 1.0 / norm(fields.accel_b_mps2)))
@@ -120,8 +120,8 @@ def correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> S
     turn = 0.0
     b_east, b_north, b_up = rotate(q_nb, state.b_radps)
     rows = transition_matrix(dt_s, c)
-    tilt_x, b_east = correct_component(tilt_x, b_east, dt_s, rows)
-    tilt_y, b_north = correct_component(tilt_y, b_north, dt_s, rows)
+    tilt_x, b_east = _correct_component(tilt_x, b_east, dt_s, rows)
+    tilt_y, b_north = _correct_component(tilt_y, b_north, dt_s, rows)
     if fresh.mag:
         field_n = rotate(q_nb, fields.mag_b_ut)
         error, found = north_error(level_vector(field_n, up_n) if c.level_by_acc else field_n, c.declination_rad)
@@ -129,7 +129,7 @@ def correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> S
             n_no_north = 1
         elif is_headed:
             hold_s = min(fresh.mag_hold_s, max(dt_s, LONGEST_HOLD_S))
-            turn, b_up = correct_component(
+            turn, b_up = _correct_component(
                 error, b_up, hold_s, rows if hold_s == dt_s else transition_matrix(hold_s, c)
             )
         else:  # the first heading is taken, not approached
@@ -146,7 +146,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if not state.is_level:
         state = begin_observer(state, fresh, c.declination_rad)
     elif fresh.accel:
-        state = correct_state(state, sample.dt_s, fresh, c)
+        state = _correct_state(state, sample.dt_s, fresh, c)
     else:
         state = keep_prediction(state)
     return state, make_output(state, c.settling_s)

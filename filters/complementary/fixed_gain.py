@@ -131,7 +131,7 @@ def correction_gains(kp_per_s: float, ki_per_s2: float, dt_s: float) -> tuple[fl
 
 
 @compiled_inside
-def correct_state(state: State, error: Error, c: Coefficients) -> State:
+def _correct_state(state: State, error: Error, c: Coefficients) -> State:
     """Correct the predicted state by (10)."""
     q_nb, is_headed = state.q_nb, state.is_headed
     tilted, tilt_bias = correction_gains(c.kp_per_s, c.ki_per_s2, error.tilt_s)
@@ -154,7 +154,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
         state = begin_observer(state, fresh, c.declination_rad)
     elif fresh.accel or fresh.mag:
         error = measure_error(state.q_nb, fields, fresh, accel_s, state.is_headed, c.declination_rad)
-        state = correct_state(state, error, c)
+        state = _correct_state(state, error, c)
     else:
         state = keep_prediction(state)
     return state, make_output(state, c.settling_s)

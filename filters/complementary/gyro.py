@@ -64,17 +64,17 @@ def start(c: Coefficients) -> State:
 
 
 @compiled_inside
-def turn_by_rate(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quaternion:
+def _turn_by_rate(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quaternion:
     """Rotate the attitude by one constant rate over the interval."""
     return multiply(q_nb, rotation.exp(scale(rate_b_radps, dt_s)))
 
 
 @compiled_inside
-def turn_by_euler_rates(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
+def _turn_by_euler_rates(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
     """Integrate each Euler angle by its rate at the start of the interval; True where the rates are singular."""
     up, across, cos_pitch = euler_frame(q_nb)
     if cos_pitch < GIMBAL:
-        return turn_by_rate(q_nb, rate_b_radps, dt_s), True
+        return _turn_by_rate(q_nb, rate_b_radps, dt_s), True
     heading = (up[1] * rate_b_radps[1] + up[2] * rate_b_radps[2]) / (cos_pitch * cos_pitch)
     pitch = across[1] * rate_b_radps[1] + across[2] * rate_b_radps[2]
     roll = rate_b_radps[0] - up[0] * heading
@@ -88,10 +88,10 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if is_level:
         rate = blend(sample.gyro_b_radps, state.rate_b_radps, c.newest)
         if c.euler:
-            q_nb, is_singular = turn_by_euler_rates(q_nb, rate, sample.dt_s)
+            q_nb, is_singular = _turn_by_euler_rates(q_nb, rate, sample.dt_s)
             n_gimbal += is_singular
         else:
-            q_nb = turn_by_rate(q_nb, rate, sample.dt_s)
+            q_nb = _turn_by_rate(q_nb, rate, sample.dt_s)
         q_nb = normalise(q_nb)
     if sample.dt_s > GAP_S:
         n_gaps += 1

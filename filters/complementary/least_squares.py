@@ -111,13 +111,13 @@ class Part(NamedTuple):
 
 
 @compiled_inside
-def start_part(kp_per_s: float, ki_per_s2: float) -> Part:
+def _start_part(kp_per_s: float, ki_per_s2: float) -> Part:
     """Return a part before the first sample, with these gains."""
     return Part(Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0, kp_per_s, ki_per_s2, 0, 0), 0.0, 0.0, 0.0, ki_per_s2)
 
 
 @compiled_inside
-def add_row(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Regression) -> Fit:
+def _add_row(fit: Fit, error: float, integral: float, added: float, dt_s: float, c: Regression) -> Fit:
     """Add one row of H and S (times T) to the sums and solve eq (22)."""
     ee, ei, ii, es, si, samples, kp, ki, clipped, undetermined = fit
     fade = exp(-dt_s / c.memory_s)
@@ -139,7 +139,7 @@ def add_row(fit: Fit, error: float, integral: float, added: float, dt_s: float, 
 
 
 @compiled_inside
-def update_part(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Regression) -> Part:
+def _update_part(part: Part, error: float, integral: float, dt_s: float, follows: bool, c: Regression) -> Part:
     """Fit the gains to what the last correction left over, then compute the next correction.
 
     ``integral`` is this part's before this error; ``follows`` is False where the sample before is too old for a row.
@@ -148,13 +148,13 @@ def update_part(part: Part, error: float, integral: float, dt_s: float, follows:
     if follows:
         added = part.turned_rad + part.ki_per_s2 * part.integral_rad_s * dt_s
         should = added if c.as_printed else added + error
-        fit = add_row(fit, part.error_rad_s, part.integral_rad_s * dt_s, should, dt_s, c)
+        fit = _add_row(fit, part.error_rad_s, part.integral_rad_s * dt_s, should, dt_s, c)
     turned, biased = correction_gains(fit.kp_per_s, fit.ki_per_s2, dt_s)
     return Part(fit, error * dt_s, integral + error * dt_s, error * turned, biased / dt_s)
 
 
 @compiled_inside
-def interrupt_part(part: Part) -> Part:
+def _interrupt_part(part: Part) -> Part:
     """Return a part after a gap: the sums stay, but no correction precedes the next row."""
     return Part(part.fit, 0.0, part.integral_rad_s, 0.0, part.ki_per_s2)
 
@@ -239,12 +239,12 @@ def literal_coefficients(params: LiteralParams, declination_rad: float) -> Coeff
 @compiled_entry
 def start(c: Coefficients) -> State:
     """Return the state before the first sample: level, with the body's x axis pointing north."""
-    part = start_part(c.kp_per_s, c.ki_per_s2)
+    part = _start_part(c.kp_per_s, c.ki_per_s2)
     return State(start_observer(0.0), (0.0, 0.0, 0.0), Parts(part, part, part), 0, 0)
 
 
 @compiled_inside
-def forward_direction(q_nb: Quaternion) -> tuple[float, float]:
+def _forward_direction(q_nb: Quaternion) -> tuple[float, float]:
     """Return the horizontal direction (east, north) of the body's x axis; east where that axis is vertical."""
     w, x, y, z = q_nb
     half_east, half_north = 1.0 * 0.5 - y * y - z * z, x * y + w * z
@@ -256,45 +256,45 @@ def forward_direction(q_nb: Quaternion) -> tuple[float, float]:
 
 
 @compiled_inside
-def to_travel_axes(v_n: Vector, forward: tuple[float, float]) -> Vector:
+def _to_travel_axes(v_n: Vector, forward: tuple[float, float]) -> Vector:
     """Return a vector of n along the direction of travel, to its left, and up."""
     return v_n[0] * forward[0] + v_n[1] * forward[1], v_n[1] * forward[0] - v_n[0] * forward[1], v_n[2]
 
 
 @compiled_inside
-def from_travel_axes(v: Vector, forward: tuple[float, float]) -> Vector:
-    """Return the inverse of :func:`to_travel_axes`."""
+def _from_travel_axes(v: Vector, forward: tuple[float, float]) -> Vector:
+    """Return the inverse of :func:`_to_travel_axes`."""
     return v[0] * forward[0] - v[1] * forward[1], v[0] * forward[1] + v[1] * forward[0], v[2]
 
 
 @compiled_inside
-def correct_state(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
+def _correct_state(state: State, error: Error, follow_accel: bool, follow_mag: bool, c: Coefficients) -> State:
     """Correct the predicted state by (10), with the gains of (22).
 
     ``follow_...``: the sample of that sensor before is recent enough for a row of (21).
     """
     q_nb, is_headed, (roll, pitch, heading) = state.observer.q_nb, state.observer.is_headed, state.parts
-    forward = forward_direction(q_nb)
-    e_roll, e_pitch, e_turn = to_travel_axes((error.tilt_x, error.tilt_y, error.turn), forward)
-    i_roll, i_pitch, i_turn = to_travel_axes(rotate(q_nb, state.integral_b_rad_s), forward)
+    forward = _forward_direction(q_nb)
+    e_roll, e_pitch, e_turn = _to_travel_axes((error.tilt_x, error.tilt_y, error.turn), forward)
+    i_roll, i_pitch, i_turn = _to_travel_axes(rotate(q_nb, state.integral_b_rad_s), forward)
     roll_turn = pitch_turn = turn = 0.0
     if error.tilt_s > 0:
-        roll = update_part(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
-        pitch = update_part(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
+        roll = _update_part(roll, e_roll, i_roll, error.tilt_s, follow_accel, c.regression)
+        pitch = _update_part(pitch, e_pitch, i_pitch, error.tilt_s, follow_accel, c.regression)
         i_roll, roll_turn = roll.integral_rad_s, roll.turned_rad
         i_pitch, pitch_turn = pitch.integral_rad_s, pitch.turned_rad
     if error.is_first:
         turn, is_headed = e_turn, True
         heading = Part(heading.fit, 0.0, i_turn, 0.0, heading.ki_per_s2)
     elif error.turn_s > 0:
-        heading = update_part(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
+        heading = _update_part(heading, e_turn, i_turn, error.turn_s, follow_mag, c.regression)
         i_turn, turn = heading.integral_rad_s, heading.turned_rad
     b = i_roll * roll.ki_per_s2, i_pitch * pitch.ki_per_s2, i_turn * heading.ki_per_s2
-    q_bn, turned_n = conjugate(q_nb), from_travel_axes((roll_turn, pitch_turn, turn), forward)
-    b_radps, turned_nb = rotate(q_bn, from_travel_axes(b, forward)), multiply(rotation.exp(turned_n), q_nb)
+    q_bn, turned_n = conjugate(q_nb), _from_travel_axes((roll_turn, pitch_turn, turn), forward)
+    b_radps, turned_nb = rotate(q_bn, _from_travel_axes(b, forward)), multiply(rotation.exp(turned_n), q_nb)
     return State(
         set_attitude(state.observer, turned_nb, b_radps, is_headed, error.n_no_north),
-        rotate(q_bn, from_travel_axes((i_roll, i_pitch, i_turn), forward)),
+        rotate(q_bn, _from_travel_axes((i_roll, i_pitch, i_turn), forward)),
         Parts(roll, pitch, heading),
         roll.fit.clipped + pitch.fit.clipped + heading.fit.clipped,
         roll.fit.undetermined + pitch.fit.undetermined + heading.fit.undetermined,
@@ -311,14 +311,14 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if not observer.is_level:
         observer = begin_observer(observer, fresh, c.declination_rad)
         if fresh.accel:
-            parts = Parts(interrupt_part(parts.roll), interrupt_part(parts.pitch), interrupt_part(parts.heading))
+            parts = Parts(_interrupt_part(parts.roll), _interrupt_part(parts.pitch), _interrupt_part(parts.heading))
         state = State(observer, integral, parts, n_clipped, n_undetermined)
     else:
         observer = keep_prediction(observer)
         state = State(observer, integral, parts, n_clipped, n_undetermined)
         if fresh.accel or fresh.mag:
             error = measure_error(observer.q_nb, fields, fresh, accel_s, observer.is_headed, c.declination_rad)
-            state = correct_state(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
+            state = _correct_state(state, error, accel_s <= gap_s, fresh.mag_hold_s <= gap_s, c)
     return state, make_output(state.observer, c.settling_s)
 
 

@@ -85,19 +85,19 @@ def start(c: Coefficients) -> State:
 
 
 @compiled
-def read_row(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
+def _read_row(ring: NDArray[np.float64], row: int) -> tuple[Vector, Vector]:
     """Return up and east of one sample in the window."""
     return (ring[row, 0], ring[row, 1], ring[row, 2]), (ring[row, 3], ring[row, 4], ring[row, 5])
 
 
 @compiled
-def slide_window(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
+def _slide_window(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -> Window:
     """Append one attitude to the window and drop those that are too old."""
     ring, stamps_ns, oldest, held, up_sum, east_sum, is_full, n_cut = window
     while held > 0 and (t_ns - stamps_ns[oldest] >= c.window_ns or held == c.room):
         if t_ns - stamps_ns[oldest] < c.window_ns:
             n_cut += 1
-        up, east = read_row(ring, oldest)
+        up, east = _read_row(ring, oldest)
         up_sum, east_sum = add(up_sum, scale(up, -1.0)), add(east_sum, scale(east, -1.0))
         oldest, held, is_full = (oldest + 1) % c.room, held - 1, True
     row, q_bn = (oldest + held) % c.room, conjugate(q_nb)
@@ -109,7 +109,7 @@ def slide_window(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) -
 
 
 @compiled
-def mean_attitude(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
+def _mean_attitude(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     """Return the attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
     least = 1.0 * window.held * LEAST_SUM
     height = norm(window.up_sum_b)
@@ -131,7 +131,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     t_ns = state.t_ns + round(np.float64(sample.dt_s) * 1e9)
     window, q_nb, n_no_mean = state.window, state.q_nb, state.n_no_mean
     if output.ready:
-        window = slide_window(window, output.q_nb, t_ns, c)
-        q_nb, found = mean_attitude(window, q_nb)
+        window = _slide_window(window, output.q_nb, t_ns, c)
+        q_nb, found = _mean_attitude(window, q_nb)
         n_no_mean += 0 if found else 1
     return State(inner, window, t_ns, q_nb, n_no_mean), Output(q_nb, None, None, None, window.is_full)

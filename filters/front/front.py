@@ -59,7 +59,7 @@ def step(state: State, raw: Raw, c: Coefficients) -> tuple[State, Sample, bool]:
 
 
 @compiled_inside
-def read_raw(log: RawLog, k: int) -> Raw:
+def _read_raw(log: RawLog, k: int) -> Raw:
     """Return sample ``k`` of the columns."""
     gyro, accel = log.gyro_b_radps, log.accel_b_mps2
     field, fix = log.mag_b_ut[max(log.mag_row[k], 0)], max(log.fix_row[k], 0)
@@ -79,14 +79,14 @@ def filter_log(raw: RawLog, state: State, c: Coefficients) -> tuple[State, Log]:
     n, kind = len(raw.t_ns), raw.gyro_b_radps.dtype
     gyro, accel, mag, hidden = (np.empty((n, 3), kind) for _ in range(4))
     log = Log(np.empty(n, kind), gyro, accel, mag, np.empty(n, np.bool_), np.empty(n, np.bool_), hidden)
-    return fill_log(log, raw, state, c), log
+    return _fill_log(log, raw, state, c), log
 
 
 @compiled_entry
-def fill_log(log: Log, raw: RawLog, state: State, c: Coefficients) -> State:
+def _fill_log(log: Log, raw: RawLog, state: State, c: Coefficients) -> State:
     """Write what the estimator gets into the columns and return the state after it."""
     for k in range(len(raw.t_ns)):
-        state, sample, _ = step(state, read_raw(raw, k), c)
+        state, sample, _ = step(state, _read_raw(raw, k), c)
         log.dt_s[k] = sample.dt_s
         write_row(log.gyro_b_radps, k, sample.gyro_b_radps)
         write_row(log.accel_b_mps2, k, sample.accel_b_mps2)

@@ -130,7 +130,7 @@ def coefficients(ranges: Ranges) -> Coefficients:
 
 
 @compiled_inside
-def no_late_stamps() -> Late:
+def _no_late_stamps() -> Late:
     """Return an empty record of late stamps."""
     return Late(NEVER_NS, NEVER_NS, 0)
 
@@ -141,11 +141,11 @@ def start(c: Coefficients) -> Guard:
     none = nan  # the same as no vector
     last = (none, none, none)
     gyro = Gyro(last, NEVER_NS, 0, 0, 0)
-    return Guard(NEVER_NS, no_late_stamps(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
+    return Guard(NEVER_NS, _no_late_stamps(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
 
 
 @compiled_inside
-def check_vector(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
+def _check_vector(v: Vector, last: Vector, limit: float, largest: float) -> Reading:
     """Judge a vector as it came. NaN is not usable: no comparison with it is true."""
     is_usable = abs(v[0]) < largest and abs(v[1]) < largest and abs(v[2]) < largest
     vector = like(limit, v[0]), like(limit, v[1]), like(limit, v[2])
@@ -154,41 +154,41 @@ def check_vector(v: Vector, last: Vector, limit: float, largest: float) -> Readi
 
 
 @compiled_inside
-def hidden_by_clipping(rate: float, limit: float) -> float:
+def _hidden_by_clipping(rate: float, limit: float) -> float:
     """Return what a component at the end of its range may hide: as much again."""
     return limit if abs(rate) >= limit else 0.0
 
 
 @compiled_inside
-def elapsed_ns(t_ns: int, before_ns: int) -> int:
+def _elapsed_ns(t_ns: int, before_ns: int) -> int:
     """Return the time from the second stamp to the first, which is later; at most the largest int64."""
     elapsed = t_ns - before_ns
     return elapsed if elapsed >= 0 else LONGEST_NS
 
 
 @compiled_inside
-def add_late_stamp(late: Late, t_ns: int) -> tuple[Late, bool]:
+def _add_late_stamp(late: Late, t_ns: int) -> tuple[Late, bool]:
     """Add a stamp that does not rise; True once such stamps have risen among themselves for long enough."""
     first_ns, last_ns, in_row = late
     if in_row == 0 or t_ns <= last_ns:
         return Late(t_ns, t_ns, 1), False
     late = Late(first_ns, t_ns, in_row + 1)
-    return late, in_row + 1 >= CLOCK_SAMPLES and elapsed_ns(t_ns, first_ns) > CLOCK_NS
+    return late, in_row + 1 >= CLOCK_SAMPLES and _elapsed_ns(t_ns, first_ns) > CLOCK_NS
 
 
 @compiled_inside
-def choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
+def _choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[Gyro, Vector, Vector]:
     """Return the rate to use (read, else the last good one for a while, else rest) and what it may hide."""
     last, last_ns, n_bad, n_saturated, n_same = gyro
     n_same += 1 if reading.is_same else 0
     n_saturated += 1 if reading.is_saturated else 0
     if reading.is_usable:
         x, y, z = reading.vector
-        hidden = hidden_by_clipping(x, limit), hidden_by_clipping(y, limit), hidden_by_clipping(z, limit)
+        hidden = _hidden_by_clipping(x, limit), _hidden_by_clipping(y, limit), _hidden_by_clipping(z, limit)
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
     unseen = UNSEEN_RADPS
     rate, hidden = (0.0, 0.0, 0.0), (unseen, unseen, unseen)
-    if last_ns != NEVER_NS and elapsed_ns(t_ns, last_ns) <= HOLD_NS:
+    if last_ns != NEVER_NS and _elapsed_ns(t_ns, last_ns) <= HOLD_NS:
         rate = last
     elif last_ns != NEVER_NS:  # it may still turn as it did
         hidden = max(unseen, abs(last[0])), max(unseen, abs(last[1])), max(unseen, abs(last[2]))
@@ -196,13 +196,13 @@ def choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple[
 
 
 @compiled_inside
-def is_left_out(reading: Reading) -> bool:
+def _is_left_out(reading: Reading) -> bool:
     """Return whether the direction of an accelerometer or magnetometer vector is meaningless."""
     return reading.is_saturated or not reading.is_usable
 
 
 @compiled_inside
-def count_reading(reading: Reading) -> tuple[int, int, int]:
+def _count_reading(reading: Reading) -> tuple[int, int, int]:
     """Return whether a reading is bad, saturated, or the same as before: 1 or 0 each."""
     return 0 if reading.is_usable else 1, 1 if reading.is_saturated else 0, 1 if reading.is_same else 0
 
@@ -213,27 +213,27 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
     t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps = guard
     none = (0.0, 0.0, 0.0)
     if raw.t_ns <= t_ns:
-        late, is_clock = add_late_stamp(late, raw.t_ns)
+        late, is_clock = _add_late_stamp(late, raw.t_ns)
         if not is_clock:
             guard = Guard(t_ns, late, gyro, accel, mag, n_gaps, n_out_of_order + 1, n_clock_steps)
             return guard, Sample(0.0, none, none, none, False, False, none), False
         # What was left out took that long; a rate from before it is no longer held.
         t_ns, n_clock_steps = late.first_ns, n_clock_steps + 1
         gyro = Gyro(gyro.last_b_radps, NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
-    dt_s = like(0.0, elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else 0.0
+    dt_s = like(0.0, _elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else 0.0
     n_gaps += 1 if dt_s > GAP_S else 0
-    reading = check_vector(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
-    gyro, rate, hidden = choose_rate(gyro, reading, raw.t_ns, c.gyro_radps)
-    force = check_vector(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)
-    n_bad, n_saturated, n_same = count_reading(force)
+    reading = _check_vector(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
+    gyro, rate, hidden = _choose_rate(gyro, reading, raw.t_ns, c.gyro_radps)
+    force = _check_vector(raw.accel_b_mps2, accel.last_b_mps2, c.accel_mps2, LARGEST_MPS2)
+    n_bad, n_saturated, n_same = _count_reading(force)
     last = force.vector if force.is_usable else accel.last_b_mps2
     accel = Accel(last, accel.n_bad_accel + n_bad, accel.n_saturated_accel + n_saturated, accel.n_same_accel + n_same)
-    field = check_vector(raw.mag_b_ut, mag.last_b_ut, c.mag_ut, LARGEST_UT)
+    field = _check_vector(raw.mag_b_ut, mag.last_b_ut, c.mag_ut, LARGEST_UT)
     if raw.has_mag:
-        n_bad, n_saturated, n_same = count_reading(field)
+        n_bad, n_saturated, n_same = _count_reading(field)
         last = field.vector if field.is_usable else mag.last_b_ut
         mag = Mag(last, mag.n_bad_mag + n_bad, mag.n_saturated_mag + n_saturated, mag.n_same_mag + n_same)
-    has_accel, has_mag = not is_left_out(force), raw.has_mag and not is_left_out(field)
+    has_accel, has_mag = not _is_left_out(force), raw.has_mag and not _is_left_out(field)
     accel_b, mag_b = force.vector if has_accel else none, field.vector if has_mag else none
     sample = Sample(dt_s, rate, accel_b, mag_b, has_accel, has_mag, hidden)
-    return Guard(raw.t_ns, no_late_stamps(), gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps), sample, True
+    return Guard(raw.t_ns, _no_late_stamps(), gyro, accel, mag, n_gaps, n_out_of_order, n_clock_steps), sample, True

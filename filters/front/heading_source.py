@@ -137,7 +137,7 @@ def start(zero: float) -> State:
 
 
 @compiled_inside
-def correction_gains(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
+def _correction_gains(error_s: float, age_s: float, time_s: float) -> tuple[float, float]:
     """Return, for an error held over ``error_s``, the share to turn by and the share to take off the bias (1/s).
 
     A critically damped PI filter of this time constant, and at first, up to this age, the mean of what there is.
@@ -149,7 +149,7 @@ def correction_gains(error_s: float, age_s: float, time_s: float) -> tuple[float
 
 
 @compiled_inside
-def correct_attitude(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
+def _correct_attitude(attitude: Attitude, error_n: Vector, share: tuple[float, float]) -> Attitude:
     """Turn by a share of an error (a rotation vector in n), and take another share of it off the bias."""
     q_nb, bias, is_level, age_s = attitude
     bias = add(bias, rotate(conjugate(q_nb), scale(error_n, -share[1])))
@@ -157,7 +157,7 @@ def correct_attitude(attitude: Attitude, error_n: Vector, share: tuple[float, fl
 
 
 @compiled_inside
-def follow_gravity(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
+def _follow_gravity(attitude: Attitude, sample: Sample, c: Coefficients) -> Attitude:
     """Turn by the rate less its bias, then towards the accelerometer's up."""
     q_nb, bias, is_level, age_s = attitude
     dt_s = sample.dt_s
@@ -169,12 +169,12 @@ def follow_gravity(attitude: Attitude, sample: Sample, c: Coefficients) -> Attit
     if not sample.has_accel or dot(sample.accel_b_mps2, sample.accel_b_mps2) < FREE_FALL_M2PS4:
         return Attitude(normalise(q_nb), bias, is_level, age_s)
     tilt_x, tilt_y = tilt_error(rotate(q_nb, sample.accel_b_mps2))
-    share = correction_gains(dt_s, age_s, c.tilt_time_s) if is_level else (1.0, 0.0)
-    return correct_attitude(Attitude(q_nb, bias, True, age_s if is_level else 0.0), (tilt_x, tilt_y, 0.0), share)
+    share = _correction_gains(dt_s, age_s, c.tilt_time_s) if is_level else (1.0, 0.0)
+    return _correct_attitude(Attitude(q_nb, bias, True, age_s if is_level else 0.0), (tilt_x, tilt_y, 0.0), share)
 
 
 @compiled_inside
-def follow_course(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
+def _follow_course(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficients) -> tuple[Attitude, Courses, bool]:
     """Turn towards the course of one fix; False where the fix does not count."""
     since_s, in_row, n_used, n_left_out = courses
     east, north, _ = rotate(attitude.q_nb, (1.0, 0.0, 0.0))
@@ -186,9 +186,9 @@ def follow_course(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficient
     behind = course_rad + c.mounting_yaw_rad - atan2(east, north)
     error_n = (0.0, 0.0, -atan2(sin(behind), cos(behind)))
     share = (
-        correction_gains(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (1.0, 0.0)
+        _correction_gains(since_s, since_s * like(since_s, in_row + 1), c.course_time_s) if in_row > 0 else (1.0, 0.0)
     )
-    return correct_attitude(attitude, error_n, share), Courses(0.0, in_row + 1, n_used + 1, n_left_out), True
+    return _correct_attitude(attitude, error_n, share), Courses(0.0, in_row + 1, n_used + 1, n_left_out), True
 
 
 @compiled_inside
@@ -200,13 +200,13 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients 
     if c is None:
         return state, sample
     dt_s, gyro, accel, mag, has_accel, has_mag, hidden = sample
-    attitude, (since_s, in_row, n_used, n_left_out) = follow_gravity(state.attitude, sample, c), state.courses
+    attitude, (since_s, in_row, n_used, n_left_out) = _follow_gravity(state.attitude, sample, c), state.courses
     since_s += dt_s
     if since_s > c.longest_age_s or dt_s > GAP_S:
         in_row = 0
     courses, is_new = Courses(since_s, in_row, n_used, n_left_out), False
     if has_fix:
-        attitude, courses, is_new = follow_course(attitude, courses, fix, c)
+        attitude, courses, is_new = _follow_course(attitude, courses, fix, c)
     calibration, since_mag_s = state.calibration, state.since_mag_s + dt_s
     n_by_course, n_corrected = state.n_mag_by_course, state.n_mag_corrected
     is_field = has_mag and dot(mag, mag) > 0

@@ -104,7 +104,7 @@ def prepare_log(imu: Imu, sources: Sources, precision: Precision) -> tuple[Log, 
     raw, facts = make_raw_log(imu, sources)
     c = to_precision(sources.front, precision)
     state, log = front.filter_log(to_precision(raw, precision), to_precision(front.start(c), precision), c)
-    return log, facts | collect_counts(state) | sources.facts | report_calibration(state.heading)
+    return log, facts | collect_counts(state) | sources.facts | _report_calibration(state.heading)
 
 
 def make_raw_log(imu: Imu, sources: Sources) -> tuple[RawLog, dict[str, Any]]:
@@ -130,7 +130,7 @@ def newest_rows(t_ns: Times, at_ns: Times) -> NDArray[np.int64]:
     return np.where(np.diff(rows, prepend=-1) > 0, rows, -1).astype(np.int64)
 
 
-def report_calibration(state: heading_source.State) -> dict[str, Any]:
+def _report_calibration(state: heading_source.State) -> dict[str, Any]:
     """Return what a run with courses learnt about the magnetometer; empty without courses."""
     calibration = state.calibration
     if not calibration.is_begun:

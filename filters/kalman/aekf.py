@@ -135,7 +135,7 @@ def start(c: Coefficients) -> State:
 
 
 @compiled_inside
-def add_vibration(vibration: Vibration, sample: Sample, c: Coefficients) -> Vibration:
+def _add_vibration(vibration: Vibration, sample: Sample, c: Coefficients) -> Vibration:
     """Add the second difference of the rate that ends with this sample, less what the gyro's noise makes of it."""
     (x1, y1, z1), (x2, y2, z2), square = vibration
     x, y, z = sample.gyro_b_radps
@@ -145,13 +145,13 @@ def add_vibration(vibration: Vibration, sample: Sample, c: Coefficients) -> Vibr
 
 
 @compiled_inside
-def choose_alpha(mean_square: float, c: Coefficients) -> float:
+def _choose_alpha(mean_square: float, c: Coefficients) -> float:
     """Return alpha by (17), limited."""
     return min(mean_square, c.largest_alpha) if mean_square > c.least_alpha else 1.0
 
 
 @compiled_inside
-def watch_field(state: State, heading: Measurement, c: Coefficients) -> tuple[Measurement, bool, float]:
+def _watch_field(state: State, heading: Measurement, c: Coefficients) -> tuple[Measurement, bool, float]:
     """Return the heading's measurement (trusted less while a magnet may pass), if the field is known, disturbed_s."""
     window, disturbed_s = state.body.window, state.disturbed_s
     length_s = window.turning.length_s
@@ -167,7 +167,7 @@ def watch_field(state: State, heading: Measurement, c: Coefficients) -> tuple[Me
 
 
 @compiled_apart
-def add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: Matrix) -> None:
+def _add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: Matrix) -> None:
     """Add to S what an update has corrected since ``before`` (x and P's diagonal), and to V its expected variance."""
     for i in range(FADING):
         sums[0, i] += x[HEADING + i] - before[0][i]
@@ -175,7 +175,7 @@ def add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: M
 
 
 @compiled_apart
-def copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
+def _copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
     """Return heading and bias, and their variances."""
     values, variances = np.zeros(FADING, x.dtype), np.zeros(FADING, x.dtype)
     for i in range(FADING):
@@ -184,7 +184,7 @@ def copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
 
 
 @compiled_apart
-def fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
+def _fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
     """Multiply the variances of heading and bias by lambda, up to those of the start."""
     for i in range(FADING):
         variance = p[HEADING + i, HEADING + i]
@@ -196,14 +196,14 @@ def fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
 
 
 @compiled_apart
-def add_rate_error(p: Matrix, vibration: Vibration, c: Coefficients) -> None:
+def _add_rate_error(p: Matrix, vibration: Vibration, c: Coefficients) -> None:
     """Add to P of the attitude the error of the rate by the window's vibration."""
     for i in range(HEADING + 1):
         p[i, i] += c.vibration * max(vibration.square, 0.0) / SECOND_DIFFERENCE
 
 
 @compiled_apart
-def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
+def _update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
     """Update at the end of a window; return the state at the beginning of the next, and the innovations."""
     body, sums = state.body, state.corrections
     x, p, turning = body.x, body.p, body.window.turning
@@ -211,28 +211,28 @@ def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
     sums[0] *= kept
     sums[1] *= kept * kept
     at = predict_window(body, c.ekf)
-    add_rate_error(p, state.vibration, c)
+    _add_rate_error(p, state.vibration, c)
 
     east, north = whiten_velocity(x, p, at.velocity_variance)
     of_east, of_north, of_heading = state.mean_squares
     of_east += (east * east - of_east) * c.newest
     of_north += (north * north - of_north) * c.newest
-    before, alphas = copy_fading(x, p), (choose_alpha(of_east, c), choose_alpha(of_north, c))
+    before, alphas = _copy_fading(x, p), (_choose_alpha(of_east, c), _choose_alpha(of_north, c))
     beyond = update_velocity(x, p, at.velocity_variance, alphas, c.ekf.gate)
     velocity_beyond = beyond or max(alphas[0], alphas[1]) >= c.largest_alpha
     update_bias(x, p, turning, at, c.ekf)
-    add_corrections(sums, before, x, p)
+    _add_corrections(sums, before, x, p)
 
-    heading, is_known, disturbed_s = watch_field(state, at.heading, c)
+    heading, is_known, disturbed_s = _watch_field(state, at.heading, c)
     nu = whiten_heading(x, p, heading)
     if heading.is_there:
         of_heading += (nu * nu - of_heading) * c.newest
-    before, alpha = copy_fading(x, p), choose_alpha(of_heading, c)
+    before, alpha = _copy_fading(x, p), _choose_alpha(of_heading, c)
     heading_beyond = update_heading(x, p, heading, alpha, body.status, c.ekf) or alpha >= c.largest_alpha
     if is_known:
-        add_corrections(sums, before, x, p)
+        _add_corrections(sums, before, x, p)
 
-    fade(p, sums, c)
+    _fade(p, sums, c)
     body = finish_window(body, at, nu, (velocity_beyond, heading_beyond), c.ekf)
     vibration = Vibration(state.vibration.last_b_radps, state.vibration.before_b_radps, 0.0)
     return State(body, (of_east, of_north, of_heading), sums, disturbed_s, vibration), (east, north, nu)
@@ -241,9 +241,9 @@ def update_window(state: State, c: Coefficients) -> tuple[State, Vector]:
 @compiled_inside
 def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     """Turn by the rate; at the end of a window predict the errors and update them, with trust as the evidence says."""
-    body, vibration = add_sample(state.body, sample, c.ekf), add_vibration(state.vibration, sample, c)
+    body, vibration = add_sample(state.body, sample, c.ekf), _add_vibration(state.vibration, sample, c)
     state = State(body, state.mean_squares, state.corrections, state.disturbed_s, vibration)
     innovations = no_innovations(c.ekf)
     if is_due(body.window.turning, c.ekf):
-        state, innovations = update_window(state, c)
+        state, innovations = _update_window(state, c)
     return state, make_output(state.body, innovations, c.ekf)

@@ -123,7 +123,7 @@ def scale_variance(p: Matrix, i: int, factor: float) -> None:
 
 
 @compiled
-def times_six(p: Matrix, u: Six) -> Six:
+def _times_six(p: Matrix, u: Six) -> Six:
     """Return P of the first six states, times u."""
     a, b, c, d, e, f = u
     return (
@@ -137,13 +137,13 @@ def times_six(p: Matrix, u: Six) -> Six:
 
 
 @compiled
-def dot_six(u: Six, v: Six) -> float:
+def _dot_six(u: Six, v: Six) -> float:
     """Return the scalar product."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2] + u[3] * v[3] + u[4] * v[4] + u[5] * v[5]
 
 
 @compiled
-def project_error(axis: Vector, spread_s: Axes) -> Six:
+def _project_error(axis: Vector, spread_s: Axes) -> Six:
     """Return the weights of the six errors in the attitude error about this axis of n, a little after P."""
     x, y, z = axis
     return x, y, z, -dot(spread_s[0], axis), -dot(spread_s[1], axis), -dot(spread_s[2], axis)
@@ -156,10 +156,10 @@ def covariance_in_body(p: Matrix, spread_s: Axes, variance: float, q_nb: Quatern
     ``spread_s`` (columns) is S, by which errors 3 .. 5, a gyro's bias, have entered errors 0 .. 2, the attitude's in n.
     """
     first, second, third = body_axes_in_n(q_nb)
-    u, v, w = project_error(first, spread_s), project_error(second, spread_s), project_error(third, spread_s)
-    pu, pv, pw = times_six(p, u), times_six(p, v), times_six(p, w)
-    uv, uw, vw = dot_six(u, pv), dot_six(u, pw), dot_six(v, pw)
-    uu, vv, ww = dot_six(u, pu) + variance, dot_six(v, pv) + variance, dot_six(w, pw) + variance
+    u, v, w = _project_error(first, spread_s), _project_error(second, spread_s), _project_error(third, spread_s)
+    pu, pv, pw = _times_six(p, u), _times_six(p, v), _times_six(p, w)
+    uv, uw, vw = _dot_six(u, pv), _dot_six(u, pw), _dot_six(v, pw)
+    uu, vv, ww = _dot_six(u, pu) + variance, _dot_six(v, pv) + variance, _dot_six(w, pw) + variance
     return uu, uv, uw, uv, vv, vw, uw, vw, ww
 
 

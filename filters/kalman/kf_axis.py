@@ -51,7 +51,7 @@ class Axis(NamedTuple):
 
 
 @compiled_inside
-def predict_axis(axis: Axis, dt_s: float, angle_rad2ps: float, walk_rad2ps3: float) -> Axis:
+def _predict_axis(axis: Axis, dt_s: float, angle_rad2ps: float, walk_rad2ps3: float) -> Axis:
     """Return P of (11) after an interval: A P A' + Q dt; Q holds the variances per second of angle and bias."""
     p_angle, p_cross, p_bias = axis
     grown = p_angle + dt_s * (dt_s * p_bias - p_cross - p_cross) + angle_rad2ps * dt_s
@@ -59,7 +59,7 @@ def predict_axis(axis: Axis, dt_s: float, angle_rad2ps: float, walk_rad2ps3: flo
 
 
 @compiled_inside
-def correct_axis(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float, float]:
+def _correct_axis(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, float, float]:
     """Return P after a measurement of variance ``r``, the corrections of angle and bias, the normalised innovation.
 
     P - K S K' in the form that cannot turn negative by rounding: every term is a product or a sum of positive ones.
@@ -73,14 +73,14 @@ def correct_axis(axis: Axis, innovation: float, r: float) -> tuple[Axis, float, 
 
 
 @compiled_inside
-def widen_axis(axis: Axis, turn: float) -> Axis:
+def _widen_axis(axis: Axis, turn: float) -> Axis:
     """Inflate the angle variance after an unmeasured turn (sd); such errors persist, so standard deviations add."""
     root = sqrt(axis.p_angle) + turn
     return Axis(max(axis.p_angle, min(root * root, ANY_ANGLE_RAD2)), axis.p_cross, axis.p_bias)
 
 
 @compiled_inside
-def reset_axis(p_angle: float, p_bias: float) -> Axis:
+def _reset_axis(p_angle: float, p_bias: float) -> Axis:
     """Return a P whose angle and bias are independent."""
     return Axis(p_angle, 0.0, p_bias)
 
@@ -187,14 +187,14 @@ def start(c: Coefficients) -> State:
 
 
 @compiled_inside
-def renormalise(q: Quaternion) -> Quaternion:
+def _renormalise(q: Quaternion) -> Quaternion:
     """Return a quaternion of length 1 if only rounding is off: one Newton step, with neither root nor division."""
     share = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * share, q[1] * share, q[2] * share, q[3] * share
 
 
 @compiled_inside
-def measure_tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
+def _measure_tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float, float]:
     """Return (14), (15) less the roll and pitch of the attitude, in (-pi, pi]."""
     fx, fy, fz = force
     up, cos_pitch = frame.up_b, frame.cos_pitch
@@ -218,44 +218,48 @@ def remove_coriolis(force: Vector, rate: Vector, speed_mps: float) -> Vector:
 
 
 @compiled_inside
-def correct_tilt(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Corrected:
+def _correct_tilt(state: State, sample: Sample, has_accel: bool, c: Coefficients) -> Corrected:
     """Turn the attitude by the gyro, then correct roll and pitch by the accelerometer."""
     dt_s, none = sample.dt_s, nan
     bias = state.bias_b_radps
     rate = add(sample.gyro_b_radps, scale(bias, -1.0))
-    q_nb = multiply(renormalise(state.q_nb), rotation.exp(scale(rate, dt_s)))
+    q_nb = multiply(_renormalise(state.q_nb), rotation.exp(scale(rate, dt_s)))
     frame = euler_frame(q_nb)
     if frame.cos_pitch < GIMBAL:
         return Corrected(q_nb, bias, state.roll, state.pitch, none, none, True)
     if not has_accel:
         return Corrected(q_nb, bias, state.roll, state.pitch, none, none, False)
     force = remove_coriolis(sample.accel_b_mps2, rate, c.speed_mps) if c.speed_mps > 0 else sample.accel_b_mps2
-    off_roll, off_pitch = measure_tilt_errors(force, frame, c.tilt)
+    off_roll, off_pitch = _measure_tilt_errors(force, frame, c.tilt)
     # The accelerometer shows roll by its part across x only.
     r_roll = c.tilt_rad2 / (frame.cos_pitch * frame.cos_pitch)
-    roll, turn_roll, bias_roll, nu_roll = correct_axis(state.roll, off_roll, r_roll)
-    pitch, turn_pitch, bias_pitch, nu_pitch = correct_axis(state.pitch, off_pitch, c.tilt_rad2)
+    roll, turn_roll, bias_roll, nu_roll = _correct_axis(state.roll, off_roll, r_roll)
+    pitch, turn_pitch, bias_pitch, nu_pitch = _correct_axis(state.pitch, off_pitch, c.tilt_rad2)
     q_nb = multiply(q_nb, tilt_rotation(turn_roll, turn_pitch, frame.pitch_b))
     bias = add(bias, body_rate(bias_roll, bias_pitch, frame))
     return Corrected(q_nb, bias, roll, pitch, nu_roll, nu_pitch, False)
 
 
 @compiled_inside
-def predict_axes(state: State, sample: Sample, is_headed: bool, c: Coefficients) -> tuple[Axis, Axis, Axis, float]:
+def _predict_axes(state: State, sample: Sample, is_headed: bool, c: Coefficients) -> tuple[Axis, Axis, Axis, float]:
     """Return P of roll, pitch and heading after the interval, and the time since P was reset."""
     _, _, roll, pitch, heading, _, since_reset_s, _, _ = state[:9]
     dt_s = sample.dt_s
-    roll = predict_axis(roll, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
-    pitch = predict_axis(pitch, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
-    heading = predict_axis(heading, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    roll = _predict_axis(roll, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    pitch = _predict_axis(pitch, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
+    heading = _predict_axis(heading, dt_s, c.gyro_rad2ps, c.walk_rad2ps3)
     since_reset_s += dt_s
     if dot(sample.hidden_b_radps, sample.hidden_b_radps) > 0:
         by_roll, by_pitch, by_heading = bound_hidden_turns(state.q_nb, scale(sample.hidden_b_radps, dt_s))
-        roll, pitch, heading = widen_axis(roll, by_roll), widen_axis(pitch, by_pitch), widen_axis(heading, by_heading)
+        roll, pitch, heading = (
+            _widen_axis(roll, by_roll),
+            _widen_axis(pitch, by_pitch),
+            _widen_axis(heading, by_heading),
+        )
     if c.reset_s > 0 and since_reset_s >= c.reset_s:
         since_reset_s = 0.0
-        roll = pitch = reset_axis(c.tilt_rad2, c.bias_rad2ps2)
-        heading = reset_axis(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
+        roll = pitch = _reset_axis(c.tilt_rad2, c.bias_rad2ps2)
+        heading = _reset_axis(c.heading_rad2 if is_headed else heading.p_angle, c.bias_rad2ps2)
     return roll, pitch, heading, since_reset_s
 
 
@@ -273,25 +277,25 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if is_level and dt_s > GAP_S:
         is_level, is_headed, age_s, n_gaps = False, False, 0.0, n_gaps + 1
     age_s = min(age_s + dt_s, START_S)
-    roll, pitch, heading, since_reset_s = predict_axes(state, sample, is_headed, c)
+    roll, pitch, heading, since_reset_s = _predict_axes(state, sample, is_headed, c)
     nu_roll = nu_pitch = nu_heading
     if is_level:
         before = State(q_nb, bias, roll, pitch, heading, 0.0, 0.0, True, is_headed, 0, 0, 0, 0, 0)
-        q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = correct_tilt(before, sample, has_accel, c)
+        q_nb, bias, roll, pitch, nu_roll, nu_pitch, is_gimbal = _correct_tilt(before, sample, has_accel, c)
         n_gimbal += is_gimbal
     elif has_accel:
         q_nb, is_level, age_s = multiply(level_rotation(q_nb, sample.accel_b_mps2), q_nb), True, 0.0
-        roll, pitch = reset_axis(c.tilt_rad2, roll.p_bias), reset_axis(c.tilt_rad2, pitch.p_bias)
+        roll, pitch = _reset_axis(c.tilt_rad2, roll.p_bias), _reset_axis(c.tilt_rad2, pitch.p_bias)
     frame = euler_frame(q_nb)  # a turn about up, as that of the heading is, leaves it as it is
     if is_level and has_mag:
         turn, found = north_error(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if not found:
             n_no_north += 1
         elif c.compass or not is_headed:  # taken, not approached
-            heading, is_headed = reset_axis(c.heading_rad2, heading.p_bias), True
+            heading, is_headed = _reset_axis(c.heading_rad2, heading.p_bias), True
             q_nb = turn_about_up(q_nb, turn)
         else:
-            heading, turn, bias_heading, nu_heading = correct_axis(heading, turn, c.heading_rad2)
+            heading, turn, bias_heading, nu_heading = _correct_axis(heading, turn, c.heading_rad2)
             q_nb, bias = turn_about_up(q_nb, turn), add(bias, scale(frame.up_b, bias_heading))
     counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
     state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)

@@ -76,7 +76,7 @@ def is_earthly(a: Looks) -> bool:
 
 
 @compiled_inside
-def move_towards(a: Looks, b: Looks, share: float, seen_s: float) -> Looks:
+def _move_towards(a: Looks, b: Looks, share: float, seen_s: float) -> Looks:
     """Move a by a share of the way to b."""
     return Looks(a.size_ut + share * (b.size_ut - a.size_ut), a.dip_rad + share * (b.dip_rad - a.dip_rad), seen_s)
 
@@ -97,7 +97,7 @@ def learn_field(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance)
         return KnownField(seen, other, n_disturbed, n_new_fields)
     if is_alike(known, seen, c):  # the mean of all at first, of the last memory_s later on
         seen_s = min(known.seen_s + seen.seen_s, max(c.memory_s, seen.seen_s))
-        known = move_towards(known, seen, seen.seen_s / seen_s, seen_s)
+        known = _move_towards(known, seen, seen.seen_s / seen_s, seen_s)
         return KnownField(known, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields)
     shows = rate_radps > TURNING_RADPS or (is_earthly(seen) and not is_earthly(known))
     stood_s = seen.seen_s if shows else 0.0
@@ -105,7 +105,7 @@ def learn_field(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance)
     if not is_alike(other, seen, c):
         other = Looks(seen.size_ut, seen.dip_rad, stood_s)
     elif other.seen_s + stood_s < c.admission_s:
-        other = move_towards(other, seen, SHARE_OF_NEWEST, other.seen_s + stood_s)
+        other = _move_towards(other, seen, SHARE_OF_NEWEST, other.seen_s + stood_s)
     else:
         return KnownField(other, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields + 1)
     return KnownField(known, other, n_disturbed, n_new_fields)

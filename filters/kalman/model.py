@@ -229,7 +229,7 @@ def attitude_noise_variance(turning: Turning, c: Coefficients) -> float:
 
 
 @compiled_apart
-def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
+def _add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
     """Add the window's process noise to P: the model's densities integrated with its transition."""
     length_s, spread_s, up_mps = window.turning.length_s, window.turning.spread_s, window.forces.push_n_mps[2]
     turn, walk = attitude_noise_variance(window.turning, c), c.bias_walk * length_s
@@ -249,7 +249,7 @@ def add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
 
 
 @compiled_apart
-def add_hidden_turn(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
+def _add_hidden_turn(p: Matrix, axis_n: Vector, hidden_rad: float, up_mps: float) -> None:
     """Add to P a turn about this axis that the gyro did not measure; it enters the velocity half as long."""
     total = 0.0
     for i in range(3):
@@ -270,12 +270,12 @@ def predict(x: Matrix, p: Matrix, window: Window, q_nb: Quaternion, c: Coefficie
     x[VELOCITY] += push[0]
     x[VELOCITY + 1] += push[1]
     apply_congruence(transition_matrix(window, p), p)
-    add_noise(p, window, c)
+    _add_noise(p, window, c)
     if not is_measured(window.turning):
         (x_n, y_n, z_n), (x_rad, y_rad, z_rad) = body_axes_in_n(q_nb), window.turning.hidden_b_rad
-        add_hidden_turn(p, x_n, x_rad, push[2])
-        add_hidden_turn(p, y_n, y_rad, push[2])
-        add_hidden_turn(p, z_n, z_rad, push[2])
+        _add_hidden_turn(p, x_n, x_rad, push[2])
+        _add_hidden_turn(p, y_n, y_rad, push[2])
+        _add_hidden_turn(p, z_n, z_rad, push[2])
     round_up(p)
     unknown = ANY_ANGLE_RAD2
     for i in range(BIAS):

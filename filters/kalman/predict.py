@@ -103,9 +103,9 @@ def add_sample(body: FilterState, sample: Sample, c: Coefficients) -> FilterStat
     if is_gap or not status.is_level or (use_mag and not status.is_headed):
         window = empty_window(0.0)
         if is_gap:
-            forget_after_gap(x, p, dt_s, c)
+            _forget_after_gap(x, p, dt_s, c)
             still = no_rest(0.0)
-        q_nb, status, found = begin_attitude(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
+        q_nb, status, found = _begin_attitude(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
         met = Counts(
             met[0], met[1], met[2] + (0 if found else 1), met[3] + (1 if is_gap else 0), met[4], met[5], met[6]
         )
@@ -113,16 +113,16 @@ def add_sample(body: FilterState, sample: Sample, c: Coefficients) -> FilterStat
 
 
 @compiled_apart
-def forget_after_gap(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
+def _forget_after_gap(x: Matrix, p: Matrix, gap_s: float, c: Coefficients) -> None:
     """Forget all but the bias after a gap, in which the bias has walked."""
     for i in range(BIAS):
         forget_state(p, i, ANY_ANGLE_RAD2)
         p[BIAS + i, BIAS + i] += c.bias_walk * gap_s
-    forget_velocity(x, p, c)
+    _forget_velocity(x, p, c)
 
 
 @compiled_inside
-def forget_velocity(x: Matrix, p: Matrix, c: Coefficients) -> None:
+def _forget_velocity(x: Matrix, p: Matrix, c: Coefficients) -> None:
     """Forget the velocity: 0, with the variance that it may have."""
     for i in range(VELOCITY, SIZE):
         forget_state(p, i, c.velocity_variance)
@@ -130,7 +130,7 @@ def forget_velocity(x: Matrix, p: Matrix, c: Coefficients) -> None:
 
 
 @compiled_apart
-def begin_attitude(
+def _begin_attitude(
     q_nb: Quaternion,
     x: Matrix,
     p: Matrix,
@@ -146,25 +146,25 @@ def begin_attitude(
     if is_gap:
         is_level, is_headed, is_ready = False, False, False
     if use_accel and not is_level:
-        q_nb, is_level = reset_tilt(q_nb, rotate(q_nb, sample.accel_b_mps2), x, p, c), True
+        q_nb, is_level = _reset_tilt(q_nb, rotate(q_nb, sample.accel_b_mps2), x, p, c), True
     if use_mag and is_level and not is_headed:
         turn, found = north_error(rotate(q_nb, sample.mag_b_ut), c.declination_rad)
         if found:
-            q_nb, is_headed = reset_heading(q_nb, turn, x, p, c), True
+            q_nb, is_headed = _reset_heading(q_nb, turn, x, p, c), True
     return q_nb, Status(is_level, is_headed, is_ready, since_s, 0.0, 0.0, 0.0), found
 
 
 @compiled_apart
-def reset_tilt(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
+def _reset_tilt(q_nb: Quaternion, force_n: Vector, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
     """Return the attitude whose up is this specific force, given in n; the heading stays."""
     for i in range(HEADING):
         forget_state(p, i, c.tilt_variance)
-    forget_velocity(x, p, c)
+    _forget_velocity(x, p, c)
     return normalise(multiply(rotation_between(force_n, (0.0, 0.0, 1.0)), q_nb))
 
 
 @compiled_apart
-def reset_heading(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
+def _reset_heading(q_nb: Quaternion, turn_rad: float, x: Matrix, p: Matrix, c: Coefficients) -> Quaternion:
     """Turn the attitude about up, and with it all that is known in n but the heading."""
     cosine, sine, a = cos(turn_rad), sin(turn_rad), identity_like(p)
     for i in (0, VELOCITY):
@@ -185,14 +185,14 @@ def is_due(turning: Turning, c: Coefficients) -> bool:
 
 
 @compiled_inside
-def is_oblique(forces: Forces) -> bool:
+def _is_oblique(forces: Forces) -> bool:
     """Return whether the mean specific force points where it cannot for long if the estimate is right."""
     up, size = forces.push_n_mps[2], norm(forces.push_n_mps)
     return up < size * OBLIQUE and size > forces.time_s * LEAST_FORCE_MPS2
 
 
 @compiled_apart
-def add_curvature(x: Matrix, p: Matrix) -> None:
+def _add_curvature(x: Matrix, p: Matrix) -> None:
     """Add to P the second order of an update that turned the attitude by e: |e|^2 / 2.
 
     A hundredth of a degree at 1 deg. After a large turn that the gyro hid, several windows so come to what one says.
@@ -203,7 +203,7 @@ def add_curvature(x: Matrix, p: Matrix) -> None:
 
 
 @compiled_apart
-def forget_heading(p: Matrix, c: Coefficients) -> None:
+def _forget_heading(p: Matrix, c: Coefficients) -> None:
     """Forget the heading, and the bias that followed it."""
     forget_state(p, HEADING, ANY_ANGLE_RAD2)
     for i in range(3):
@@ -220,13 +220,13 @@ def finish_window(
     n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = met
     length_s = window.turning.length_s
     q_nb = normalise(multiply(rotation.exp((x[0], x[1], x[2])), q_nb))
-    add_curvature(x, p)
+    _add_curvature(x, p)
     x[0], x[1], x[2] = 0.0, 0.0, 0.0
     is_ready = is_ready or p[0, 0] + p[1, 1] < READY_RAD2
     n_beyond += (1 if beyond[0] else 0) + (1 if beyond[1] else 0)
-    tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or is_oblique(window.forces) else 0.0
+    tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or _is_oblique(window.forces) else 0.0
     if tilt_doubt_s >= c.tilt_patience_s:
-        q_nb = reset_tilt(q_nb, window.forces.push_n_mps, x, p, c)
+        q_nb = _reset_tilt(q_nb, window.forces.push_n_mps, x, p, c)
         tilt_doubt_s, n_tilt = 0.0, n_tilt + 1
     since_s += length_s
     if at.heading.is_there:
@@ -243,7 +243,7 @@ def finish_window(
         is_off = square > share * OFF_SQUARE and square * at.heading.variance > OFF_RAD2
         is_away = field.n_new_fields > n_known and not is_earthly(known)  # from the iron at which it began
         if is_off or is_away:
-            forget_heading(p, c)
+            _forget_heading(p, c)
             heading_off, n_heading = 0.0, n_heading + 1
     elif window.fields.how_many > 0:
         n_no_north += 1

@@ -51,7 +51,7 @@ def no_rest(zero: float) -> Stillness:
 
 
 @compiled_inside
-def has_turned(before: Vector, now: Vector) -> bool:
+def _has_turned(before: Vector, now: Vector) -> bool:
     """Return whether a direction differs by more than ``TURN_RAD``; an unknown one does not."""
     across = cross(before, now)
     most = TURN_RAD2 * dot(before, before) * dot(now, now)
@@ -65,7 +65,7 @@ def watch_rest(still: Stillness, means: Means, c: Limits) -> Stillness:
     if not quiet or dot(means.gyro_b_radps, means.gyro_b_radps) > c.rate_radps * c.rate_radps:
         return no_rest(0.0)
     accel_b, mag_b, lasted_s = still
-    turned = has_turned(accel_b, means.accel_b_mps2) or has_turned(mag_b, means.mag_b_ut)
+    turned = _has_turned(accel_b, means.accel_b_mps2) or _has_turned(mag_b, means.mag_b_ut)
     if lasted_s == 0 or turned:
         return Stillness(means.accel_b_mps2, means.mag_b_ut, means.length_s)
     if dot(mag_b, mag_b) == 0:

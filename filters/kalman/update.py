@@ -31,7 +31,7 @@ REST_M2PS2 = REST_MPS**2
 
 
 @compiled_inside
-def measure_innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
+def _measure_innovation(x: Matrix, p: Matrix, m: Measurement) -> tuple[float, float]:
     """Return what is seen less what is expected, and its variance by the model."""
     ph = times_row(p, m.row)
     residual, variance = m.seen, m.variance
@@ -47,7 +47,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float,
 
     ``gate`` is the square of ``gate_sd``. Without ``moves_tilt`` the gain of the tilt is 0.
     """
-    residual, model = measure_innovation(x, p, m)
+    residual, model = _measure_innovation(x, p, m)
     variance, square = model * alpha, residual * residual
     is_beyond = square > gate * variance
     if is_beyond:
@@ -61,7 +61,7 @@ def update(x: Matrix, p: Matrix, m: Measurement, moves_tilt: bool, alpha: float,
 
 
 @compiled_inside
-def measure_state(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
+def _measure_state(p: Matrix, i: int, seen: float, variance: float) -> Measurement:
     """Return a measurement of x[i] itself."""
     row = np.zeros_like(p[0])
     row[i] = 1.0
@@ -98,8 +98,8 @@ def update_velocity(x: Matrix, p: Matrix, variance: float, alphas: tuple[float, 
 
     ``alphas`` multiply the innovations' variances east and north.
     """
-    east = update(x, p, measure_state(p, VELOCITY, 0.0, variance), True, alphas[0], gate)
-    north = update(x, p, measure_state(p, VELOCITY + 1, 0.0, variance), True, alphas[1], gate)
+    east = update(x, p, _measure_state(p, VELOCITY, 0.0, variance), True, alphas[0], gate)
+    north = update(x, p, _measure_state(p, VELOCITY + 1, 0.0, variance), True, alphas[1], gate)
     return east or north
 
 
@@ -112,7 +112,7 @@ def update_bias(x: Matrix, p: Matrix, turning: Turning, at: WindowEnd, c: Coeffi
     variance = c.gyro_noise / turning.length_s + c.rest_variance + slow * slow
     for i in range(3):
         mean = turning.measured_b_rad[i] / turning.length_s
-        update(x, p, measure_state(p, BIAS + i, mean, variance), True, 1.0, c.gate)
+        update(x, p, _measure_state(p, BIAS + i, mean, variance), True, 1.0, c.gate)
 
 
 @compiled_apart
@@ -155,7 +155,7 @@ def whiten_heading(x: Matrix, p: Matrix, m: Measurement) -> float:
     """Return the heading's innovation, whitened given the updates before it; NaN without a field."""
     if not m.is_there:
         return nan
-    residual, variance = measure_innovation(x, p, m)
+    residual, variance = _measure_innovation(x, p, m)
     return residual / sqrt(variance)
 
 

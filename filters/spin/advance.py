@@ -41,13 +41,13 @@ class Row(NamedTuple):
 
 
 @compiled
-def start_answer() -> SpinAnswer:
+def _start_answer() -> SpinAnswer:
     """Return the answer before the first sample."""
     return SpinAnswer(0.0, 0.0, 0.0, 0.0, np.nan, False)
 
 
 @compiled
-def make_answer(output: SpinOutput) -> SpinAnswer:
+def _make_answer(output: SpinOutput) -> SpinAnswer:
     """Return the answer in double precision, whatever the estimator's is."""
     roll = output.roll
     return SpinAnswer(
@@ -67,14 +67,14 @@ def make_begin(estimator: ModuleType) -> Callable[[Any, Any, Row], Any]:
     @compiled
     def begin(front_c: Any, c: Any, row: Row) -> Any:
         cell = List()
-        cell.append((front_c, c, roll_front.start(), estimator.start(c), start_answer(), row))
+        cell.append((front_c, c, roll_front.start(), estimator.start(c), _start_answer(), row))
         return cell
 
     return begin
 
 
 @cache
-def make_advance(estimator: ModuleType) -> Any:
+def _make_advance(estimator: ModuleType) -> Any:
     """Return the function that takes the cell, with a sample in its row, and returns the answer."""
 
     @compiled
@@ -83,7 +83,7 @@ def make_advance(estimator: ModuleType) -> Any:
         passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, 0, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
-            said = make_answer(output)
+            said = _make_answer(output)
         cell[0] = (front_c, c, passed, state, said, row)
         return said
 
@@ -91,8 +91,8 @@ def make_advance(estimator: ModuleType) -> Any:
 
 
 def compile_advance(estimator: ModuleType, cell: Any) -> SpinAdvance:
-    """Compile :func:`make_advance` for this cell and return the machine code's entry: no type lookup per call."""
-    return cast(SpinAdvance, make_advance(estimator).compile((typeof(cell), int64)))
+    """Compile :func:`_make_advance` for this cell and return the machine code's entry: no type lookup per call."""
+    return cast(SpinAdvance, _make_advance(estimator).compile((typeof(cell), int64)))
 
 
 @compiled

@@ -93,7 +93,7 @@ def start(c: Coefficients) -> State:
 
 
 @compiled
-def adapt(
+def _adapt(
     squares: NDArray[np.float64], seen: int, expected: float, of_rate: float, a: Adaptation
 ) -> tuple[float, float]:
     """Return alpha and lambda by (16), (17), (23); ``expected`` is C and ``of_rate`` its part H P- H."""
@@ -110,7 +110,7 @@ def adapt(
 
 
 @compiled
-def correct_rate(
+def _correct_rate(
     rate: float, var: float, residual: float, r: float, alpha: float, fade: float, twice: bool
 ) -> tuple[float, float, float]:
     """Apply (20)-(22): return the rate, its variance, and the share of its error that is left."""
@@ -142,8 +142,8 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
         residual = sample.square_rad2ps2 - rate * rate
         squares[seen % c.adaptation.window] = residual * residual
         seen += 1
-        alpha, fade = adapt(squares, seen, of_rate + r, of_rate, c.adaptation)
-        rate, var, left = correct_rate(rate, var, residual, r, alpha, fade, c.adaptation.twice)
+        alpha, fade = _adapt(squares, seen, of_rate + r, of_rate, c.adaptation)
+        rate, var, left = _correct_rate(rate, var, residual, r, alpha, fade, c.adaptation.twice)
         innovation = residual / sqrt(of_rate + r)
     if not var > 0.0:
         var, left, n_lost = rate_variance(rate, r), 0.0, n_lost + 1

@@ -104,22 +104,22 @@ def start() -> State:
 
 
 @compiled
-def replace_unusable(value: float, otherwise: float) -> float:
+def _replace_unusable(value: float, otherwise: float) -> float:
     """Return the value, or ``otherwise`` if it is not a number or no sensor gives it."""
     return value if abs(value) < LARGEST else otherwise
 
 
 @compiled
-def rate_about(weights: Floats, gyro_radps: Floats, k: int) -> float:
+def _rate_about(weights: Floats, gyro_radps: Floats, k: int) -> float:
     """Return a rate by the gyros (N, m) of row ``k``; a lost one counts as 0."""
     total = 0.0
     for i in range(len(weights)):
-        total += weights[i] * replace_unusable(gyro_radps[k, i], 0.0)
+        total += weights[i] * _replace_unusable(gyro_radps[k, i], 0.0)
     return total
 
 
 @compiled
-def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
+def _lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
     """Return whether a gyro that gives the rates about y and z is lost."""
     for i in range(c.transverse.shape[1]):
         if (c.transverse[0, i] != 0.0 or c.transverse[1, i] != 0.0) and not abs(gyro_radps[k, i]) < LARGEST:
@@ -128,18 +128,18 @@ def lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
 
 
 @compiled
-def count_unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients) -> tuple[int, int]:
+def _count_unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients) -> tuple[int, int]:
     """Return how many accelerometers with a weight (k,) are lost or saturated in row ``k``, and the last of them."""
     count, last = 0, 0
     for i in range(len(weights)):
-        size = abs(replace_unusable(accel_mps2[k, i], np.nan))
+        size = abs(_replace_unusable(accel_mps2[k, i], np.nan))
         if weights[i] != 0.0 and (not size < LARGEST or (c.skips_saturated and size >= c.limits_mps2[i])):
             count, last = count + 1, i
     return count, last
 
 
 @compiled
-def read_channel(
+def _read_channel(
     weights: Weights, accel_mps2: Floats, k: int, rate_y: float, rate_z: float, c: Coefficients
 ) -> Reading:
     """Return a channel by the accelerometers (N, k) of row ``k`` and the rates about y and z.
@@ -149,18 +149,18 @@ def read_channel(
     is_lost, is_saturated = False, False
     for i in range(len(weights.accel[0])):
         if weights.accel[0, i] != 0.0:
-            value = replace_unusable(accel_mps2[k, i], np.nan)
+            value = _replace_unusable(accel_mps2[k, i], np.nan)
             is_lost |= not abs(value) < LARGEST
             is_saturated |= abs(value) >= c.limits_mps2[i]
     row = 0
-    missing, last = count_unusable(weights.accel[0], accel_mps2, k, c)
+    missing, last = _count_unusable(weights.accel[0], accel_mps2, k, c)
     if missing == 1 and weights.is_there[1 + last]:
         row = 1 + last
-        missing, last = count_unusable(weights.accel[row], accel_mps2, k, c)
+        missing, last = _count_unusable(weights.accel[row], accel_mps2, k, c)
     total = 0.0
     for i in range(len(weights.accel[row])):
         if weights.accel[row, i] != 0.0:
-            total += weights.accel[row, i] * replace_unusable(accel_mps2[k, i], np.nan)
+            total += weights.accel[row, i] * _replace_unusable(accel_mps2[k, i], np.nan)
     of_yy, of_zz, of_yz = weights.products[row, 0], weights.products[row, 1], weights.products[row, 2]
     if of_yy != 0.0:
         total += of_yy * (rate_y * rate_y)
@@ -187,24 +187,24 @@ def step(
         )
         return kept, SpinSample(zero, zero, zero, zero, zero, False, False, 0), False
     dt_s = min((t_ns - state.t_ns) / 1e9, LONGEST_S) if state.t_ns >= 0 else 0.0
-    rate_y, rate_z = rate_about(c.transverse[0], gyro_radps, k), rate_about(c.transverse[1], gyro_radps, k)
-    dot = read_channel(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
-    square = read_channel(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)
+    rate_y, rate_z = _rate_about(c.transverse[0], gyro_radps, k), _rate_about(c.transverse[1], gyro_radps, k)
+    dot = _read_channel(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
+    square = _read_channel(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)
     shown, var = 0.0, 0.0
     for weights, rate in ((c.omega_xy, rate_y), (c.omega_xz, rate_z)):
-        product = read_channel(weights, accel_mps2, k, rate_y, rate_z, c)
+        product = _read_channel(weights, accel_mps2, k, rate_y, rate_z, c)
         if not product.is_lost:
             shown, var = shown + product.value * rate, var + weights.variance[0] * rate * rate
-    evidence, direction = find_direction(state.evidence, rate_about(c.axial, gyro_radps, k), shown, var)
-    no_gyro = lacks_gyro(gyro_radps, k, c)
+    evidence, direction = find_direction(state.evidence, _rate_about(c.axial, gyro_radps, k), shown, var)
+    no_gyro = _lacks_gyro(gyro_radps, k, c)
     sample = SpinSample(
         like(zero, dt_s),
         like(zero, dot.value),
         like(zero, square.value),
         like(zero, dot.widened),
         like(zero, square.widened),
-        is_usable(dot, no_gyro),
-        is_usable(square, no_gyro),
+        _is_usable(dot, no_gyro),
+        _is_usable(square, no_gyro),
         direction,
     )
     after = State(
@@ -220,7 +220,7 @@ def step(
 
 
 @compiled
-def is_usable(reading: Reading, no_gyro: bool) -> bool:
+def _is_usable(reading: Reading, no_gyro: bool) -> bool:
     """Return whether a channel may be used."""
     return reading.is_usable and not (reading.needs_gyro and no_gyro)
 

@@ -183,7 +183,7 @@ def predict_state(roll: SpinMotion, bias: Bias, push: Drive, dt_s: float, drift_
 
 
 @compiled
-def remaining_variance(var: float, cov: float, share: float, left: float) -> float:
+def _remaining_variance(var: float, cov: float, share: float, left: float) -> float:
     """Return a variance after an update of the rate: the part the rate does not explain stays, of the rest ``left``.
 
     ``share`` is its covariance ``cov`` with the rate over that one's variance. Rounding cannot take it below 0.
@@ -206,7 +206,7 @@ def correct_state(roll: SpinMotion, bias: Bias, residual: float, noise_var: floa
         turns,
         rest,
         roll.rate_radps + roll.rate_var * along,
-        remaining_variance(roll.angle_var, roll.cross_var, of_angle, left),
+        _remaining_variance(roll.angle_var, roll.cross_var, of_angle, left),
         roll.cross_var * left,
         roll.rate_var * left,
     )
@@ -214,12 +214,12 @@ def correct_state(roll: SpinMotion, bias: Bias, residual: float, noise_var: floa
         bias.accel_radps2 + bias.rate_cov * along,
         bias.angle_cov - of_rate / total * of_angle * bias.rate_cov,
         bias.rate_cov * left,
-        remaining_variance(bias.var, bias.rate_cov, of_bias, left),
+        _remaining_variance(bias.var, bias.rate_cov, of_bias, left),
     )
 
 
 @compiled
-def judge_observation(
+def _judge_observation(
     roll: SpinMotion, bias: Bias, window: Window, refusals: Refusals, sample: SpinSample, c: Coefficients
 ) -> tuple[SpinMotion, Bias, Window, Refusals, float]:
     """Judge an observation by its innovation, then use or refuse it; also return the normalised innovation."""
@@ -238,7 +238,7 @@ def judge_observation(
 
 
 @compiled
-def choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Drive, Accels, float]:
+def _choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Drive, Accels, float]:
     """Return the drive of the next interval by the sample's angular acceleration, and the rate to restore."""
     if not sample.has_accel:
         return Drive(0.0, c.unknown_var, False), state.accels, 0.0
@@ -248,7 +248,7 @@ def choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Dri
 
 
 @compiled
-def choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
+def _choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
     """Return the sense, +1 or -1: a sensor's, else that of the rate where it has one, else the assumed one."""
     if direction != 0:
         return direction
@@ -260,10 +260,10 @@ def choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
 
 
 @compiled
-def restart_rate(state: State, direction: int, c: Coefficients) -> State:
+def _restart_rate(state: State, direction: int, c: Coefficients) -> State:
     """Restart the rate from the refused observations; the angle may have lost turns meanwhile, the bias is unknown."""
     roll = state.roll
-    rate = median_of_refused(state.refusals) * like(0.0, choose_sense(roll, direction, c))
+    rate = median_of_refused(state.refusals) * like(0.0, _choose_sense(roll, direction, c))
     lasting_s = state.refusals.lasting_s
     if state.refusals.n_restarts == 0 and state.window.seen == state.refusals.in_row:
         lasting_s += state.start.elapsed_s  # none has passed yet: the start was wrong
@@ -276,7 +276,7 @@ def restart_rate(state: State, direction: int, c: Coefficients) -> State:
 
 
 @compiled
-def add_unseen_motion(begun: Start, roll: SpinMotion, accel_var: float) -> tuple[Start, SpinMotion]:
+def _add_unseen_motion(begun: Start, roll: SpinMotion, accel_var: float) -> tuple[Start, SpinMotion]:
     """Add to the angle's variance an unmeasured angular acceleration over the time without any value."""
     way = 0.5 * begun.elapsed_s * begun.elapsed_s
     var = way * way * accel_var
@@ -288,7 +288,7 @@ def add_unseen_motion(begun: Start, roll: SpinMotion, accel_var: float) -> tuple
 
 
 @compiled
-def begin_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
+def _begin_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
     """Use one of the first samples to find the rate to start from."""
     sense = c.noise.sense if sample.direction == 0 else sample.direction
     square_var = c.noise.square_var * sample.square_widened
@@ -309,22 +309,22 @@ def begin_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficie
             )
     begun, roll = add_first_sample(before, sample, state.push.accel_radps2, sense, square_var)
     if before.held == 0 and begun.held == 1 and not state.push.is_measured:
-        begun, roll = add_unseen_motion(begun, roll, c.unknown_var)
-    push, accels, _ = choose_drive(state, sample, c)
+        begun, roll = _add_unseen_motion(begun, roll, c.unknown_var)
+    push, accels, _ = _choose_drive(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
     state = State(begun, roll, state.bias, push, *guards, count_sample(state.tally, sample, False))
     return state, SpinOutput(roll, nan, begun.held == MEDIAN_OF)
 
 
 @compiled
-def restart_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
+def _restart_state(state: State, sample: SpinSample, repeats: Repeats, c: Coefficients) -> tuple[State, SpinOutput]:
     """Restart after an impossible state: from the angle before, with the sample as the first one."""
     bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Drive(0.0, 0.0, False)
     guards = clear_guards(state.window, state.refusals, state.accels)
     state = State(
         restart(state.start, state.roll), state.roll, bias, push, *guards, repeats, count_restart(state.tally)
     )
-    return begin_state(state, sample, repeats, c)
+    return _begin_state(state, sample, repeats, c)
 
 
 @compiled
@@ -332,23 +332,23 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
     """Predict, judge the observation, then use it, refuse it, or restart."""
     sample, repeats = drop_stuck(sample, state.repeats, c.stuck)
     if state.start.held < MEDIAN_OF:
-        return begin_state(state, sample, repeats, c)
+        return _begin_state(state, sample, repeats, c)
     window, refusals, innovation = state.window, state.refusals, nan
     driving = state.push
     if sample.dt_s > HELD_S:
         driving = Drive(0.0, c.unknown_var, False)
     roll, bias = predict_state(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
-    push, accels, owed = choose_drive(state, sample, c)
+    push, accels, owed = _choose_drive(state, sample, c)
     roll = SpinMotion(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
     if sample.has_square:
-        roll, bias, window, refusals, innovation = judge_observation(roll, bias, window, refusals, sample, c)
+        roll, bias, window, refusals, innovation = _judge_observation(roll, bias, window, refusals, sample, c)
     if not is_sound(roll):
-        return restart_state(state, sample, repeats, c)
+        return _restart_state(state, sample, repeats, c)
     roll, is_turned_over = set_sense(roll, sample.direction)
     if is_turned_over:
         bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)
     tally = count_sample(state.tally, sample, is_turned_over)
     state = State(state.start, roll, bias, push, window, refusals, accels, repeats, tally)
     if refusals.in_row >= c.lockout:
-        state = restart_rate(state, sample.direction, c)
+        state = _restart_rate(state, sample.direction, c)
     return state, SpinOutput(state.roll, innovation, True)

@@ -39,7 +39,7 @@ class Noise(NamedTuple):
     sense: int  # +1 or -1
 
 
-def accel_variances(params: SpinParams, geometry: SpinGeometry) -> Floats:
+def _accel_variances(params: SpinParams, geometry: SpinGeometry) -> Floats:
     """Return the noise variance (k,) of each accelerometer, by which observation it sees more of in m/s^2 per 1/s^2."""
     seen = np.abs(coefficients(geometry))
     tangential = seen[:, TERMS.index("omega_x dot")] > seen[:, TERMS.index("omega_x^2")]
@@ -51,7 +51,7 @@ def make_channels(params: SpinParams, geometry: SpinGeometry) -> SpinChannels:
 
     Raises :class:`Unobservable` where it does not fix rate and angular acceleration.
     """
-    return channels(geometry, accel_variances(params, geometry))
+    return channels(geometry, _accel_variances(params, geometry))
 
 
 def observation_noise(params: SpinParams, geometry: SpinGeometry) -> Noise:

@@ -47,7 +47,7 @@ def draw_error_band(axes: Sequence[Axes], c: SpinComparison, colour: int, zero_n
     t_s = (c.t_ns - zero_ns) / 1e9
     for ax, (label, error_rad, sd_rad) in zip(axes, parts, strict=True):
         error = np.rad2deg(error_rad)
-        limit = max(find_error_limit(error), 1e-6)
+        limit = max(_find_error_limit(error), 1e-6)
         if sd_rad is not None:
             band = 3 * np.rad2deg(sd_rad)
             limit = max(limit, min(1.1 * float(band.max()), BAND_SHOWN * limit))
@@ -89,7 +89,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     """
     truth_degps = np.rad2deg(series.truth_radps)
     errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
-    limits = {method: find_error_limit(error) for method, error in errors.items()}
+    limits = {method: _find_error_limit(error) for method, error in errors.items()}
     shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
     for method, k in methods.items():
         draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=get_colour(k), lw=0.9, label=method)
@@ -112,7 +112,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
         ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def find_error_limit(error: Floats) -> float:
+def _find_error_limit(error: Floats) -> float:
     """Return half the height of an error's axis, which holds all but the worst thousandth, or all where that fits."""
     most = float(np.quantile(np.abs(error), 0.999)) * 1.5
     worst = float(np.abs(error).max())
@@ -122,4 +122,4 @@ def find_error_limit(error: Floats) -> float:
 def _find_shown_spread(series: RateSeries, methods: Mapping[str, int]) -> float:
     """Return the room above and below the truth, in deg/s, for the widest of the methods without its glitches."""
     truth = np.rad2deg(series.truth_radps)
-    return max(find_error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)
+    return max(_find_error_limit(np.rad2deg(series.rate_radps[method]) - truth) for method in methods)

@@ -27,11 +27,11 @@ def main(folder: Path, page: Path = PAGE) -> None:
     """Rewrite the table of this page from BROAD's trials in ``folder``."""
     trials = [trial for path in sorted(folder.glob("*.mat")) for trial in IMPORTERS["broad"](path)]
     console = Console(stderr=True)
-    totals = {name: score_trials(trials, name) for name in track(ATTITUDES, "BROAD", console=console)}
+    totals = {name: _score_trials(trials, name) for name in track(ATTITUDES, "BROAD", console=console)}
     page.write_text(replace_table(page.read_text(encoding="utf-8"), trials, totals), encoding="utf-8")
 
 
-def score_trials(trials: Sequence[Recording], name: str) -> list[float]:
+def _score_trials(trials: Sequence[Recording], name: str) -> list[float]:
     """Return the error of one estimator on each trial, with its default parameters."""
     found = []
     for trial in trials:

@@ -24,7 +24,7 @@ def main(seeds: int = 30) -> None:
     for kind in MINUTES:
         outcomes = run_jobs(partial(_score_seed, kind), list(range(seeds)), None, kind)
         scores = [outcome.value for outcome in outcomes if outcome.value is not None]
-        print(f"| {kind} | {seeds} | {' | '.join(format_cells(scores))} | {seeds - len(scores)} |", flush=True)
+        print(f"| {kind} | {seeds} | {' | '.join(_format_cells(scores))} | {seeds - len(scores)} |", flush=True)
 
 
 def _score_seed(kind: str, seed: int) -> Score:
@@ -35,7 +35,7 @@ def _score_seed(kind: str, seed: int) -> Score:
     return score(made, recording.truth, "heading")
 
 
-def format_cells(scores: list[Score]) -> list[str]:
+def _format_cells(scores: list[Score]) -> list[str]:
     """Return means over the seeds, and the range of NEES/3."""
     totals = [s.total_rmse_deg for s in scores]
     inside = [s.coverage95 for s in scores if s.coverage95 is not None]

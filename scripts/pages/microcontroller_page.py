@@ -51,7 +51,7 @@ def make_logs() -> dict[str, Log | SpinLog]:
     }
 
 
-def measure_filters() -> dict[str, OnTarget]:
+def _measure_filters() -> dict[str, OnTarget]:
     """Run every exported filter in the emulator."""
     logs, found = make_logs(), {}
     for name in EXPORTED:
@@ -61,7 +61,7 @@ def measure_filters() -> dict[str, OnTarget]:
     return found
 
 
-def make_page(found: Mapping[str, OnTarget]) -> str:
+def _make_page(found: Mapping[str, OnTarget]) -> str:
     """Return the text of the page."""
     rows = [
         f"| `{name}` | {one.code_bytes} | {one.state_bytes} | {one.stack_bytes} | {one.mean_instructions} "
@@ -72,4 +72,4 @@ def make_page(found: Mapping[str, OnTarget]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(make_page(measure_filters()), encoding="utf-8")
+    PAGE.write_text(_make_page(_measure_filters()), encoding="utf-8")

@@ -39,7 +39,7 @@ def main(*logs: Path) -> None:
         for log in logs:
             flight = read_disc_flight(log)
             _save_figure(_draw_disc(flight), "roll_disc")
-            print("\n".join(describe_disc(flight)))
+            print("\n".join(_describe_disc(flight)))
 
 
 def _save_figure(figure: Figure, name: str) -> None:
@@ -178,7 +178,7 @@ def _draw_disc(flight: DiscFlight) -> Figure:
     return figure
 
 
-def describe_disc(flight: DiscFlight) -> list[str]:
+def _describe_disc(flight: DiscFlight) -> list[str]:
     """Return the numbers of the flight, for the page."""
     left = np.rad2deg(flight.reference.rate_radps - flight.gyro_radps)
     lines = [

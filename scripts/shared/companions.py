@@ -36,7 +36,7 @@ def neighbours(path: Path) -> list[Path]:
     return sorted(file for file in path.absolute().parent.glob(f"*{SUFFIX}") if not file.name.startswith("."))
 
 
-def made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
+def _made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
     """Return whether two files were made from one recording, by its SHA-256; True also where one of them does not
     say.
     """
@@ -45,7 +45,7 @@ def made_of_same(ours: Mapping[str, str], theirs: Mapping[str, str]) -> bool:
 
 def require_same(path: Path, ours: Mapping[str, str], other: Path, theirs: Mapping[str, str]) -> None:
     """Raise :class:`BadParameter` when the two files were made from different recordings."""
-    if not made_of_same(ours, theirs):
+    if not _made_of_same(ours, theirs):
         raise BadParameter(
             f"{path}: was made from another recording than {other} ({', '.join(ours)} of another SHA-256); "
             "make it again from this one"

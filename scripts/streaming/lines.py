@@ -103,7 +103,7 @@ class Lines:
         self.ignored = tuple(name for name in names if name not in known)
 
 
-def make_arrival(values: Mapping[str, Any]) -> Arrival:
+def _make_arrival(values: Mapping[str, Any]) -> Arrival:
     """Return the sample that these fields make; a missing field is NaN, which the guard of a stream handles."""
     gyro, accel, mag, fix = (
         tuple(_parse_number(values, name) for name in names) for names in (IMU[:3], IMU[3:], MAG, FIX)
@@ -121,7 +121,7 @@ ATTITUDE = Layout(
     IMU,
     (*MAG, *FIX),
     "gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps",
-    make_arrival,
+    _make_arrival,
 )
 
 

@@ -81,10 +81,10 @@ def _update(streams: Mapping[str, Live], sample: Arrival | SpinArrival, passed: 
     outputs = [stream.update(*parts) for stream in streams.values()]
     passed.update.add(perf_counter_ns() - begun_ns)
     passed.n_samples += 1
-    return "".join(format_estimate(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
+    return "".join(_format_estimate(sample.t_ns, name, output) for name, output in zip(streams, outputs, strict=True))
 
 
-def format_estimate(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
+def _format_estimate(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
     """Return one estimate as NDJSON; a number that is not finite is null, and what is not estimated is left out."""
     facts: dict[str, Any] = {"t_ns": t_ns, "estimator": name}
     for field_name, value in output._asdict().items():

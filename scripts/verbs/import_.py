@@ -30,7 +30,7 @@ STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers ma
 
 
 @dataclass(frozen=True)
-class Kept:
+class _Kept:
     """A recording and the file it went to."""
 
     source: Path
@@ -83,7 +83,7 @@ def import_(
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     span_s = None if split is None else read_span(split, "--split").total_seconds()
-    kept: dict[Path, Kept] = {}
+    kept: dict[Path, _Kept] = {}
     failed: list[str] = []
     with Console(stderr=True).status("import") as status:
         for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip, failed), span_s):
@@ -99,7 +99,7 @@ def import_(
             beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
             for estimate_file, estimate in beside.items():
                 write(estimate_file, replace(estimate, made_from={**estimate.made_from, file.name: sha256(file)}))
-            kept[file] = Kept(source, file, recording, tuple(beside))
+            kept[file] = _Kept(source, file, recording, tuple(beside))
     if kept and json != STDOUT:
         _show(list(kept.values()))
     if failed and json != STDOUT:
@@ -190,7 +190,7 @@ def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unc
         raise BadSource(f"{source}: {error}") from None
 
 
-def _show(kept: list[Kept]) -> None:
+def _show(kept: list[_Kept]) -> None:
     """One table of the recordings; below it what was converted, once where it holds for all, and the notes."""
     present = [name for name in STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
     rows = []
@@ -221,7 +221,7 @@ def _list_lines(recording: Recording) -> list[str]:
     return [make_printable(line) for line in dict.fromkeys((*recording.info.conversions, *notes))]
 
 
-def _facts(one: Kept) -> dict[str, Any]:
+def _facts(one: _Kept) -> dict[str, Any]:
     recording = one.recording
     return {
         "recording": recording.name,

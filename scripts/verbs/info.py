@@ -73,7 +73,7 @@ def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]
     is_large = not is_url(path) and path.is_file() and path.stat().st_size > LARGE_BYTES
     if is_url(path) or (is_large and not full):
         return _list_summary_facts(path, summarise(path))
-    return list_facts(path, read(path, units_unchecked))
+    return _list_facts(path, read(path, units_unchecked))
 
 
 def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
     return facts | {key: summary.facts[key] for key in ("method", "params", "made_from") if key in summary.facts}
 
 
-def list_facts(path: Path, thing: Recording | Reference | SpinReference | Estimate) -> dict[str, Any]:
+def _list_facts(path: Path, thing: Recording | Reference | SpinReference | Estimate) -> dict[str, Any]:
     """Return the facts about the content of one file."""
     if isinstance(thing, Recording):
         return {"file": str(path), "kind": "recording", "name": thing.name, **_list_recording_facts(thing)}

@@ -102,7 +102,7 @@ def leaderboard(
     _write(board, folder)
     write_document(json, board.to_json())
     if json != STDOUT:
-        print_leaderboard(board, columns)
+        _print_leaderboard(board, columns)
         print(f"\nwritten to {folder}: index.html, leaderboard.json, study.toml")
     if paper is not None:
         for file in write_paper(inputs.output_dir(paper), board):
@@ -110,7 +110,7 @@ def leaderboard(
     return 0 if any(run.error is None for run in board.runs) else 2
 
 
-def print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
+def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
     """Print the table of each judge with its conclusion, the groups in short, and the failures by reason."""
     for table in board.tables:
         what = "error" if table.ranked_by == "total" else table.ranked_by

@@ -78,7 +78,7 @@ class _Page:
 
 
 def _write_page(page: _Page, align: AlignKind, frame: EulerFrame) -> None:
-    write_report(page.target, gather_material(page.source), align, frame)
+    _write_report(page.target, gather_material(page.source), align, frame)
 
 
 def gather_material(path: Path) -> Material | SpinMaterial:
@@ -111,7 +111,7 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     return Material(recording.name, recording, references, estimates, hashes)
 
 
-def write_report(target: Path, material: Material | SpinMaterial, align: AlignKind, frame: EulerFrame) -> None:
+def _write_report(target: Path, material: Material | SpinMaterial, align: AlignKind, frame: EulerFrame) -> None:
     """Score the material and write its page; raises :class:`BadParameter` when nothing in it can be scored."""
     name = material.recording.name if material.recording is not None else target.name
     nothing = BadParameter(f"{name}: nothing to score; make estimates of it: stillpoint estimate")

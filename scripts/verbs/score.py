@@ -115,7 +115,7 @@ def score(
         attitudes = [s for s in scores if isinstance(s, Score)]
         print_scores(attitudes, columns)
         if asked.over_s and attitudes:
-            print_turns(attitudes)
+            _print_turns(attitudes)
         print_spin_scores([s for s in scores if isinstance(s, SpinScore)])
         for row in rows:
             if row["error"] is not None:
@@ -149,7 +149,7 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
             print(make_printable(note))
 
 
-def print_turns(scores: Sequence[Score]) -> None:
+def _print_turns(scores: Sequence[Score]) -> None:
     """Print the errors of turns over given times: RMSE and largest, a section per recording, best first."""
     named = [f"over {turn.over_s:g} s" for turn in scores[0].turns]
     ordered = sorted(scores, key=lambda s: (s.recording, s.against, s.turns[0].rmse_deg))
@@ -161,9 +161,9 @@ def _turn_cells(s: Score) -> list[str]:
     return [s.recording, s.estimated, s.against, *(f"{t.rmse_deg:.3f} / {t.max_deg:.2f}" for t in s.turns)]
 
 
-def judge_of(path: Path) -> Judge:
+def _judge_of(path: Path) -> Judge:
     """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
-    if is_trajectory(path):
+    if _is_trajectory(path):
         return Judge(path, read_poses(path), {})
     thing = read(path)
     if isinstance(thing, Reference):
@@ -182,7 +182,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _is_named_alone(path: Path) -> bool:
-    return inputs.kind_of(path) == "reference" or is_trajectory(path)
+    return inputs.kind_of(path) == "reference" or _is_trajectory(path)
 
 
 def _seconds(over: str | None) -> tuple[float, ...]:
@@ -203,7 +203,7 @@ def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
 
 def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | SpinScore:
     """Score one file against a file, against what lies beside it of one kind, or against the default beside it."""
-    if is_trajectory(file):
+    if _is_trajectory(file):
         return _score_trajectory(file, against if isinstance(against, Path) else None, asked)
     thing = read(file)
     if isinstance(thing, Estimate | SpinReference) and is_roll(thing):
@@ -214,12 +214,12 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
         return score_spin_file(file, thing, against, asked.align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
-    judge = judge_of(against if isinstance(against, Path) else _beside(file, thing, against))
+    judge = _judge_of(against if isinstance(against, Path) else _beside(file, thing, against))
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
-def is_trajectory(path: Path) -> bool:
+def _is_trajectory(path: Path) -> bool:
     """Return whether a file holds a trajectory of another program, by its name; an MCAP file by its content."""
     if path.suffix != ".mcap":
         return path.suffix in SUFFIXES
@@ -230,7 +230,7 @@ def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
     """Score a trajectory of another program; it cannot say which recording it was made from."""
     if against is None:
         raise BadParameter(f"{file}: does not say what it belongs to; name its judge: --against NAME.reference.mcap")
-    poses, judge = read_poses(file), judge_of(against)
+    poses, judge = read_poses(file), _judge_of(against)
     name = judge.truth.name if isinstance(judge.truth, Reference) else against.name.removesuffix(against.suffix)
     made = Estimate(poses.t_ns, file.name.removesuffix(file.suffix), q_nb=poses.q_nb, recording=name)
     return score_against(made, judge.truth, asked.align, asked.frame, over_s=asked.over_s)

@@ -107,13 +107,13 @@ def tune(
         write_text(save, tuning_toml(tuning))
     write_document(json, tuning.to_json())
     if json != STDOUT:
-        print_tuning(tuning)
+        _print_tuning(tuning)
         saved = f"; {save}" if save is not None else ""
         print(f"written to {folder}: {estimator}.tune.json, {estimator}.map.png{saved}")
     return 0
 
 
-def print_tuning(tuning: Tuning) -> None:
+def _print_tuning(tuning: Tuning) -> None:
     """Print a row per recording, the means, and the common setting."""
     columns = (
         tuning.defaults.rmse_deg,

@@ -64,7 +64,7 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
     """Return a window's solution at every sample; of its returns, only those before state ``until`` are its own."""
     keys, motion, values = window.keys, window.motion, solution.values
     held = np.array(keys.held)
-    chosen = choose_covariance_states(keys)
+    chosen = _choose_covariance_states(keys)
     resting = np.append(keys.at_rest, keys.at_rest[-1])[held]
     counted = held if resting.all() else held[~resting]
     own = tuple(state for state in window.return_states()[1] if state < until)
@@ -80,8 +80,8 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
     of_sample = step[np.clip(np.searchsorted(keys.t_s[held], t_s, side="right") - 1, 0, len(held) - 1)] - step[0]
     rate = (motion.gyro_b_radps[samples] - biases[of_sample]) @ gyro_matrix.T
     key_q = quaternion(Rotation.from_matrix(rotations_of(values, held)))
-    q_nb = interpolate_attitudes(keys.row[held] - samples.start, key_q, rate, dt_s)
-    cov = interpolate_covariances(t_s, q_nb, keys.t_s[chosen], accuracy.attitude_b_rad2, key_q[chosen - held[0]])
+    q_nb = _interpolate_attitudes(keys.row[held] - samples.start, key_q, rate, dt_s)
+    cov = _interpolate_covariances(t_s, q_nb, keys.t_s[chosen], accuracy.attitude_b_rad2, key_q[chosen - held[0]])
     return Piece(
         samples=samples,
         q_nb=q_nb,
@@ -188,7 +188,7 @@ def _join_tracks(pieces: Sequence[Piece], t_s: Floats) -> Track | None:
 
 
 @compiled
-def interpolate_attitudes(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
+def _interpolate_attitudes(key_rows: Times, key_q_nb: Floats, rate_b_radps: Floats, dt_s: Floats) -> Floats:
     """Return the attitude (N, 4) of every sample.
 
     ``key_rows`` (n,) rise from the first sample to the last; ``key_q_nb`` (n, 4); ``rate_b_radps`` (N, 3) calibrated;
@@ -226,7 +226,7 @@ def _store(q_nb: Floats, k: int, q: Quaternion) -> None:
         q_nb[k, axis] = q[axis] / norm
 
 
-def choose_covariance_states(keys: Keys) -> NDArray[np.int64]:
+def _choose_covariance_states(keys: Keys) -> NDArray[np.int64]:
     """Return the states of a window whose covariances are computed: the others hardly differ, and each takes long.
 
     One in COVARIANCE_STEP_S, the first and last of the window, those beside gaps, and those at the ends of rests.
@@ -239,7 +239,7 @@ def choose_covariance_states(keys: Keys) -> NDArray[np.int64]:
     return np.unique(np.concatenate([regular, states[[0, -1]], gap, gap + 1, rest_end]))
 
 
-def interpolate_covariances(
+def _interpolate_covariances(
     t_s: Floats, q_nb: Floats, key_t_s: Floats, key_cov_b_rad2: Floats, key_q_nb: Floats
 ) -> Floats:
     """Return covariances (N, 3, 3) in body axes at attitudes ``q_nb`` (N, 4), linear in time in the axes of n.

@@ -50,7 +50,7 @@ def make_attitude_reference(
     solved: Solved | None = None
     left_out: str | None = None
     try:
-        solved = solve_with_priors(recording, evidence, priors_to_try(params, evidence))
+        solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence))
         refuse_disturbed_field(solved.fit, recording.name, solved.params)
     except (Contradiction, NoOptimum) as contradiction:
         try:
@@ -69,11 +69,11 @@ def reference_from_evidence(recording: Recording, evidence: Evidence, params: Gr
 
     Raises :class:`Unobservable` as :func:`make_attitude_reference` does, and never leaves out the magnetometer.
     """
-    solved = solve_with_priors(recording, evidence, priors_to_try(params, evidence))
+    solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence))
     return report_reference(recording, evidence, solved, None)
 
 
-def solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:
+def _solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:
     """Solve the graph with the first of several sensor priors that the data do not contradict.
 
     If the field is disturbed with all priors, the narrowest ones are used. Raises :class:`Unobservable` when the data
@@ -114,7 +114,7 @@ def _solve_without_magnetometer(
     # Only the returns show the gyro's scale then, so the priors of a raw sensor are used without a test of the gyro.
     raw = replace(priors_to_try(params, evidence)[:2][-1], surprise_limit_sd=None)
     try:
-        return recording, evidence, solve_with_priors(recording, evidence, [raw]), why
+        return recording, evidence, _solve_with_priors(recording, evidence, [raw]), why
     except Unobservable:
         raise contradiction from None
 

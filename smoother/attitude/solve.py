@@ -75,7 +75,7 @@ def solve(
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
         system, residual = linearise(graph, values, measured, scale_ut, params)
-        ordering = ordering or order_unknowns(system, states, name)
+        ordering = ordering or _order_unknowns(system, states, name)
         step = _solve_linear(system, ordering, name)
         turns = np.array([step.at(X(i))[:3] for i in states])
         turn = float(np.abs(turns).max())
@@ -148,20 +148,20 @@ def _solve_linear(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, n
         raise make_unobservable(name) from error
 
 
-def order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str) -> gtsam.Ordering:
+def _order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str) -> gtsam.Ordering:
     """Return the order of elimination; raises :class:`Unobservable` where nothing ties a state to the others.
 
     Nested dissection keeps the path from any state to the root short, which makes covariances cheap. METIS, which finds
     it, crashes on a variable without neighbours, such as the field in a window without a measurement of it.
     """
     keys = [system.at(i).keys() for i in range(system.size())]
-    alone = require_connected(keys, [X(i) for i in states], describe_unknown, name, may_stand_alone=(H(0),))
+    alone = require_connected(keys, [X(i) for i in states], _describe_unknown, name, may_stand_alone=(H(0),))
     if alone:
         return gtsam.Ordering.ColamdGaussianFactorGraph(system)
     return gtsam.Ordering.MetisGaussianFactorGraph(system)
 
 
-def describe_unknown(key: int) -> str:
+def _describe_unknown(key: int) -> str:
     """Return in words which unknown of the graph a key stands for."""
     symbol = gtsam.Symbol(key)
     kind = UNKNOWNS_IN_WORDS.get(chr(symbol.chr()))

@@ -70,16 +70,16 @@ def solve_both_headings(recording: Recording, evidence: Evidence, params: GraphP
     This happens where the magnetometer covers little of the recording, so that the start value has no heading.
     Raises :class:`Contradiction` when the field points south from both headings.
     """
-    solved = solve_windows(recording, evidence, params)
+    solved = _solve_windows(recording, evidence, params)
     if _field_points_north(solved.pieces, recording, evidence):
         return solved
-    solved = solve_windows(recording, turn_start_round(evidence), params)
+    solved = _solve_windows(recording, turn_start_round(evidence), params)
     if not _field_points_north(solved.pieces, recording, evidence):
         raise Contradiction(recording.name, "the field points away from north, wherever the heading begins")
     return solved
 
 
-def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
+def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
     """Solve window by window; each window begins with everything that the windows before it have found.
 
     Raises :class:`Unobservable` when a window has no unique optimum or one that no sensor can have produced.
@@ -101,10 +101,10 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
         scale_ut: float | None = None
         if votes is not None:
             wide = with_wide_votes(params)
-            graph = push_added(join_graphs(parts, votes, past, wide), added)
+            graph = _push_added(join_graphs(parts, votes, past, wide), added)
             first_solution = solve(graph, values, window.keys.held, window.measured, recording.name, wide)
             values, scale_ut = first_solution.values, first_solution.field_scale_ut
-        graph = push_added(join_graphs(parts, votes, past, params), added)
+        graph = _push_added(join_graphs(parts, votes, past, params), added)
         solution = solve(graph, values, window.keys.held, window.measured, recording.name, params, scale_ut)
         inherited = len(added) + (0 if past is None else len(past.factors))
         fit = measure_fit(graph, inherited, solution, window.keys, params)
@@ -117,7 +117,7 @@ def solve_windows(recording: Recording, evidence: Evidence, params: GraphParams)
         pieces.append(sample_solution(window, solution, until, recording.name, params))
         if until < end:
             closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
-            graph = push_added(join_graphs([before], closed.find_votes(), past, params), closing)
+            graph = _push_added(join_graphs([before], closed.find_votes(), past, params), closing)
             past = hand_over(graph, closed, window.keys, solution, params)
     return Solved(pieces, average_fits(fits), params, n_doubtful_fixes)
 
@@ -140,7 +140,7 @@ def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in windows]
 
 
-def push_added(graph: gtsam.NonlinearFactorGraph, added: list[Added]) -> gtsam.NonlinearFactorGraph:
+def _push_added(graph: gtsam.NonlinearFactorGraph, added: list[Added]) -> gtsam.NonlinearFactorGraph:
     """Return the graph with the added factors at its end."""
     for one in added:
         graph.push_back(one.factor)

@@ -87,7 +87,7 @@ def make_prior(
         sizes[constant], steps[constant] = sd, CONSTANT * sd
     if line is not None and line.is_vibration:
         shaken = [COS_S, SIN_S, COS_A, SIN_A]
-        mean[shaken], sizes[shaken] = expect_vibration(samples, line, params)
+        mean[shaken], sizes[shaken] = _expect_vibration(samples, line, params)
         steps[shaken] = CHANGING * sizes[shaken]
     cov, walk = np.diag(sizes**2), np.diag(steps**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
@@ -96,7 +96,7 @@ def make_prior(
     return Prior(angle_rad, FREE_SD_RAD if gravity or encoder else ZERO_SD_RAD, mean, cov, walk)
 
 
-def expect_vibration(samples: SpinSamples, line: Line, params: SpinGraphParams) -> tuple[Floats, Floats]:
+def _expect_vibration(samples: SpinSamples, line: Line, params: SpinGraphParams) -> tuple[Floats, Floats]:
     """Return means and sd (4,) of the vibration: cos and sin in the squared rate, then in the acceleration.
 
     Each accelerometer may be shaken by any amount, so the line does not show the rate. The true ripple is assumed to
@@ -133,7 +133,7 @@ def fix_constants(prior: Prior, held: NDArray[np.bool_]) -> Prior:
     return replace(prior, cov=hold(prior.cov), walk_cov=hold(prior.walk_cov))
 
 
-def prior_factors(chain: Chain, state: SpinState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
+def _prior_factors(chain: Chain, state: SpinState, prior: Prior) -> Iterator[gtsam.JacobianFactor]:
     """Keep the first angle and the constants near their prior means, and let the constants walk from step to step."""
     first = np.array([[1.0, chain.step_s[0]]]) / prior.angle_sd_rad
     off = (prior.angle_rad - integrate_angles(chain, state)[0]) / prior.angle_sd_rad
@@ -148,10 +148,10 @@ def prior_factors(chain: Chain, state: SpinState, prior: Prior) -> Iterator[gtsa
 
 def prior_cost(chain: Chain, state: SpinState, prior: Prior) -> float:
     """Return the sum of squares of the prior at a state."""
-    return float(sum(np.sum(factor.getb() ** 2) for factor in prior_factors(chain, state, prior)))
+    return float(sum(np.sum(factor.getb() ** 2) for factor in _prior_factors(chain, state, prior)))
 
 
-def block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
+def _block_factors(chain: Chain, blocks: Condensed) -> Iterator[gtsam.JacobianFactor]:
     """Tie the two keys of each block and the constants by the samples of the block."""
     unit = gtsam.noiseModel.Unit.Create(blocks.outer.shape[1])
     for i, (a, b) in enumerate(zip(blocks.outer, blocks.outer_right, strict=True)):
@@ -179,9 +179,9 @@ def eliminate(chain: Chain, at: SpinFit, roots: Roots, prior: Prior, name: str) 
     """Linearise and eliminate the graph; raise :class:`Unobservable` when the system is singular."""
     blocks = condense(build_jacobian(chain, at, roots), chain.layout.inside)
     graph = gtsam.GaussianFactorGraph()
-    for factor in block_factors(chain, blocks):
+    for factor in _block_factors(chain, blocks):
         graph.push_back(factor)
-    for factor in prior_factors(chain, at.state, prior):
+    for factor in _prior_factors(chain, at.state, prior):
         graph.push_back(factor)
     # Nested dissection keeps the path from any key to the root short, which makes covariances cheap. QR, not Cholesky:
     # angles at neighbouring keys are tied to each other 1e6 times as closely as to zero.

@@ -29,7 +29,7 @@ FEWEST_IN_WINDOW = 48  # valid samples of each channel
 LEAST_TURNS = 2.0  # of the body in a window
 ROBUST_ROUNDS = 4
 ROBUST = 5.0  # sd
-RIPPLE_SD = 4.0  # of Z, as :func:`measure_excess` has it: below, a ripple of the rate explains both channels
+RIPPLE_SD = 4.0  # of Z, as :func:`_measure_excess` has it: below, a ripple of the rate explains both channels
 APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
 MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
 NOTHING = 1e-6  # relative: a channel that feels less of gravity feels none
@@ -81,7 +81,7 @@ class Windows:
     def phase(self) -> tuple[Floats, float]:
         """Return the phases (W,) of the channel that shows the line best, and its significance in sd."""
         channels = ((self.squared, self.squared_var), (self.accel, self.accel_var))
-        clear = [measure_excess(np.abs(line) ** 2 / var) for line, var in channels]
+        clear = [_measure_excess(np.abs(line) ** 2 / var) for line, var in channels]
         best = int(np.argmax(clear))
         return np.unwrap(np.angle(channels[best][0])), clear[best]
 
@@ -97,7 +97,7 @@ class Windows:
 def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | None:
     """Return the line along a trajectory that was solved without it; None where there is none."""
     samples = chain.samples
-    windows = fit_windows(chain, state, params.window_s)
+    windows = _fit_windows(chain, state, params.window_s)
     if windows is None:
         return None
     phase, clear = windows.phase()
@@ -105,8 +105,8 @@ def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | 
         return None
     squared, accel, squared_var, accel_var = windows.turned(phase)
     free = windows.squared + 2j * windows.accel
-    significance = measure_excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
-    k_s, k_a = gravity_sensitivity(samples.squared_gravity), gravity_sensitivity(samples.accel_gravity)
+    significance = _measure_excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
+    k_s, k_a = _gravity_sensitivity(samples.squared_gravity), _gravity_sensitivity(samples.accel_gravity)
     sd = np.sqrt(sum(var / abs(k) ** 2 for var, k in ((squared_var, k_s), (accel_var, k_a)) if k))
     verdict, why = judge_line(squared, accel, k_s, k_a, float(sd), significance, params)
     gravity, rate = 0j, float(np.median(interpolate_rates(chain, state)))
@@ -125,28 +125,28 @@ def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | 
         gravity_mps2=abs(gravity),
         ripple_radps=abs(squared - gravity * k_s) / abs(2 * rate) if verdict != "vibration" else None,
         rate_radps=rate,
-        phase_rad=np.interp(elapsed_s(samples), windows.middle_s, phase),
+        phase_rad=np.interp(_elapsed_s(samples), windows.middle_s, phase),
     )
 
 
 def follow_line(chain: Chain, state: SpinState, line: Line, params: HarmonicParams) -> Line:
     """Return the same line, followed along another trajectory."""
-    windows = fit_windows(chain, state, params.window_s)
+    windows = _fit_windows(chain, state, params.window_s)
     if windows is None:
         return line
     phase, _ = windows.phase()
     squared, accel, _, _ = windows.turned(phase)
-    phase = np.interp(elapsed_s(chain.samples), windows.middle_s, phase)
+    phase = np.interp(_elapsed_s(chain.samples), windows.middle_s, phase)
     return replace(line, squared=squared, accel=accel, phase_rad=phase)
 
 
-def measure_excess(squares: Floats) -> float:
+def _measure_excess(squares: Floats) -> float:
     """Return by how many sd the sum of chi-squared numbers (W,), 2 degrees of freedom each, exceeds its mean."""
     count = len(squares)
     return float((squares.sum() - 2 * count) / np.sqrt(4 * count))
 
 
-def gravity_sensitivity(gravity: Floats) -> complex:
+def _gravity_sensitivity(gravity: Floats) -> complex:
     """Return the sensitivity k of a channel to gravity, 1/m."""
     return complex(gravity[0], -gravity[1])
 
@@ -189,15 +189,15 @@ def judge_line(
     return "gravity", f"{shown}: they agree"
 
 
-def elapsed_s(samples: SpinSamples) -> Floats:
+def _elapsed_s(samples: SpinSamples) -> Floats:
     """Return the time (N,) from the first sample."""
     return np.asarray((samples.t_ns - samples.t_ns[0]) / 1e9)
 
 
-def fit_windows(chain: Chain, state: SpinState, window_s: float) -> Windows | None:
+def _fit_windows(chain: Chain, state: SpinState, window_s: float) -> Windows | None:
     """Return the line along a trajectory in each window that is long enough; None if there is no such window."""
     samples, angle_rad = chain.samples, integrate_angles(chain, state)
-    t_s = elapsed_s(samples)
+    t_s = _elapsed_s(samples)
     edges = np.searchsorted(t_s, np.arange(0.0, t_s[-1] + window_s, window_s))
     found = []
     for first, last in pairwise(edges):

@@ -49,8 +49,8 @@ def measure_samples(recording: Recording, params: SpinNoise) -> SpinSamples:
         raise Unobservable(f"{recording.name}: has no spin stream; method roll-graph needs one")
     by = channels(spin.geometry)
     seen = measure(spin, by)
-    accel_valid = seen.omega_dot_valid & ~find_frozen(seen.omega_dot_radps2)
-    squared_valid = seen.omega_squared_valid & ~find_frozen(seen.omega_squared_radps2)
+    accel_valid = seen.omega_dot_valid & ~_find_frozen(seen.omega_dot_radps2)
+    squared_valid = seen.omega_squared_valid & ~_find_frozen(seen.omega_squared_radps2)
     accel = np.where(accel_valid, seen.omega_dot_radps2, 0.0)
     squared = np.where(squared_valid, seen.omega_squared_radps2, 0.0)
     for name, valid in (("angular acceleration", accel_valid), ("squared rate", squared_valid)):
@@ -67,15 +67,15 @@ def measure_samples(recording: Recording, params: SpinNoise) -> SpinSamples:
         squared_rad2ps2=squared,
         accel_valid=accel_valid,
         squared_valid=squared_valid,
-        accel_sd=params.accel_sd_radps2 if given else estimate_white_sd(accel, accel_valid, LEAST_ACCEL),
-        squared_sd=params.squared_sd_rad2ps2 if given else estimate_white_sd(squared, squared_valid, LEAST_SQUARED),
+        accel_sd=params.accel_sd_radps2 if given else _estimate_white_sd(accel, accel_valid, LEAST_ACCEL),
+        squared_sd=params.squared_sd_rad2ps2 if given else _estimate_white_sd(squared, squared_valid, LEAST_SQUARED),
         accel_gravity=_gravity_parts(by, by.omega_dot),
         squared_gravity=_gravity_parts(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
     )
 
 
-def find_frozen(values: Floats) -> NDArray[np.bool_]:
+def _find_frozen(values: Floats) -> NDArray[np.bool_]:
     """Return where a channel (N,) repeats the same value for RUN samples or more, as a frozen sensor does.
 
     In a channel that repeats itself most of the time the converter is coarser than the noise: nothing counts as frozen.
@@ -94,14 +94,14 @@ def find_sign(spin: Spin, params: SpinCalibration) -> float | None:
     """
     along = spin.geometry.gyro_axis_b[:, 0]
     if not len(along) or np.abs(along).max() < LEAST_ALONG:
-        return sign_by_products(spin, params)
+        return _sign_by_products(spin, params)
     best = int(np.abs(along).argmax())
     seen = spin.gyro_radps[:, best]
     seen = seen[np.isfinite(seen)]
     return float(np.sign(np.median(seen) * along[best])) or None if len(seen) else None
 
 
-def sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
+def _sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
     """Return the sign of the sum of w_x w_y * w_y and w_x w_z * w_z, measured by accelerometers and gyros.
 
     None where the noise, biases and scales of the accelerometers could explain the sum.
@@ -121,14 +121,14 @@ def sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
             continue
         shown, rate = shown[good], rate[good]
         total += float(shown @ rate)
-        noise_var += estimate_white_sd(shown, np.ones(len(shown), dtype=np.bool_), 0.0) ** 2 * float(rate @ rate)
+        noise_var += _estimate_white_sd(shown, np.ones(len(shown), dtype=np.bool_), 0.0) ** 2 * float(rate @ rate)
         by_bias += channel.accel * rate.sum()
         by_scale[used] += channel.accel[used] * (rate @ spin.accel_mps2[good][:, used])
     off_var = params.accel_bias_sd_mps2**2 * by_bias @ by_bias + params.lever_arm_sd**2 * by_scale @ by_scale
     return float(np.sign(total)) if abs(total) > SIGN_SD * np.sqrt(noise_var + off_var) else None
 
 
-def estimate_white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
+def _estimate_white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
     """Return the sd of the white noise in a smooth signal (N,), robustly, from its fourth differences.
 
     The result is at least the share ``least`` of the signal's RMS.

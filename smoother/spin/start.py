@@ -24,7 +24,7 @@ from stillpoint.smoother.spin.state import (
 from stillpoint.smoother.spin.zero_rate import smooth_squared
 
 
-def start_rates(samples: SpinSamples, sign: float) -> Floats:
+def _start_rates(samples: SpinSamples, sign: float) -> Floats:
     """Return the start values of the mean rates x (N + 1,)."""
     rows = np.arange(len(samples))
     rate = sign * np.sqrt(np.maximum(smooth_squared(samples), 0.0))
@@ -33,7 +33,7 @@ def start_rates(samples: SpinSamples, sign: float) -> Floats:
 
 def make_start(chain: Chain, readings: EncoderReadings | None, sign: float) -> SpinState:
     """Return rates from the squared rate and angle 0 at the first sample; with an encoder its sign, scale and angle."""
-    rates = start_rates(chain.samples, sign)
+    rates = _start_rates(chain.samples, sign)
     constants = np.zeros((int(chain.constants_of[-1]) + 1, len(CONSTANTS)))
     if readings is None:
         return SpinState(-float(rates[0] * chain.step_s[0]), rates, constants)

@@ -40,14 +40,14 @@ class ReferenceJob:
         return f"reference of {self.source.recording}"
 
 
-def plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> ReferenceJob:
+def _plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> ReferenceJob:
     """Return the job that would make the reference of a recording."""
     middle = "" if method == DEFAULT_METHOD else f".{method}"
     target = out / "references" / f"{source.recording}{middle}.reference.mcap"
     return ReferenceJob(source, method, target, key_of(what="reference", input=source.sha256, method=method), store)
 
 
-def find_reference(job: ReferenceJob) -> KeptReference | None:
+def _find_reference(job: ReferenceJob) -> KeptReference | None:
     """Return the reference beside the recording if it was made from it, else the one made before; None: make it."""
     beside = _read_beside(job)
     if beside is not None:
@@ -62,7 +62,7 @@ def find_reference(job: ReferenceJob) -> KeptReference | None:
     return KeptReference(job.target, job.method, facts["sha256"])
 
 
-def make_reference(job: ReferenceJob) -> None:
+def _make_reference(job: ReferenceJob) -> None:
     """Make a reference and keep it, or the reason why the recording does not fix one."""
     try:
         made = attitude_reference(read_recording(job.source.file), job.method)
@@ -83,12 +83,12 @@ def find_references(
     sources: Sequence[Source], out: Path, store: ResultStore, run_jobs: JobRunner, method: str = DEFAULT_METHOD
 ) -> dict[str, KeptReference]:
     """Return the references of recordings by their names; those that are missing are made."""
-    jobs = [plan_reference(source, out, store, method) for source in sources]
-    missing = [job for job in jobs if find_reference(job) is None]
-    outcomes = run_jobs(make_reference, missing, "references") if missing else []
+    jobs = [_plan_reference(source, out, store, method) for source in sources]
+    missing = [job for job in jobs if _find_reference(job) is None]
+    outcomes = run_jobs(_make_reference, missing, "references") if missing else []
     errors = {job.source.recording: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
     return {
-        job.source.recording: find_reference(job)
+        job.source.recording: _find_reference(job)
         or KeptReference(error=errors.get(job.source.recording) or "the reference is missing")
         for job in jobs
     }

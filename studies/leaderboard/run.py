@@ -135,7 +135,7 @@ def _compare(
         judges = {s.recording: find_judge(s, against, study.against == "both", references) for s in sources}
         scored = score_cells(cells, judges, study.align, store, run_jobs)
         tables.append(build_table("", scored, sources, rows))
-        for name, members in list_groups(sources, study.groups):
+        for name, members in _list_groups(sources, study.groups):
             groups.append(build_table(name, scored, members, rows))
         runs += scored.runs.values()
     return Leaderboard(
@@ -150,7 +150,7 @@ def _compare(
     )
 
 
-def list_groups(sources: Sequence[Source], wanted: Sequence[str] | None) -> Iterator[tuple[str, list[Source]]]:
+def _list_groups(sources: Sequence[Source], wanted: Sequence[str] | None) -> Iterator[tuple[str, list[Source]]]:
     """Return tags and devices with the recordings that share them; those that all recordings share say nothing."""
     names = dict.fromkeys(name for source in sources for name in (*source.tags, source.device) if name)
     for name in names if wanted is None else wanted:

@@ -50,21 +50,21 @@ def _describe(file: Path) -> dict[str, Any]:
         "licence": info["licence"],
         "citation": info["citation"],
         "device": info["sensor"].partition(" (")[0],
-        "motion": name_motion(info["extra"]),
-        "tags": find_tags(info["extra"]),
+        "motion": _name_motion(info["extra"]),
+        "tags": _find_tags(info["extra"]),
         "magnetometer": magnetometer if MAG in topics else "none",
         "truth": TRUTH in topics,
         "lost": found.lost,
     }
 
 
-def find_tags(extra: Mapping[str, str]) -> list[str]:
+def _find_tags(extra: Mapping[str, str]) -> list[str]:
     """Return the free ``tags`` of a recording, and the groups of BROAD; words between spaces or commas."""
     words = f"{extra.get('tags', '')} {extra.get('groups', '')}".replace(",", " ").split()
     return [word for word in dict.fromkeys(words) if word != "all_trials"]
 
 
-def name_motion(extra: Mapping[str, str]) -> str:
+def _name_motion(extra: Mapping[str, str]) -> str:
     """Return the name of the motion, so that repetitions of one motion by one device count once; "" when unknown."""
     if extra.get("motion"):
         return extra["motion"]

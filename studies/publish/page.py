@@ -31,7 +31,7 @@ def make_page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = No
         board=board,
         labels=labels,
         notes=tuple(_list_notes(board)),
-        axes=[LogAxis.over(table) for table in board.tables],
+        axes=[_LogAxis.over(table) for table in board.tables],
         heat=_make_heat_map(board),
         groups=_make_group_table(board, labels),
         recordings=list(entries),
@@ -47,16 +47,16 @@ def make_page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = No
 
 
 @dataclass(frozen=True)
-class LogAxis:
+class _LogAxis:
     """A logarithmic axis for the intervals of one table."""
 
     low_deg: float
     high_deg: float
 
     @classmethod
-    def over(cls, table: Table) -> "LogAxis":
+    def over(cls, table: Table) -> "_LogAxis":
         """Return the axis that holds every interval of a table."""
-        ends = [end for row in table.rows if (one := get_ranking_summary(row, table)) is not None for end in one.ci95]
+        ends = [end for row in table.rows if (one := _get_ranking_summary(row, table)) is not None for end in one.ci95]
         known = [end for end in ends if math.isfinite(end) and end > 0]
         return cls(min(known, default=0.1), max(known, default=10.0))
 
@@ -73,7 +73,7 @@ class LogAxis:
         return [{"x": self.place(tick), "text": f"{tick:g}"} for tick in kept]
 
 
-def get_ranking_summary(row: Row, table: Table) -> Summary | None:
+def _get_ranking_summary(row: Row, table: Table) -> Summary | None:
     """Return the summary that decides the rank of a row in a table."""
     summary: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
     return summary
@@ -130,7 +130,7 @@ def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, An
         found = [next((row for row in group.rows if row.label == label), None) for group in board.groups]
         cells = []
         for row, group in zip(found, board.groups, strict=True):
-            summary = None if row is None else get_ranking_summary(row, group)
+            summary = None if row is None else _get_ranking_summary(row, group)
             rank = None if row is None else row.rank
             cells.append(None if summary is None else {"typical": summary.typical, "rank": rank})
         rows.append({"label": label, "cells": cells})
@@ -139,7 +139,7 @@ def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, An
 
 def _list_costs(table: Table) -> list[dict[str, Any]]:
     """Return the points of the plot of accuracy against cost."""
-    found = ((row.label, row.ns_per_sample, get_ranking_summary(row, table)) for row in table.rows)
+    found = ((row.label, row.ns_per_sample, _get_ranking_summary(row, table)) for row in table.rows)
     return [
         {"name": label, "cost": cost, "error": summary.typical}
         for label, cost, summary in found

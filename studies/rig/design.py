@@ -70,7 +70,7 @@ def evaluate_placement(rig: Rig, d1_m: float, d2_m: float) -> Placement:
     variance = np.full(len(geometry.accel_r_b_m), rig.tangential_var_m2ps4)
     variance[-2] = rig.radial_var_m2ps4
     by = channels(geometry, variance)
-    radial, tangential = compute_range_shares(rig, geometry)[-2:]
+    radial, tangential = _compute_range_shares(rig, geometry)[-2:]
     slope = 1 / (2 * rig.fastest_radps)  # d(rate)/d(squared rate)
     raw_sd = float(np.sqrt(by.r_rad2ps4) * slope)
     usable = 1 - rig.headroom
@@ -89,7 +89,7 @@ def evaluate_placement(rig: Rig, d1_m: float, d2_m: float) -> Placement:
     )
 
 
-def compute_range_shares(rig: Rig, geometry: SpinGeometry) -> Floats:
+def _compute_range_shares(rig: Rig, geometry: SpinGeometry) -> Floats:
     """Return the part of its range (k,) that each accelerometer uses, at full speed or while spinning up from rest.
 
     Linear acceleration of the centre is not counted.
@@ -113,7 +113,7 @@ def find_longest_arms(rig: Rig) -> Placement:
     Raises :class:`BadParameter` where not even one centimetre fits.
     """
     shortest = GEOMETRIES[rig.geometry](LENGTH_STEP_M, LENGTH_STEP_M, rig.range_mps2)
-    used = compute_range_shares(rig, shortest)[-2:]  # in proportion to the arm
+    used = _compute_range_shares(rig, shortest)[-2:]  # in proportion to the arm
     lengths_m = np.minimum(LENGTH_STEP_M * (1 - rig.headroom) / used, rig.room_m)
     whole = np.floor(lengths_m / LENGTH_STEP_M + 1e-9) * LENGTH_STEP_M
     if (whole < LENGTH_STEP_M).any():
@@ -126,5 +126,5 @@ def find_longest_arms(rig: Rig) -> Placement:
 
 def limits_m(rig: Rig) -> tuple[float, float]:
     """The arms d1 and d2 at which F4 and F5 read the whole range."""
-    used = compute_range_shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
+    used = _compute_range_shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
     return float(1 / used[0]), float(1 / used[1])

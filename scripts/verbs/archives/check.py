@@ -59,7 +59,7 @@ def verify(
         found = verify_archive(opened, thorough)
         seconds = time.perf_counter() - begun
         if json != STDOUT:
-            print_faults(found.faults)
+            _print_faults(found.faults)
             state = f"{len(found.faults)} faults" if found.faults else "clean"
             speed = found.bytes / 1e6 / max(seconds, 1e-9)
             read = f"{found.bytes / 1e6:.1f} MB read in {seconds:.1f} s ({speed:.0f} MB/s)"
@@ -69,7 +69,7 @@ def verify(
             differing, lines = _remake(opened, count, seed, tolerance, jobs)
             faults += differing
             if json != STDOUT:
-                print_faults(differing)
+                _print_faults(differing)
                 print("\n".join(lines))
     write_json(json, [asdict(fault) for fault in faults])
     return 1 if faults else 0
@@ -136,7 +136,7 @@ def repair(
     if json != STDOUT:
         for line in done:
             print(line)
-        print_faults(left)
+        _print_faults(left)
         print(f"{len(done)} repaired, {len(left)} left")
     write_json(json, [asdict(fault) for fault in left])
     return 1 if left else 0
@@ -159,7 +159,7 @@ def rebuild(*, archive: ArchiveDir = None) -> int:
     return 1 if problems else 0
 
 
-def print_faults(faults: Sequence[Fault]) -> None:
+def _print_faults(faults: Sequence[Fault]) -> None:
     """Two lines per fault: what is wrong where, and how to repair it."""
     for fault in faults:
         print(f"{fault.level}: {fault.where}: {fault.what}")

@@ -27,15 +27,15 @@ def vehicle_generators(params: GraphParams) -> list[Generator]:
     if params.motion.nonholonomic:
 
         def nonholonomic(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
-            return nonholonomic_factors(states, params)
+            return _nonholonomic_factors(states, params)
 
         generators.append(nonholonomic)
     if params.motion.stops:
-        generators.append(stops)
+        generators.append(_stops)
     return generators
 
 
-def nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam.NonlinearFactor]:
+def _nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam.NonlinearFactor]:
     """Yield for each interval that the vehicle moved along its forward axis only; how far is not said.
 
     The factor compares tangent vectors of SE(3), which are the mean velocity in the turning body times the interval, so
@@ -54,7 +54,7 @@ def nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam.
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), noise)
 
 
-def stops(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
+def _stops(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
     """Yield a velocity of zero at the states between two fixes that both saw the vehicle stand."""
     gps = recording.gps
     if gps is None:

@@ -29,7 +29,7 @@ COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5}  # plac
 TITLES: dict[SeaKind, str] = {"waves": "In waves", "calm": "In a calm sea"}
 
 
-class Column(NamedTuple):
+class _Column(NamedTuple):
     """An error of the study and what the page calls it."""
 
     key: str
@@ -38,15 +38,15 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("roll_off_mean_deg", "roll off", "mean, deg"),
-    Column("roll_off_var_deg2", "roll off", "var, deg²"),
-    Column("pitch_off_mean_deg", "pitch off", "mean, deg"),
-    Column("pitch_off_var_deg2", "pitch off", "var, deg²"),
-    Column("surface_roll_rmse_deg", "roll error", "surface, deg"),
-    Column("below_roll_rmse_deg", "roll error", "below, deg"),
-    Column("pitch_rmse_deg", "pitch error", "deg"),
-    Column("heading_after_deg", "heading error", "at 600 s, deg"),
-    Column("heading_drift_deg", "its change", "in 600 s, deg"),
+    _Column("roll_off_mean_deg", "roll off", "mean, deg"),
+    _Column("roll_off_var_deg2", "roll off", "var, deg²"),
+    _Column("pitch_off_mean_deg", "pitch off", "mean, deg"),
+    _Column("pitch_off_var_deg2", "pitch off", "var, deg²"),
+    _Column("surface_roll_rmse_deg", "roll error", "surface, deg"),
+    _Column("below_roll_rmse_deg", "roll error", "below, deg"),
+    _Column("pitch_rmse_deg", "pitch error", "deg"),
+    _Column("heading_after_deg", "heading error", "at 600 s, deg"),
+    _Column("heading_drift_deg", "its change", "in 600 s, deg"),
 )
 
 

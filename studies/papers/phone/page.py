@@ -35,7 +35,7 @@ EULER = tuple(f"{axis}_{figure}_deg" for axis in AXES for figure in ("rmse", "ma
 BESIDE = ("inclination_rmse_deg", "heading_rmse_deg")
 
 
-class Shown(NamedTuple):
+class _Shown(NamedTuple):
     """One of the paper's figures."""
 
     number: str
@@ -45,22 +45,22 @@ class Shown(NamedTuple):
     span: Span | None  # None: the whole recording
 
 
-FIGURES: dict[str, tuple[Shown, ...]] = {
+FIGURES: dict[str, tuple[_Shown, ...]] = {
     "phone-1": (
-        Shown("5", "CF and Acc", (ACC, CF), AXES, None),
-        Shown("6", "Roll, CF and Acc", (ACC, CF), ("roll",), (10.0, 20.0)),
-        Shown("7", "Roll, CF and Acc_MA", (ACC_MA, CF), ("roll",), (10.0, 30.0)),
-        Shown("8", "Yaw by all", (ACC, ACC_MA, CF), ("yaw",), (10.0, 20.0)),
+        _Shown("5", "CF and Acc", (ACC, CF), AXES, None),
+        _Shown("6", "Roll, CF and Acc", (ACC, CF), ("roll",), (10.0, 20.0)),
+        _Shown("7", "Roll, CF and Acc_MA", (ACC_MA, CF), ("roll",), (10.0, 30.0)),
+        _Shown("8", "Yaw by all", (ACC, ACC_MA, CF), ("yaw",), (10.0, 20.0)),
     ),
     "phone-2": (
-        Shown("10", "The gyro alone", (GYRO,), AXES, (LEAD_S, LEAD_S + DRIFT_S)),
-        Shown("11", "CF and Acc", (ACC, CF), AXES, None),
-        Shown("12", "Roll, CF and Acc", (ACC, CF), ("roll",), (35.0, 45.0)),
+        _Shown("10", "The gyro alone", (GYRO,), AXES, (LEAD_S, LEAD_S + DRIFT_S)),
+        _Shown("11", "CF and Acc", (ACC, CF), AXES, None),
+        _Shown("12", "Roll, CF and Acc", (ACC, CF), ("roll",), (35.0, 45.0)),
     ),
     "phone-3": (
-        Shown("13", "The benchmark", (), AXES, None),
-        Shown("14", "Roll by Acc", (ACC,), ("roll",), (10.0, 30.0)),
-        Shown("15", "Roll by CF", (CF,), ("roll",), (10.0, 30.0)),
+        _Shown("13", "The benchmark", (), AXES, None),
+        _Shown("14", "Roll by Acc", (ACC,), ("roll",), (10.0, 30.0)),
+        _Shown("15", "Roll by CF", (CF,), ("roll",), (10.0, 30.0)),
     ),
 }
 
@@ -187,7 +187,7 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     return [*drawn, judges]
 
 
-def _picture(one: Trial, shown: Shown, whole: Span) -> Picture:
+def _picture(one: Trial, shown: _Shown, whole: Span) -> Picture:
     return make_picture(
         f"{shown.title} ({one.hand})",
         f"As the paper's figure {shown.number}: trial {one.seed}, seconds from {LEAD_S:g} s before the first motion. "

@@ -104,15 +104,15 @@ def run_trial(scenario: Scenario, hand: str, seed: int) -> Trial:
         hand,
         seed,
         scores,
-        {method: fold_yaw(thing, benchmark) for method, thing in made.items()},
+        {method: _fold_yaw(thing, benchmark) for method, thing in made.items()},
         {name: _measure_tilt_at_start_deg(reference, recording.truth) for name, reference in references.items()},
-        measure_drift_deg(made[GYRO], benchmark),
+        _measure_drift_deg(made[GYRO], benchmark),
         {name: dict(thing.params) for name, thing in things.items()},
         _make_series(recording.truth, benchmark, references, made),
     )
 
 
-def measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
+def _measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
     """Return the gyro's error in roll, pitch, yaw, DRIFT_S after it was set to the benchmark at the start of motion."""
     assert gyro.q_nb is not None
     start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
@@ -122,7 +122,7 @@ def measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, floa
     return float(roll), float(pitch), float(yaw)
 
 
-def fold_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
+def _fold_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
     """Return the errors of yaw modulo 90 deg over the moving samples, with nothing aligned."""
     c = compare(estimated, benchmark, "none")
     yaw_deg = np.rad2deg(euler_error(c.q_est[c.moving], c.q_true[c.moving], "nwu")[:, 2])

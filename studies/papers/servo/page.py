@@ -24,7 +24,7 @@ ROWS = (
 STRETCHES = ("rest", "low", "high")
 
 
-def median_over(trials: Sequence[Trial], key: str) -> float:
+def _median_over(trials: Sequence[Trial], key: str) -> float:
     """Return the median over the trials of the absolute value of a figure."""
     return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
 
@@ -38,7 +38,7 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
         seeds=f"{trials[0].seed} to {trials[-1].seed}",
         minutes=f"{trials[0].series.t_s[-1] / 60:.0f}",
         printed_drift=f"{PRINTED_DRIFT_DEG:g}",
-        drift=f"{median_over(trials, 'drift_deg'):.0f}",
+        drift=f"{_median_over(trials, 'drift_deg'):.0f}",
         drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in trials),
         rows=make_rows(trials),
         pictures=_pictures(trials[0]),
@@ -55,7 +55,7 @@ def make_rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
             "angle": angle,
             "method": method,
             "colour": COLOUR[method],
-            "cells": [f"{median_over(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
+            "cells": [f"{_median_over(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
         }
         for angle, method, short in ROWS
     ]

@@ -26,7 +26,7 @@ METHODS = (*FILTERS, SMOOTHER)
 COLOUR = {"observation": 4, "EKF": 0, "AEKF": 1, "guarded": 2, "smoother": 3}  # places in COLOURS
 
 
-class Metric(NamedTuple):
+class _Metric(NamedTuple):
     """An error of the scores and what the page calls it."""
 
     key: str
@@ -35,10 +35,10 @@ class Metric(NamedTuple):
 
 
 NAMED = (
-    Metric("angle_max_deg", "angle, largest error", "deg"),
-    Metric("angle_rmse_deg", "angle, RMSE", "deg"),
-    Metric("rate_max_degps", "rate, largest error", "deg/s"),
-    Metric("rate_rmse_degps", "rate, RMSE", "deg/s"),
+    _Metric("angle_max_deg", "angle, largest error", "deg"),
+    _Metric("angle_rmse_deg", "angle, RMSE", "deg"),
+    _Metric("rate_max_degps", "rate, largest error", "deg/s"),
+    _Metric("rate_rmse_degps", "rate, RMSE", "deg/s"),
 )
 assert tuple(metric.key for metric in NAMED) == METRICS
 
@@ -177,7 +177,7 @@ def _row(one: Trial, method: str) -> dict[str, Any]:
     return {"seed": one.seed, "method": method, "figures": [*(getattr(s, metric) for metric in METRICS), *fits]}
 
 
-def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: Metric, methods: Sequence[str], number: str) -> Picture:
+def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: _Metric, methods: Sequence[str], number: str) -> Picture:
     return make_picture(
         f"{metric.name[0].upper()}{metric.name[1:]} ({noise})",
         f"As the paper's figure {number}: one group of bars per trial.",
