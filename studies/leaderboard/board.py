@@ -100,6 +100,7 @@ class Run:
     magnetometer_left_out: str | None = None  # why the estimator got no magnetometer although there is one
     parameters: Mapping[str, Any] = field(default_factory=dict)
     judge_file: str | None = None  # the recording whose truth judged, or the reference
+    estimate_key: str | None = None  # of the estimate in the folder of results
     score_key: str | None = None  # of the error over time: see `read_error_series`
     error: str | None = None
 

@@ -190,5 +190,6 @@ def _start_run(cell: Cell, judge: JudgeSpec | str, store: ResultStore) -> Run:
         magnetometer_left_out=known.get("magnetometer_left_out"),
         parameters=known.get("params", {}),
         judge_file=file,
+        estimate_key=None if cell.job is None or cell.error is not None else cell.job.key,
         error=cell.error,
     )

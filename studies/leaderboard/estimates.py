@@ -1,6 +1,6 @@
 """Make the estimates of a leaderboard, one job per recording and estimator, and keep them in the store.
 
-Kept estimates hold attitude and covariance in single precision (7e-6 deg): a tenth of the size of an MCAP file.
+Kept estimates hold attitude, covariance and gyro bias in single precision (7e-6 deg): a tenth of the size of an MCAP file.
 """
 
 from collections.abc import Mapping
@@ -79,6 +79,7 @@ def load_estimate(result: Result, recording: Recording, name: str) -> Estimate:
         name=name,
         q_nb=q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True),
         cov_b_rad2=cov,
+        gyro_bias_b_radps=arrays["gyro_bias_b_radps"].astype(np.float64) if "gyro_bias_b_radps" in arrays else None,
         ready=arrays.get("ready"),
         recording=recording.name,
         params=facts["params"],
@@ -105,6 +106,8 @@ def _arrays(made: Estimate, recording: Recording) -> Mapping[str, NDArray[Any]]:
         arrays["t_ns"] = made.t_ns
     if made.cov_b_rad2 is not None:
         arrays["cov_b_rad2"] = made.cov_b_rad2[:, UPPER[0], UPPER[1]].astype(np.float32)
+    if made.gyro_bias_b_radps is not None:
+        arrays["gyro_bias_b_radps"] = made.gyro_bias_b_radps.astype(np.float32)
     if made.ready is not None and not made.ready.all():
         arrays["ready"] = made.ready
     return arrays
