@@ -330,7 +330,18 @@ function connectTimePlots(plots, data) {
       for (const box of boxes) box.checked = button.dataset.show === "all";
       showChecked();
     });
+  const showNamed = () => {
+    // #estimator=NAME, by which the map of a leaderboard opens a page: this one alone
+    const wanted = data.series.indexOf(decodeURIComponent(location.hash.replace(/^#estimator=/, "")));
+    if (!location.hash.startsWith("#estimator=") || wanted < 0) return;
+    for (const box of boxes) box.checked = Number(box.dataset.series) === wanted;
+    showChecked();
+    document.getElementById("runs").scrollIntoView();
+    document.getElementById("runs").focus({ preventScroll: true });
+  };
+  window.addEventListener("hashchange", showNamed);
   showChecked();
+  showNamed();
   for (const button of document.querySelectorAll("button[data-zoom]"))
     button.addEventListener("click", () => plots.zoom(Number(button.dataset.zoom), Number(button.dataset.shift ?? 0)));
   return plots;

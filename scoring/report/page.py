@@ -53,8 +53,11 @@ def judge(material: Material, align: AlignKind = "heading", frame: EulerFrame = 
     return tuple(verdicts)
 
 
-def make_report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
-    """Return the page as text. The same material gives the same bytes."""
+def make_report_html(material: Material, verdicts: tuple[Verdict, ...], home: str = "") -> str:
+    """Return the page as text; ``home`` is the address of the page that it belongs to.
+
+    The same material gives the same bytes.
+    """
     panels, entries = _make_plots(material, verdicts)
     series = list(dict.fromkeys(c.estimated for verdict in verdicts for c in verdict.comparisons))
     keys = {panel.key for panel in panels}
@@ -62,6 +65,7 @@ def make_report_html(material: Material, verdicts: tuple[Verdict, ...]) -> str:
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         name=material.name,
+        home=home,
         facts=describe_recording(material.recording) if material.recording is not None else {},
         references=[describe_reference(reference) for reference in material.references],
         sections=[_make_section(verdict) for verdict in verdicts],

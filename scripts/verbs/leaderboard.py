@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from stillpoint.studies.leaderboard.study import Against, map_own_file
 from stillpoint.studies.publish.curves import read_entries
 from stillpoint.studies.publish.page import make_page_html
 from stillpoint.studies.publish.paper import write_paper
+from stillpoint.studies.publish.run_pages import write_run_pages
 
 DEFAULT_OUT = Path("leaderboard")
 COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
@@ -51,9 +52,9 @@ def leaderboard(
     """Score many estimators over many recordings and say which are better.
 
     Makes the references, estimates and scores that are missing and reuses the others, so that a run that was stopped
-    goes on where it was. Writes leaderboard.json, study.toml and index.html, a page that needs no network, to the
-    output folder. Verdicts come with 95 % intervals; docs/leaderboard.md explains them. Exit code 2 when nothing could
-    be scored.
+    goes on where it was. Writes leaderboard.json, study.toml, index.html (a page that needs no network) and a page for
+    each recording to the output folder. Verdicts come with 95 % intervals; docs/leaderboard.md explains them. Exit
+    code 2 when nothing could be scored.
 
     Parameters
     ----------
@@ -100,10 +101,14 @@ def leaderboard(
     folder = inputs.output_dir(out)
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
     _write(board, folder)
+    pages = write_run_pages(folder, board, run)
+    _write(board, folder, pages.links)
+    for name, error in pages.errors.items():
+        print(f"no page of {name}: {error}", file=sys.stderr)
     write_document(json, board.to_json())
     if json != STDOUT:
         _print_leaderboard(board, columns)
-        print(f"\nwritten to {folder}: index.html, leaderboard.json, study.toml")
+        print(f"\nwritten to {folder}: index.html, runs/*.html ({len(pages.links)}), leaderboard.json, study.toml")
     if paper is not None:
         for file in write_paper(inputs.output_dir(paper), board):
             print(file, file=sys.stderr if json == STDOUT else sys.stdout)
@@ -174,10 +179,10 @@ def _study(
     return replace(base, recordings=files, params=params, **changed)
 
 
-def _write(board: Leaderboard, folder: Path) -> None:
+def _write(board: Leaderboard, folder: Path, run_pages: Mapping[str, str] | None = None) -> None:
     """Write the leaderboard, its page, and the complete study, with paths relative to the folder."""
     write_document(str(folder / "leaderboard.json"), board.to_json())
-    write_text(folder / "index.html", make_page_html(board, read_entries(folder, board)))
+    write_text(folder / "index.html", make_page_html(board, read_entries(folder, board), run_pages=run_pages))
     study = Study(**board.study)
     study = replace(
         study,

@@ -1,6 +1,7 @@
 """Make the estimates of a leaderboard, one job per recording and estimator, and keep them in the store.
 
-Kept estimates hold attitude, covariance and gyro bias in single precision (7e-6 deg): a tenth of the size of an MCAP file.
+Kept estimates hold attitude, covariance and gyro bias in single precision (7e-6 deg): a tenth of the size of an MCAP
+file.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Score all estimates of one recording against one judge, on the samples that every estimate covers."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.estimates import load_estimate
 from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, covariance_n_deg2, load_judge
 from stillpoint.studies.leaderboard.series import pack_curves
-from stillpoint.studies.result_store import ResultStore, key_of
+from stillpoint.studies.result_store import Result, ResultStore, key_of
 
 LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
 MOST_BINS = 2000  # of mean error vectors: one per second up to 33 minutes
@@ -144,7 +144,7 @@ def judge_key(judge: JudgeSpec, score_facts: Mapping[str, Any]) -> str:
 
 def _find_coverage(job: ScoreJob, entry: Entry, material: _Material) -> Mask:
     """Return which samples (N,) of the judge move and are covered by an estimate."""
-    key = key_of(what="coverage", estimate=entry.key, judge=job.judge.key, at_truth=job.judge.at_truth)
+    key = _coverage_key(entry.key, job.judge)
     kept = job.store.get(key)
     if kept is None:
         estimate = material.estimate(entry.key, entry.name)
@@ -152,6 +152,26 @@ def _find_coverage(job: ScoreJob, entry: Entry, material: _Material) -> Mask:
         covered = match(track(estimate), judge.trajectory.t_ns).found & judge.moving
         job.store.put(key, {"n": len(covered)}, {"bits": np.packbits(covered)})
         return covered
+    return _unpack_mask(kept)
+
+
+def find_common_samples(estimate_keys: Sequence[str], judge: JudgeSpec, store: ResultStore) -> Mask:
+    """Return which samples (N,) of a judge were scored, from what was kept when these estimates were scored together.
+
+    Raises :class:`BadRecording` when it is not there any more.
+    """
+    kept = [store.get(_coverage_key(key, judge)) for key in estimate_keys]
+    masks = [_unpack_mask(one) for one in kept if one is not None]
+    if len(masks) < len(kept):
+        raise BadRecording(f"the samples that {judge.name} scored are missing in {store.folder}; run again")
+    return np.logical_and.reduce(masks)
+
+
+def _coverage_key(estimate_key: str, judge: JudgeSpec) -> str:
+    return key_of(what="coverage", estimate=estimate_key, judge=judge.key, at_truth=judge.at_truth)
+
+
+def _unpack_mask(kept: Result) -> Mask:
     return np.unpackbits(kept.arrays["bits"], count=kept.facts["n"]).astype(np.bool_)
 
 

@@ -16,11 +16,17 @@ AXIS_PX = 150.0  # width of a drawn interval
 TICKS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def make_page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = None, title: str = "Leaderboard") -> str:
+def make_page_html(
+    board: Leaderboard,
+    recordings: Mapping[str, Any] | None = None,
+    title: str = "Leaderboard",
+    run_pages: Mapping[str, str] | None = None,
+) -> str:
     """Return the page as text. The same leaderboard gives the same bytes.
 
     ``recordings`` holds the curves to draw by the name of the recording, as
-    :func:`~stillpoint.scoring.report.plot_data.recording_entry` makes them.
+    :func:`~stillpoint.scoring.report.plot_data.make_recording_entry` makes them. ``run_pages`` holds the addresses of
+    the pages of single recordings, which the map and the table of runs then open.
     """
     entries = dict(recordings or {})
     labels = tuple(dict.fromkeys(row.label for table in board.tables for row in table.rows))
@@ -35,6 +41,7 @@ def make_page_html(board: Leaderboard, recordings: Mapping[str, Any] | None = No
         heat=_make_heat_map(board),
         groups=_make_group_table(board, labels),
         recordings=list(entries),
+        run_pages=dict(run_pages or {}),
         has_costs=bool(costs),
         parameters=_list_parameters(board),
         study=json.dumps(board.study, indent=2, ensure_ascii=False, default=str),
