@@ -122,8 +122,7 @@ def _read_start(pid: int) -> int:
 
 
 def _sync(path: Path) -> None:
-    """Make a file, or the names in a folder, durable; where the system does not offer it, they are whole all the same.
-    """
+    """Make a file, or the names in a folder, durable, where the system offers it; they are whole in any case."""
     try:
         handle = os.open(path, os.O_RDONLY)
     except OSError:

@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.inputs import KINDS
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import write_text
 from stillpoint.scripts.shared.recordings import open_recording
-from stillpoint.scripts.verbs.score_spin import is_roll, zero_of
+from stillpoint.scripts.shared.spin_scores import is_roll, zero_of
 
 PAGE = ".report.html"
 

@@ -24,8 +24,8 @@ from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_one
 from stillpoint.scripts.shared.names import make_printable
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
 from stillpoint.scripts.shared.progress import track
+from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.score_spin import is_roll, print_spin_scores, score_spin_file
 
 COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
 

@@ -41,7 +41,7 @@ def test_estimates_come_out_the_same(archive):
 
 
 def test_what_was_asked_beside_the_parameters_is_asked_again(tmp_path):
-    """A full scale that leaves samples out, the course as heading with a setting of its own, and a calibration by file."""
+    """A full scale that leaves samples out, the course as heading with its own setting, and a calibration by file."""
     recording = simulate("car", 0, minutes=1.0)
     write(tmp_path / "drive.mcap", recording)
     made_from = {"drive.mcap": sha256(tmp_path / "drive.mcap")}

@@ -10,7 +10,7 @@ import pytest
 from stillpoint.datasets import Recording
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.mcap.store import read_recording, write
-from stillpoint.scripts.verbs.import_flags import Flags
+from stillpoint.scripts.verbs.import_ import Flags
 
 
 @pytest.fixture

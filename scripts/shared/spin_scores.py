@@ -1,4 +1,4 @@
-"""Score angle and rate about a spin axis for ``stillpoint score``."""
+"""Scores of angle and rate about a spin axis, for the verbs: their judge, what is taken off, and their table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
