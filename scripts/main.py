@@ -137,7 +137,7 @@ def _discard_output() -> None:
 
 
 def _stop(message: str) -> NoReturn:
-    from stillpoint.scripts.shared.names import make_printable
+    from stillpoint.scripts.shared.output import print_line
 
-    print(f"stillpoint: {make_printable(message)}", file=sys.stderr)
+    print_line(f"stillpoint: {message}", file=sys.stderr)
     sys.exit(2)

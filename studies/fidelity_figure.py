@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stillpoint.datasets.names import make_drawable
 from stillpoint.studies.fidelity import Fidelity, JudgeFidelity
 
 WIDTH_IN = 3.2  # of one panel
@@ -30,11 +31,14 @@ def _draw_judge(ax: Axes, fidelity: Fidelity, judge: JudgeFidelity, estimators: 
         truth = np.array([r.truth_rmse_deg for r in rows], dtype=np.float64)
         judged = np.array([r.judge_rmse_deg for r in rows], dtype=np.float64)
         marker, color = MARKERS[number % len(MARKERS)], f"C{number % 10}"
-        ax.scatter(truth, judged, s=12, alpha=0.7, linewidths=0, label=estimator, marker=marker, color=color)
+        ax.scatter(
+            truth, judged, s=12, alpha=0.7, linewidths=0, label=make_drawable(estimator), marker=marker, color=color
+        )
     known = [r.truth_rmse_deg for r in fidelity.rows if r.truth_rmse_deg]
     ends = [min(known) * 0.7, max(known) * 1.4] if known else [0.1, 10.0]
     ax.plot(ends, ends, color="0.5", linewidth=0.8)
     ax.set(xscale="log", yscale="log", xlabel="RMSE by optical truth (deg)")
     tau = "-" if judge.tau_pooled is None else f"{judge.tau_pooled:.3f}"
-    ax.set_title(f"{judge.judge}\ntau {tau}, {judge.wrong_verdicts} of {judge.verdicts} verdicts wrong", fontsize=9)
+    wrong = f"tau {tau}, {judge.wrong_verdicts} of {judge.verdicts} verdicts wrong"
+    ax.set_title(f"{make_drawable(judge.judge)}\n{wrong}", fontsize=9)
     ax.grid(alpha=0.3)

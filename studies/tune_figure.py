@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stillpoint.datasets.names import make_drawable
 from stillpoint.studies.tune import ParamRange, Tuning
 
 LEAST_FOR_CONTOURS = 8  # trials; fewer are shown as points alone
@@ -22,7 +23,8 @@ def draw_tuning(tuning: Tuning) -> Figure:
     else:
         _draw_map(figure, ax, tuning)
     ax.set_title(
-        f"{tuning.estimator}: typical {tuning.figure} RMSE over {len(tuning.recordings)} recordings", fontsize=9
+        make_drawable(f"{tuning.estimator}: typical {tuning.figure} RMSE over {len(tuning.recordings)} recordings"),
+        fontsize=9,
     )
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7, frameon=False)
     return figure
@@ -34,7 +36,12 @@ def _draw_line(ax: Axes, tuning: Tuning) -> None:
     ax.plot([t.params[name] for t in ordered], [t.typical_deg for t in ordered], ".-", linewidth=0.8)
     ax.axhline(tuning.defaults.typical_deg, color="0.5", linewidth=0.8, label="defaults")
     ax.plot(tuning.best.params[name], tuning.best.typical_deg, "*", **BEST)
-    ax.set(xlabel=name, ylabel="typical RMSE (deg)", yscale="log", xscale="log" if tuning.ranges[0].log else "linear")
+    ax.set(
+        xlabel=make_drawable(name),
+        ylabel="typical RMSE (deg)",
+        yscale="log",
+        xscale="log" if tuning.ranges[0].log else "linear",
+    )
 
 
 def _draw_map(figure: Figure, ax: Axes, tuning: Tuning) -> None:
@@ -56,7 +63,7 @@ def _draw_map(figure: Figure, ax: Axes, tuning: Tuning) -> None:
         tuning.best.params[first.name], tuning.best.params[second.name], "*", color="C3", label="best common setting"
     )
     _draw_inside(ax, tuning, first, second)
-    ax.set(xlabel=first.name, ylabel=second.name)
+    ax.set(xlabel=make_drawable(first.name), ylabel=make_drawable(second.name))
 
 
 def _draw_inside(ax: Axes, tuning: Tuning, first: ParamRange, second: ParamRange) -> None:

@@ -5,7 +5,6 @@ tesla; an attitude takes the body to a local East-North-Up frame. A first covari
 not give that part of the message.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,59 +14,53 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.frames import quaternion, rotation
-from stillpoint.datasets.importers.clock import find_wild_stamps
 from stillpoint.datasets.importers.columns import FIELD, STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.importers.files import digests, require_existing
 from stillpoint.datasets.importers.imported import Imported, make_device_estimate, make_mag, turn_truth
 from stillpoint.datasets.importers.options import OwnOptions, make_info
-from stillpoint.datasets.importers.ros_files import Leaves, Messages, RosFiles, collect_messages, open_ros
-from stillpoint.datasets.importers.ros_frames import StaticFrames, keep_frame, list_names
+from stillpoint.datasets.importers.ros_files import (
+    Leaves,
+    Messages,
+    RosFiles,
+    collect_messages,
+    open_ros,
+    settle_stamps,
+)
+from stillpoint.datasets.importers.ros_frames import StaticFrames, keep_frame
+from stillpoint.datasets.importers.ros_truth import (
+    ODOMETRY,
+    POSES,
+    STATIC,
+    TF,
+    TF_LIST,
+    TRANSFORM,
+    leaves,
+    list_pose_topics,
+    read_pose_topic,
+)
 from stillpoint.datasets.importers.series import (
     Log,
     Series,
     drop_incomplete_rows,
-    find_finite_rows,
     make_gps,
     merge_imu,
     sort_by_time,
 )
-from stillpoint.datasets.mcap.reader import Log as McapLog
-from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
+from stillpoint.datasets.recording import Imu, Recording
 from stillpoint.datasets.trajectory import Estimate
 
-TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
-TF_LIST = "transforms"
 IMU, MAG, GPS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/NavSatFix"
-ODOMETRY = "nav_msgs/msg/Odometry"
-UNSYNCED_NS = 86_400_000_000_000  # a stamp this far from the time of receipt was made before the clock was set
 
 
-def _leaves(prefix: str, names: str) -> tuple[str, ...]:
-    return tuple(f"{prefix}.{name}" for name in names)
-
-
-def _pose(prefix: str) -> Leaves:
-    return {"q": _leaves(f"{prefix}.orientation", "wxyz"), "position": _leaves(f"{prefix}.position", "xyz")}
-
-
-_TRANSFORM: Leaves = {"q": _leaves("transform.rotation", "wxyz"), "position": _leaves("transform.translation", "xyz")}
 _COVARIANCES = ("orientation_covariance[0]", "angular_velocity_covariance[0]", "linear_acceleration_covariance[0]")
 IMU_LEAVES: Leaves = {
-    "gyro": _leaves("angular_velocity", "xyz"),
-    "accel": _leaves("linear_acceleration", "xyz"),
-    "q": _leaves("orientation", "wxyz"),
+    "gyro": leaves("angular_velocity", "xyz"),
+    "accel": leaves("linear_acceleration", "xyz"),
+    "q": leaves("orientation", "wxyz"),
     "covariances": _COVARIANCES,
 }
-MAG_LEAVES: Leaves = {"mag": _leaves("magnetic_field", "xyz")}
+MAG_LEAVES: Leaves = {"mag": leaves("magnetic_field", "xyz")}
 GPS_LEAVES: Leaves = {"fix": ("latitude", "longitude", "altitude", "status.status")}
-POSES: dict[str, Leaves] = {
-    "geometry_msgs/msg/PoseStamped": _pose("pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
-    ODOMETRY: _pose("pose.pose"),
-    "geometry_msgs/msg/TransformStamped": _TRANSFORM,
-    "geometry_msgs/msg/QuaternionStamped": {"q": _leaves("quaternion", "wxyz")},
-    **dict.fromkeys(TF, _TRANSFORM),
-}
 
 
 @dataclass(frozen=True)
@@ -98,12 +91,13 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
     mag_topic = _choose_topic(bag, "mag", (MAG,), options.mag_topic)
     gps_topic = _choose_topic(bag, "gps", (GPS,), options.gps_topic)
     truth_topic = _choose_truth_topic(bag, options, log)
-    static = "/tf_static" if options.body_frame is not None else None
-    logs = bag.read([topic for topic in (*imu_topics, mag_topic, gps_topic, truth_topic, static) if topic])
+    static = STATIC if options.body_frame is not None else None
+    poses = list_pose_topics(bag, truth_topic) if truth_topic is not None else []
+    logs = bag.read([topic for topic in (*imu_topics, mag_topic, gps_topic, *poses, static) if topic])
 
     mounting = StaticFrames.none()
     if static is not None:
-        mounting = StaticFrames.read(bag, collect_messages(static, _kind(bag, static), logs, _TRANSFORM, TF_LIST))
+        mounting = StaticFrames.read(bag, collect_messages(static, _kind(bag, static), logs, TRANSFORM, TF_LIST))
     parts = [collect_messages(topic, IMU, logs, IMU_LEAVES) for topic in imu_topics]
     imu, device = _read_imu(source, parts, options, mounting, log)
     mag, uncalibrated = None, options.mag_uncalibrated
@@ -117,7 +111,8 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
         gps = make_gps(_read_fixes(collect_messages(gps_topic, GPS, logs, GPS_LEAVES), log), log)
     truth = None
     if truth_topic is not None:
-        truth = read_pose_topic(bag, truth_topic, logs, options.truth_parent, options.truth_child, log)
+        child = options.truth_child or (options.body_frame if options.truth_parent is not None else None)
+        truth = read_pose_topic(bag, truth_topic, logs, options.truth_parent, child, log)
         truth = turn_truth(truth, options.truth_frame, options.truth_inverse)
         if options.truth_frame != "enu" or options.truth_inverse:
             way = ", inverted" if options.truth_inverse else ""
@@ -195,7 +190,7 @@ def _choose_truth_topic(bag: RosFiles, options: RosOptions, log: Log) -> str | N
         return topic
     for name in _find_topics(bag, (ODOMETRY,)):
         log.noted(f"{name} is odometry and is not taken for the truth; --truth-topic {name} takes it")
-    transforms = [topic for topic in _find_topics(bag, TF) if topic != "/tf_static"]
+    transforms = [topic for topic in _find_topics(bag, TF) if topic != STATIC]
     if transforms and (options.truth_child is not None or options.truth_parent is not None):
         return _choose_topic(bag, "truth", TF, transforms[0] if len(transforms) == 1 else None)
     for name in transforms:
@@ -227,7 +222,7 @@ def _read_imu(
     device = None
     if given[k]["q"].any():
         messages = keep_frame(parts[k].where(given[k]["q"]), options.frame, "--frame")
-        series = sort_by_time(_settle_stamps(messages, messages.numbers["q"], Log()), "device", Log())
+        series = sort_by_time(settle_stamps(messages, messages.numbers["q"], Log()), "device", Log())
         turn = mounting.rotation_to(options.body_frame, options.imu_frame or str(messages.frames[0]))
         norm = np.linalg.norm(series.values, axis=1)
         rotations = rotation(np.where(norm[:, None] > 0.5, series.values, [1.0, 0.0, 0.0, 0.0])) * turn.inv()
@@ -264,7 +259,7 @@ def _read_vectors(
         )
     messages = keep_frame(messages, chosen, "--frame")
     log.converted(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
-    series = _settle_stamps(messages, messages.numbers[what], log)
+    series = settle_stamps(messages, messages.numbers[what], log)
     series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
     if what == "accel":
         _check_one_unit(series, messages.topic)
@@ -287,31 +282,6 @@ def _check_one_unit(series: Series, topic: str) -> None:
         )
 
 
-def _settle_stamps(messages: Messages, values: Floats, log: Log) -> Series:
-    """Return samples on the stamps of their headers; what is unset or absurd among them is dropped and noted."""
-    stamps_ns, topic, n = messages.stamps_ns, messages.topic, len(messages.stamps_ns)
-    unset = stamps_ns == 0
-    if n > 1 and unset[0] and unset.sum() == 1 and stamps_ns[1] < 10**9:
-        unset[0] = False  # the true start of a simulated clock
-    if unset.sum() > n / 2:
-        log.noted(f"{topic}: {int(unset.sum())} of {n} headers without a stamp; the times of receipt are used for all")
-        return Series(messages.logged_ns, values)
-    late_ns = stamps_ns - messages.logged_ns
-    usual_ns = int(np.median(late_ns[~unset])) if n else 0
-    unsynced = ~unset & (np.abs(late_ns - usual_ns) > UNSYNCED_NS)
-    if unsynced.mean() > 0.1:  # then the times of receipt are what is wrong
-        unsynced[:] = False
-    wild = np.zeros(n, dtype=np.bool_)
-    wild[~unset] = find_wild_stamps(stamps_ns[~unset])
-    wild |= unsynced
-    if unset.any():
-        log.noted(f"{topic}: {int(unset.sum())} of {n} messages without a stamp dropped")
-    if wild.any():
-        log.noted(f"{topic}: {int(wild.sum())} of {n} messages with a stamp far from all others dropped")
-    keep = ~unset & ~wild
-    return Series(stamps_ns[keep], values[keep])
-
-
 def _read_fixes(messages: Messages, log: Log) -> Series:
     """Return fixes without course and speed, which NavSatFix does not have; a status below 0 is no fix."""
     values = np.full((len(messages.stamps_ns), 5), np.nan)
@@ -319,33 +289,4 @@ def _read_fixes(messages: Messages, log: Log) -> Series:
     values[:, :3] = fix[:, :3]
     values[fix[:, 3] < 0, :2] = np.nan
     log.converted(f"gps from {messages.topic} (sensor_msgs/NavSatFix), stamps of its headers")
-    return _settle_stamps(messages, values, log)
-
-
-def read_pose_topic(
-    bag: RosFiles, topic: str, logs: Sequence[McapLog], parent: str | None, child: str | None, log: Log
-) -> Truth:
-    """Return the poses of a topic whose fixed frame is ``parent`` and, of a TF topic, whose moving frame is ``child``.
-
-    Raises :class:`BadParameter` where there are several frames and none is named.
-    """
-    kind = bag.types[topic]
-    messages = collect_messages(topic, kind, logs, POSES[kind], TF_LIST if kind in TF else "")
-    log.converted(f"truth from {topic} ({kind.replace('/msg/', '/')}), stamps of its headers")
-    if kind in TF:
-        messages = keep_frame(messages, child, "--truth-child", of="children")
-    messages = keep_frame(messages, parent, "--truth-parent")
-    numbers = messages.numbers
-    values = np.hstack([numbers["q"], numbers.get("position", np.empty((len(messages.stamps_ns), 0)))])
-    series = sort_by_time(_settle_stamps(messages, values, log), "truth", log)
-    norm = np.linalg.norm(series.values[:, :4], axis=1)
-    known = find_finite_rows(series.values[:, :4]) & (norm > 0.5)
-    if not known.all():
-        log.noted(f"truth: {int((~known).sum())} samples without an attitude dropped")
-    if not known.any():
-        raise BadSource(f"{bag.source}: {topic} holds no attitude; name another by --truth-topic")
-    frames = list_names(messages.frames)
-    log.converted(f"truth x, y, z, w -> w, x, y, z; its local frame {frames} is taken as East-North-Up (REP 103)")
-    q_nb = series.values[known, :4] / norm[known, None]
-    position_n_m = series.values[known, 4:] if series.values.shape[1] == 7 else None
-    return Truth(series.t_ns[known], q_nb, np.ones(len(q_nb), dtype=np.bool_), position_n_m)
+    return settle_stamps(messages, values, log)

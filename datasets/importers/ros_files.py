@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadSource
 from stillpoint.datasets.files.limits import LARGEST_CHUNK, limited
+from stillpoint.datasets.importers.clock import find_wild_stamps
 from stillpoint.datasets.importers.files import reading
+from stillpoint.datasets.importers.series import Log as ImportLog
+from stillpoint.datasets.importers.series import Series
 from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD
 from stillpoint.datasets.mcap.reader import Container, Log, read_columns
 from stillpoint.datasets.mcap.scan import Block, Scan, unpack
@@ -30,6 +33,7 @@ BAG_MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 0x02, 0x05, 0x07  # operations of ROS 1 bags
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 BLOCK_BYTES = 4 << 20  # messages of a bag are handed out in blocks of about this size
+UNSYNCED_NS = 86_400_000_000_000  # a stamp this far from the time of receipt was made before the clock was set
 LONGEST_HEADER = 1 << 20  # bytes: connection headers hold a message definition of some kB
 _HEAD = struct.Struct("<BQHIQQ")
 
@@ -299,6 +303,31 @@ class Messages:
             children=self.children[keep],
             numbers={name: values[keep] for name, values in self.numbers.items()},
         )
+
+
+def settle_stamps(messages: Messages, values: NDArray[np.float64], log: ImportLog) -> Series:
+    """Return samples on the stamps of their headers; what is unset or absurd among them is dropped and noted."""
+    stamps_ns, topic, n = messages.stamps_ns, messages.topic, len(messages.stamps_ns)
+    unset = stamps_ns == 0
+    if n > 1 and unset[0] and unset.sum() == 1 and stamps_ns[1] < 10**9:
+        unset[0] = False  # the true start of a simulated clock
+    if unset.sum() > n / 2:
+        log.noted(f"{topic}: {int(unset.sum())} of {n} headers without a stamp; the times of receipt are used for all")
+        return Series(messages.logged_ns, values)
+    late_ns = stamps_ns - messages.logged_ns
+    usual_ns = int(np.median(late_ns[~unset])) if n else 0
+    unsynced = ~unset & (np.abs(late_ns - usual_ns) > UNSYNCED_NS)
+    if unsynced.mean() > 0.1:  # then the times of receipt are what is wrong
+        unsynced[:] = False
+    wild = np.zeros(n, dtype=np.bool_)
+    wild[~unset] = find_wild_stamps(stamps_ns[~unset])
+    wild |= unsynced
+    if unset.any():
+        log.noted(f"{topic}: {int(unset.sum())} of {n} messages without a stamp dropped")
+    if wild.any():
+        log.noted(f"{topic}: {int(wild.sum())} of {n} messages with a stamp far from all others dropped")
+    keep = ~unset & ~wild
+    return Series(stamps_ns[keep], values[keep])
 
 
 Leaves = dict[str, tuple[str, ...]]  # name -> leaves of a message

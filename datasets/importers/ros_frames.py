@@ -56,7 +56,7 @@ class StaticFrames:
         parents = {}
         for frame, child, q in zip(messages.frames, messages.children, messages.numbers["q"], strict=True):
             if np.linalg.norm(q) > 0.5:
-                parents[_plain(child)] = (_plain(frame), rotation(q))
+                parents[strip_slash(child)] = (strip_slash(frame), rotation(q))
         return StaticFrames(parents)
 
     def rotation_to(self, target: str | None, frame: str) -> Rotation:
@@ -64,9 +64,9 @@ class StaticFrames:
 
         Raises :class:`BadParameter` where the tree does not connect the two.
         """
-        if target is None or _plain(target) == _plain(frame):
+        if target is None or strip_slash(target) == strip_slash(frame):
             return Rotation.identity()
-        to_root, from_root = self._climb(_plain(frame)), self._climb(_plain(target))
+        to_root, from_root = self._climb(strip_slash(frame)), self._climb(strip_slash(target))
         common = next((name for name in to_root if name in from_root), None)
         if common is None:
             known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
@@ -88,6 +88,6 @@ class StaticFrames:
         return path
 
 
-def _plain(frame: Any) -> str:
+def strip_slash(frame: Any) -> str:
     """Return a frame's name without the slash that ROS 1 puts before it."""
     return str(frame).lstrip("/")

@@ -40,8 +40,8 @@ from stillpoint.datasets.importers.columns import normalise_unit, parse_quaterni
 from stillpoint.datasets.importers.delimited import Table, parse
 from stillpoint.datasets.importers.files import read_text, reading, require_existing
 from stillpoint.datasets.importers.imported import turn_truth
-from stillpoint.datasets.importers.ros import POSES, TF, read_pose_topic
 from stillpoint.datasets.importers.ros_files import open_ros
+from stillpoint.datasets.importers.ros_truth import POSES, TF, list_pose_topics, read_pose_topic
 from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.trajectory import Estimate
@@ -122,7 +122,8 @@ def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
             topic = poses[0]
         if topic not in found:
             raise BadParameter(f"{file}: has no pose topic {topic}; it has {listed}")
-        return read_pose_topic(bag, topic, bag.read([topic]), options.parent, options.child, log)
+        logs = bag.read(list_pose_topics(bag, topic))
+        return read_pose_topic(bag, topic, logs, options.parent, options.child, log)
 
 
 def _read_text_poses(file: Path, options: _PoseOptions, log: Log) -> Truth:

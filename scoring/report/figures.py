@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from stillpoint.datasets.frames import EulerFrame, euler, rotation
+from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Reference, total_sd_rad
@@ -68,13 +69,11 @@ def draw_angles(axes: Sequence[Axes], view: View) -> None:
     for k, c in enumerate(view.comparisons):
         error_rad = float(attitude_error(c.q_est, c.q_true).total_rad.mean())
         on_top_of_worse = 3 - error_rad / np.pi
-        _draw_angle_lines(
-            axes, view, c.t_ns, c.q_est, label=c.estimated, color=get_colour(k), lw=1.0, zorder=on_top_of_worse
-        )
+        style = {"label": make_drawable(c.estimated), "color": get_colour(k), "lw": 1.0, "zorder": on_top_of_worse}
+        _draw_angle_lines(axes, view, c.t_ns, c.q_est, **style)
     truth = view.truth
-    _draw_angle_lines(
-        axes, view, truth.t_ns, truth.q_nb, label=name_of(truth), color=rcParams["text.color"], lw=1.4, zorder=4.0
-    )
+    label, ink = make_drawable(name_of(truth)), rcParams["text.color"]
+    _draw_angle_lines(axes, view, truth.t_ns, truth.q_nb, label=label, color=ink, lw=1.4, zorder=4.0)
     for ax, name in zip(axes, ("roll", "pitch", "yaw"), strict=True):
         ax.set_ylabel(f"{name} (deg)")
         ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
@@ -96,7 +95,7 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.minorticks_off()
         ax.set_ylabel("deg")
-        ax.set_title(comparison.estimated, loc="left", color=get_colour(k), fontweight="bold")
+        ax.set_title(make_drawable(comparison.estimated), loc="left", color=get_colour(k), fontweight="bold")
         if comparison.true_cov_b_rad2 is not None:
             sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
             t, floor = thin_line(view.seconds(t_ns), sd, count_columns(ax))
@@ -143,7 +142,7 @@ def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
     if sd_deg is not None:
         ax.axvspan(ax.get_xlim()[0], max(sd_deg, ax.get_xlim()[0]), color=REST_GREY, alpha=0.25, lw=0, zorder=0)
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_yticks(rows, [s.estimated for s in ordered])
+    ax.set_yticks(rows, [make_drawable(s.estimated) for s in ordered])
     ax.set_ylim(-0.6, len(ordered) - 0.4)
     ax.set_xlabel("RMSE over the moving samples (deg)")
     ax.grid(axis="y", visible=False)

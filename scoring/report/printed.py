@@ -33,7 +33,6 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "stillpoint",
     "savefig.dpi": 300,
     "text.usetex": False,
-    "text.parse_math": False,  # a name with a dollar sign is no formula
 }
 
 

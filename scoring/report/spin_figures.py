@@ -10,6 +10,7 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Encoder, Floats, Spin, Times
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import SpinReference
@@ -92,8 +93,10 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     limits = {method: _find_error_limit(error) for method, error in errors.items()}
     shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
     for method, k in methods.items():
-        draw_line(axes[0], series.t_s, np.rad2deg(series.rate_radps[method]), color=get_colour(k), lw=0.9, label=method)
-    draw_line(axes[0], series.t_s, truth_degps, color=rcParams["text.color"], lw=1.4, label=against, zorder=4)
+        rate_degps, label = np.rad2deg(series.rate_radps[method]), make_drawable(method)
+        draw_line(axes[0], series.t_s, rate_degps, color=get_colour(k), lw=0.9, label=label)
+    ink, label = rcParams["text.color"], make_drawable(against)
+    draw_line(axes[0], series.t_s, truth_degps, color=ink, lw=1.4, label=label, zorder=4)
     margin = 0.06 * np.ptp(truth_degps) + _find_shown_spread(series, methods)
     axes[0].set_ylim(truth_degps.min() - margin, truth_degps.max() + margin)
     axes[0].set_ylabel("rate (deg/s)")
@@ -106,7 +109,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
         beyond = int((np.abs(error) > limit).sum())
         samples = "sample" if beyond == 1 else "samples"
         note = f"  ({beyond} {samples} beyond, up to {np.abs(error).max():.0f} deg/s)" if beyond else ""
-        ax.set_title(f"error of {method}{note}", loc="left", color=get_colour(k), fontweight="bold")
+        ax.set_title(make_drawable(f"error of {method}{note}"), loc="left", color=get_colour(k), fontweight="bold")
     for ax in axes:
         ax.set_xlim(series.t_s[0], series.t_s[-1])
         ax.yaxis.set_major_locator(MaxNLocator(4))

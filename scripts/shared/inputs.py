@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.files.remote import is_url, list_files
 from stillpoint.datasets.mcap.store import provenance
 from stillpoint.datasets.mcap.topics import TOPICS
-from stillpoint.scripts.shared.names import make_printable
+from stillpoint.scripts.shared.output import print_line
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -73,7 +73,7 @@ def each_read(files: Sequence[Path], read: Callable[[Path], Thing]) -> Iterator[
         except StillpointError as error:
             if len(files) == 1:
                 raise
-            print(f"stillpoint: {make_printable(error)}", file=sys.stderr)
+            print_line(f"stillpoint: {error}", file=sys.stderr)
             yield file, None, str(error)
 
 

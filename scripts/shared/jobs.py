@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.scripts.shared.names import make_printable
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.progress import show_progress
 
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
@@ -94,7 +94,8 @@ def _print_defect(item: object, outcome: Outcome[Result]) -> Outcome[Result]:
     if not outcome.defect or outcome.error is None or "\n" not in outcome.error:
         return outcome
     line, trace = outcome.error.split("\n", 1)
-    print(f"stillpoint: {make_printable(item)}: {make_printable(line)}\n{trace}", file=sys.stderr)
+    for text in (f"stillpoint: {item}: {line}", *trace.splitlines()):
+        print_line(text, file=sys.stderr)
     return Outcome(error=line, defect=True)
 
 

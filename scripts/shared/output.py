@@ -1,15 +1,16 @@
-"""Text files that verbs write, and JSON for machines: ``--json FILE``, ``-`` for the standard output."""
+"""What verbs print, text files that they write, and JSON for machines: ``--json FILE``, ``-`` for standard output."""
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.atomic import write_atomically
+from stillpoint.datasets.names import make_printable
 
 STDOUT = "-"
 
@@ -29,6 +30,19 @@ def check_writable(_: Any, target: str | None) -> None:
 JsonFile = Annotated[str | None, Parameter(name="--json", allow_leading_hyphen=True, validator=check_writable)]
 
 
+def print_line(text: object = "", file: TextIO | None = None, flush: bool = False) -> None:
+    """Print one line to the standard output, or to ``file``; letters that are not printable are escaped.
+
+    Everything that verbs print goes through here or through a table, so that no name of a file can steer a terminal.
+    """
+    print(make_printable(text), file=file, flush=flush)
+
+
+def print_cells(cells: Iterable[object]) -> None:
+    """Print a line of cells with tabs between, for other programs; their letters are escaped as in other lines."""
+    print("\t".join(map(make_printable, cells)))
+
+
 def write_json(target: str | None, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write ``{"rows": [...]}`` to a file or to the standard output; nothing when ``target`` is None.
 
@@ -43,7 +57,8 @@ def write_document(target: str | None, content: Mapping[str, Any]) -> None:
         return
     text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
     if target == STDOUT:
-        print(text)
+        for line in text.split("\n"):
+            print(line if line.isprintable() else "".join(map(_escape_in_json, line)))
         return
     write_text(Path(target), text + "\n")
 
@@ -58,6 +73,10 @@ def write_text(path: Path, text: str) -> None:
                 file.write(text.encode())
     except OSError as error:
         raise BadParameter(f"{path}: cannot be written ({error.strerror}); name another place") from None
+
+
+def _escape_in_json(letter: str) -> str:
+    return letter if letter.isprintable() else json.dumps(letter)[1:-1]
 
 
 def _plain(value: Any) -> Any:

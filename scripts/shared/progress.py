@@ -10,6 +10,8 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from stillpoint.scripts.shared.output import print_line
+
 LOG_EVERY_S = 10.0
 
 Item = TypeVar("Item")
@@ -51,7 +53,8 @@ def _log_lines(what: str, total: int) -> Iterator[Callable[[], None]]:
 
     def print_lines() -> None:
         while not ended.wait(LOG_EVERY_S):
-            print(f"{what}: {done} of {total} done after {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
+            text = f"{what}: {done} of {total} done after {time.monotonic() - begin:.0f} s"
+            print_line(text, file=sys.stderr, flush=True)
 
     thread = threading.Thread(target=print_lines, daemon=True)
     thread.start()

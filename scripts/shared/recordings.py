@@ -7,6 +7,7 @@ from pathlib import Path
 from stillpoint.datasets.doctor.clocks import list_losses
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording, Times
+from stillpoint.scripts.shared.output import print_line
 
 
 def open_recording(path: Path) -> Recording:
@@ -30,4 +31,4 @@ def find_rests_at_default(recording: Recording) -> Times:
 
 @cache
 def _print_once(line: str) -> None:
-    print(line, file=sys.stderr)
+    print_line(line, file=sys.stderr)

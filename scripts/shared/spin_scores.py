@@ -13,6 +13,7 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.spin import ZERO_WORDS, AngleZero, SpinScore, score_roll, usual_zero
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = (
@@ -89,7 +90,7 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
         print_table(f"roll against the {against}, {ZERO_WORDS[taken_off]}; deg and deg/s", COLUMNS, sections)
         for s in judged:
             for note in _notes(s):
-                print(note)
+                print_line(note)
 
 
 def _beside(file: Path, thing: Estimate | SpinReference) -> Path:

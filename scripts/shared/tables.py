@@ -11,7 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.names import make_printable
+from stillpoint.datasets.names import make_printable
+from stillpoint.scripts.shared.output import print_cells, print_line
 
 ALL = "all"
 BORDER = 3  # characters that a column takes besides its text, and one more for the table
@@ -29,6 +30,7 @@ def print_table(
     ``wanted`` is the value of --columns: "all", or names of columns with commas between. Raises :class:`BadParameter`
     for a name that no column has.
     """
+    columns = list(map(make_printable, columns))
     rows = [[list(map(make_printable, row)) for row in section] for section in sections]
     title = make_printable(title)
     chosen = range(len(columns)) if wanted in (None, ALL) else choose_columns(columns, str(wanted))
@@ -47,7 +49,7 @@ def print_table(
     console.print(table)
     hidden = [columns[k] for k in range(len(columns)) if k not in shown]
     if hidden and wanted is None:
-        print(f"--columns all shows also: {'; '.join(hidden)}")
+        print_line(f"--columns all shows also: {'; '.join(hidden)}")
 
 
 def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
@@ -83,13 +85,13 @@ def print_refusals(what: str, refusals: Iterable[tuple[str, str]]) -> None:
     for message, name in refusals:
         names.setdefault(message, []).append(name)
     for message, refused in names.items():
-        print(make_printable(f"{what} ({', '.join(dict.fromkeys(refused))}): {message}"))
+        print_line(f"{what} ({', '.join(dict.fromkeys(refused))}): {message}")
 
 
 def _print_lines(
     title: str, columns: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], chosen: Sequence[int]
 ) -> None:
     """Print the title behind a hash, the headings, and a line per row, with tabs between the cells."""
-    print(f"# {title}")
+    print_line(f"# {title}")
     for line in (columns, *(row for section in sections for row in section)):
-        print("\t".join(" ".join(line[k].split()) for k in chosen))
+        print_cells(" ".join(line[k].split()) for k in chosen)

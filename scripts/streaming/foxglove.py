@@ -23,6 +23,7 @@ from stillpoint.datasets import Recording
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME
 from stillpoint.filters import Stream
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival
 from stillpoint.scripts.streaming.streams import replay_samples
 
@@ -67,7 +68,7 @@ def replay_live(
             f"--foxglove {port}: cannot listen on {host} ({error}); name another port or host"
         ) from error
     try:
-        print(f"stillpoint: waiting for Foxglove to open ws://{host}:{server.port}", file=sys.stderr, flush=True)
+        print_line(f"stillpoint: waiting for Foxglove to open ws://{host}:{server.port}", file=sys.stderr, flush=True)
         while not client.is_there.wait(0.1):
             pass
         time.sleep(PATIENCE_S)

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from stillpoint.filters.front.heading_source import Heading
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival, SpinArrival
 
 PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixes come once a second
@@ -37,7 +38,7 @@ class HeadingWatch:
     def _say(self, since: str) -> None:
         self._is_done = True
         missing = "magnetometer (mx, my, mz)" + " or course (course_rad, speed_mps)" * self._by_course
-        print(
+        print_line(
             f"stillpoint: no {missing}{since} the heading of {self._of} is arbitrary and drifts",
             file=sys.stderr,
             flush=True,

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, TextIO
 from stillpoint.datasets.files.limits import LARGEST_LINE, limited
 from stillpoint.filters import SpinAnswer
 from stillpoint.filters.sample import Output
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.latency import Latency
 from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
 from stillpoint.scripts.streaming.streams import Live
@@ -61,10 +62,10 @@ def run_pipe(
             except Malformed as error:
                 passed.n_malformed += 1
                 if passed.n_malformed <= SHOWN:
-                    print(f"stillpoint: line {passed.n_lines}: {error}; left out", file=sys.stderr)
+                    print_line(f"stillpoint: line {passed.n_lines}: {error}; left out", file=sys.stderr)
                 continue
             if is_first and lines.ignored:
-                print(f"stillpoint: not used: {', '.join(lines.ignored)}", file=sys.stderr)
+                print_line(f"stillpoint: not used: {', '.join(lines.ignored)}", file=sys.stderr)
             if sample is None:
                 continue
             if see is not None:

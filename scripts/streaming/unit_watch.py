@@ -11,6 +11,7 @@ from stillpoint.datasets.plausible import (
     WINDOW_S,
     describe_field_size,
 )
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival, SpinArrival
 
 ENOUGH = 20  # samples in a window, so that a spread means something
@@ -73,4 +74,4 @@ class UnitWatch:
 
 
 def _warn(text: str) -> None:
-    print(f"stillpoint: {text}", file=sys.stderr, flush=True)
+    print_line(f"stillpoint: {text}", file=sys.stderr, flush=True)

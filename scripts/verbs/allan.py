@@ -10,8 +10,9 @@ from cyclopts import Parameter
 from stillpoint.datasets.calibration.allan import AllanDeviation, find_allan_deviation
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.mcap.store import read_recording
+from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.smoother.rest import find_rests
 
@@ -53,7 +54,7 @@ def allan(
     if json != STDOUT:
         print_table(f"Allan deviation, {figures[0].found.length_s:.0f} s of rest", COLUMNS, [_rows(figures)])
         for name, value in _settings(figures)["reference"].items():
-            print(f"reference --set {name}={value:.3g}")
+            print_line(f"reference --set {name}={value:.3g}")
     if out is not None:
         write_text(out, _toml(recording, figures))
     if plot is not None:
@@ -165,7 +166,7 @@ def _draw(path: Path, name: str, figures: list[_Figures]) -> None:
         axes.set(xlabel="cluster time, s", ylabel=f"Allan deviation, {unit}", title=one.name)
         axes.grid(True, which="both", alpha=0.3)
         axes.legend()
-    figure.suptitle(name.replace("$", r"\$"))
+    figure.suptitle(make_drawable(name))
     try:
         figure.savefig(path)
     except OSError as error:

@@ -12,10 +12,11 @@ from stillpoint.datasets import Recording, Reference, read
 from stillpoint.datasets.calibration.device import SUFFIX, DeviceFile, write_device
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import sha256
+from stillpoint.datasets.names import make_drawable
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs
 from stillpoint.scripts.shared.jobs import run_jobs
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import attitude_reference
 from stillpoint.smoother.device import PARTS, DeviceCalibration, calibrate_device
@@ -65,7 +66,9 @@ def calibrate(
         _draw(plot, device)
     if json != STDOUT:
         print_table(f"{out}: the device by {len(made)} recordings, deviation ± sd", COLUMNS, [_table(device)], texts=1)
-        print(f"two devices would explain them better by {device.split:.0f}; {device.split_of_one:.0f} may be chance")
+        print_line(
+            f"two devices would explain them better by {device.split:.0f}; {device.split_of_one:.0f} may be chance"
+        )
     write_document(json, {"file": str(out), "parts": PARTS, "recordings": rows, **_facts(device)})
     return 2 if refused else 0
 
@@ -149,7 +152,7 @@ def _draw(path: Path, device: DeviceCalibration) -> None:
         axes.set(ylabel=f"{sensor}, % off")
         axes.grid(True, alpha=0.3)
         axes.legend(ncols=6, fontsize="small")
-    axes.set_xticks(at, [name.replace("$", r"\$")[:30] for name in device.names], rotation=45, ha="right", fontsize=7)
+    axes.set_xticks(at, [make_drawable(name[:30]) for name in device.names], rotation=45, ha="right", fontsize=7)
     try:
         figure.savefig(path)
     except OSError as error:

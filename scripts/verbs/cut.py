@@ -12,6 +12,7 @@ from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.output import print_line
 
 
 def cut(
@@ -57,7 +58,7 @@ def cut(
             raise BadFile(f"{file}: {error}") from None
         for part in parts:
             write(folder / f"{part.name}.mcap", part)
-            print(f"{folder / part.name}.mcap: {part.duration_s:.3f} s of {recording.duration_s:.3f} s")
+            print_line(f"{folder / part.name}.mcap: {part.duration_s:.3f} s of {recording.duration_s:.3f} s")
 
 
 def _cut_span(recording: Recording, from_s: float | None, to_s: float | None) -> Recording:
@@ -76,7 +77,7 @@ def _find_parts(recording: Recording, shortest_s: float) -> list[Recording]:
             kept.append((first_ns, last_ns))
         else:
             at_s, length_s = (first_ns - start_ns) / 1e9, (last_ns - first_ns) / 1e9
-            print(f"{recording.name}: the stretch of {length_s:.3f} s at {at_s:.3f} s is left out (--shortest)")
+            print_line(f"{recording.name}: the stretch of {length_s:.3f} s at {at_s:.3f} s is left out (--shortest)")
     if not kept:
         raise BadRecording(f"{recording.name}: no stretch lasts {shortest_s:g} s; give a smaller --shortest")
     return [

@@ -20,7 +20,7 @@ from stillpoint.filters import estimate
 from stillpoint.scoring.report.page import Material, judge, make_report_html
 from stillpoint.scripts.shared.flags import OutDir, Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.verbs.report import PAGE, gather_material
 from stillpoint.scripts.verbs.score import print_scores
@@ -79,14 +79,16 @@ def demo(
         page = folder / f"{recording.name}{PAGE}"
         write_text(page, make_report_html(material, verdicts))
     print_scores([score for verdict in verdicts for score in verdict.scores])
-    print(f"report: {page}")
+    print_line(f"report: {page}")
 
 
 def _list_installed() -> list[str]:
     """Return the estimators whose packages are installed; print which are left out."""
     lacking = [name for name, package in SHOWN.items() if package and importlib.util.find_spec(package) is None]
     if lacking:
-        print(f"left out: {', '.join(lacking)}; to have them too: pip install 'stillpoint[peers]'", file=sys.stderr)
+        print_line(
+            f"left out: {', '.join(lacking)}; to have them too: pip install 'stillpoint[peers]'", file=sys.stderr
+        )
     return [name for name in SHOWN if name not in lacking]
 
 
@@ -104,8 +106,8 @@ def _print_facts(recording: Recording, rests_ns: Times, diagnosis: Diagnosis) ->
     """Print what a user asks first: length, rates, rests, and whether anything is wrong."""
     streams = ", ".join(f"{name} {rate_hz(t_ns):.1f} Hz" for name, t_ns in recording.streams())
     rests = ", ".join(f"{rest_s:.0f}" for rest_s in np.diff(rests_ns, axis=1)[:, 0] / 1e9)
-    print(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_ns)} rests of {rests} s")
-    print(f"doctor: {len(diagnosis.codes('fact'))} facts, " + ("no fault" if diagnosis.clean else "faults:"))
+    print_line(f"{recording.name}: {recording.duration_s:.0f} s, {streams}; {len(rests_ns)} rests of {rests} s")
+    print_line(f"doctor: {len(diagnosis.codes('fact'))} facts, " + ("no fault" if diagnosis.clean else "faults:"))
     for finding in diagnosis.findings:
         if finding.severity != "fact":
-            print(f"  {finding.severity} {finding.code}: {finding.message}")
+            print_line(f"  {finding.severity} {finding.code}: {finding.message}")

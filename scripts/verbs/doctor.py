@@ -15,13 +15,13 @@ from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, S
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.options import parse_date, parse_place
 from stillpoint.datasets.mcap.store import read_recording, write
+from stillpoint.datasets.names import make_printable
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs
 from stillpoint.scripts.shared.inputs import output_dir, recordings
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
-from stillpoint.scripts.shared.names import make_printable
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
@@ -107,7 +107,7 @@ def doctor(
         if outcome.value is None:
             if len(work) == 1 and not outcome.defect:
                 raise StillpointError(str(outcome.error))
-            print(f"stillpoint: {make_printable(outcome.error)}", file=sys.stderr)
+            print_line(f"stillpoint: {outcome.error}", file=sys.stderr)
             made.append(Diagnosis(job.source.stem, (Finding(UNREADABLE, "error", str(outcome.error)),)))
             continue
         diagnosis = outcome.value.diagnosis
@@ -118,13 +118,13 @@ def doctor(
             console.print(make_printable(f"  {count}: {job.target}"))
     codes = {code for diagnosis in made for code in diagnosis.codes()}
     for code in sorted(set(skip) - codes):
-        console.print(f"--skip {code}: nothing of this name was found")
+        console.print(make_printable(f"--skip {code}: nothing of this name was found"))
     if len(made) > 1 and json != STDOUT:
         _print_summary(made, ("error",) if errors else ("error", "warning"))
     write_json(json, [row for diagnosis in made for row in diagnosis.rows()])
     failed = exit_code(outcomes)
     if failed == 0 and strict and not all(diagnosis.clean for diagnosis in made):
-        print("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
+        print_line("stillpoint: doctor found errors or warnings (--strict)", file=sys.stderr)
         return 2
     return failed
 

@@ -19,7 +19,7 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
-from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.streaming.lines import format_csv_lines
 from stillpoint.scripts.streaming.streams import replay_samples
 
@@ -65,9 +65,9 @@ def export(
         raise StillpointError(outcomes[0].error)
     for outcome in outcomes:
         if outcome.value is None:
-            print(f"stillpoint: {outcome.error}", file=sys.stderr)
+            print_line(f"stillpoint: {outcome.error}", file=sys.stderr)
         for target in outcome.value or ():
-            print(target)
+            print_line(target)
     return exit_code(outcomes)
 
 
@@ -121,5 +121,5 @@ def _format_samples(file: Path, thing: Kept) -> str:
     if facts["heading"].startswith("true north"):
         notes.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
     for text in notes:
-        print(f"stillpoint: {file}: {text}", file=sys.stderr)
+        print_line(f"stillpoint: {file}: {text}", file=sys.stderr)
     return "\n".join([*format_csv_lines(replay_samples(thing), mag is not None, thing.gps is not None), ""])

@@ -14,7 +14,7 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.estimator_choice import EXAMPLE
 from stillpoint.scripts.shared.flags import SetFlag
-from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.studies.leaderboard.entrants import read_settings
 
 
@@ -53,7 +53,7 @@ def export_c(
     folder = inputs.output_dir(out)
     for one in made:
         _write(one, folder)
-    print(f"written to {folder}: {', '.join(f'{one.stem}.h, {one.stem}.c' for one in made)}")
+    print_line(f"written to {folder}: {', '.join(f'{one.stem}.h, {one.stem}.c' for one in made)}")
     return 0
 
 

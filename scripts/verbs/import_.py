@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from cyclopts import App, Group, Parameter
 from rich.console import Console
+from rich.text import Text
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError, require_known
 from stillpoint.datasets.importers.imported import Imported
@@ -17,11 +18,11 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.parts import split_recording
 from stillpoint.datasets.mcap.store import sha256, write
+from stillpoint.datasets.names import make_printable
 from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.scripts.shared.flags import OutDir, read_span
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.names import make_printable
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
 STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
@@ -268,7 +269,7 @@ def import_(
     with Console(stderr=True).status("import") as status:
         for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip, failed), span_s):
             recording = imported.recording
-            status.update(f"import {recording.name}")
+            status.update(Text(make_printable(f"import {recording.name}")))
             file = output_dir(out) / f"{recording.name}.mcap"
             if file in kept:
                 raise BadSource(
@@ -283,7 +284,7 @@ def import_(
     if kept and json != STDOUT:
         _show(list(kept.values()))
     if failed and json != STDOUT:
-        print(f"{len(failed)} not imported")
+        print_line(f"{len(failed)} not imported")
     write_json(json, [_facts(one) for one in kept.values()])
     return 2 if failed else 0
 
@@ -295,7 +296,7 @@ def _split_all(all_imported: Iterable[tuple[Path, Imported]], span_s: float | No
             yield source, imported
             continue
         if imported.estimates:
-            print(f"stillpoint: {source}: --split leaves out the attitude of the device itself", file=sys.stderr)
+            print_line(f"stillpoint: {source}: --split leaves out the attitude of the device itself", file=sys.stderr)
         for part in split_recording(imported.recording, span_s):
             yield source, replace(imported, recording=part, estimates=())
 
@@ -355,7 +356,7 @@ def _note_failure(failed: list[str], alone: bool) -> Iterator[None]:
     except StillpointError as error:
         if alone:
             raise
-        print(f"stillpoint: {make_printable(str(error))}", file=sys.stderr)
+        print_line(f"stillpoint: {error}", file=sys.stderr)
         failed.append(str(error))
 
 
@@ -381,24 +382,26 @@ def _show(kept: list[_Kept]) -> None:
         )
     print_table("imported", ["recording", "s", *(f"{name}, Hz" for name in present)], [rows], texts=1)
     lines = Counter(line for one in kept for line in _list_lines(one.recording))
-    print(f"\n{'all' if len(kept) > 1 else kept[0].recording.name}:")
+    print_line()
+    print_line(f"{'all' if len(kept) > 1 else kept[0].recording.name}:")
     for line in (line for line, count in lines.items() if count == len(kept)):
-        print(f"  {line}")
+        print_line(f"  {line}")
     for one in kept:
         own = [line for line in _list_lines(one.recording) if lines[line] < len(kept)]
         if own:
-            print(f"{one.recording.name}:")
+            print_line(f"{one.recording.name}:")
         for line in own:
-            print(f"  {line}")
+            print_line(f"  {line}")
     for file in (file for one in kept for file in one.estimates):
-        print(f"  {file.name}: the device's own attitude, to be scored")
-    print(f"\n{len(kept)} written to {kept[0].file.parent}")
+        print_line(f"  {file.name}: the device's own attitude, to be scored")
+    print_line()
+    print_line(f"{len(kept)} written to {kept[0].file.parent}")
 
 
 def _list_lines(recording: Recording) -> list[str]:
     """Return conversions and notes, each once."""
     notes = (f"note: {note}" for note in recording.info.notes)
-    return [make_printable(line) for line in dict.fromkeys((*recording.info.conversions, *notes))]
+    return list(dict.fromkeys((*recording.info.conversions, *notes)))
 
 
 def _facts(one: _Kept) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from stillpoint.datasets.importers.trajectories import Format, read_trajectory
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.filters.table import ESTIMATORS
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 LEAST_OVERLAP = 0.5  # of the trajectory within the recording; less is another clock
 
@@ -92,7 +92,7 @@ def import_trajectory(
     write(target, replace(made, recording=of.name, made_from={key: value for key, value in made_from.items() if value}))
     facts: dict[str, Any] = {"file": str(target), "name": name, "samples": len(made.t_ns), "overlap": share}
     if json != STDOUT:
-        print(f"{target}: {len(made.t_ns)} attitudes, {share:.0%} of them within the recording")
+        print_line(f"{target}: {len(made.t_ns)} attitudes, {share:.0%} of them within the recording")
     write_json(json, [facts])
 
 

@@ -18,8 +18,7 @@ from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Columns, Inputs
 from stillpoint.scripts.shared.inputs import each_read, mcap_files
-from stillpoint.scripts.shared.names import make_printable
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
@@ -219,18 +218,18 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
         ]
         for one in facts["streams"]
     ]
-    print(make_printable(f"{facts['file']}: {facts['kind']} {facts['name']}"))
+    print_line(f"{facts['file']}: {facts['kind']} {facts['name']}")
     print_table("streams", COLUMNS, [rows], texts=1, wanted=wanted)
     if "rests" in facts:
-        print(f"  {'rests':17} {_describe_rests(facts['rests'])}")
+        print_line(f"  {'rests':17} {_describe_rests(facts['rests'])}")
     shown = {"file", "kind", "name", "streams", "rests", "duration_s"}
     for key, value in facts.items():
         if key in shown or value in (None, "", [], {}, False):
             continue
         for line in _format_lines(value):
-            print(f"  {key:17} {line}")
+            print_line(f"  {key:17} {line}")
             key = ""
-    print()
+    print_line()
 
 
 def _describe_rests(rests: list[dict[str, float]] | None) -> str:

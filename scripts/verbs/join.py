@@ -9,6 +9,7 @@ from stillpoint.datasets.mcap.parts import read_parts
 from stillpoint.datasets.mcap.store import write
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs
+from stillpoint.scripts.shared.output import print_line
 
 
 def join(paths: Inputs, /, *, out: Annotated[Path, Parameter(name=["--out", "-o"])]) -> None:
@@ -25,4 +26,4 @@ def join(paths: Inputs, /, *, out: Annotated[Path, Parameter(name=["--out", "-o"
     joined = read_parts(files)
     target = inputs.output_dir(out) / f"{joined.name}.mcap"
     write(target, joined)
-    print(f"{target}: {joined.duration_s:.3f} s from {len(files)} parts")
+    print_line(f"{target}: {joined.duration_s:.3f} s from {len(files)} parts")

@@ -17,7 +17,7 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Columns, Jobs, SetFlag
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
 from stillpoint.studies.leaderboard.study import Against, map_own_file
@@ -104,14 +104,16 @@ def leaderboard(
     pages = write_run_pages(folder, board, run)
     _write(board, folder, pages.links)
     for name, error in pages.errors.items():
-        print(f"no page of {name}: {error}", file=sys.stderr)
+        print_line(f"no page of {name}: {error}", file=sys.stderr)
     write_document(json, board.to_json())
     if json != STDOUT:
         _print_leaderboard(board, columns)
-        print(f"\nwritten to {folder}: index.html, runs/*.html ({len(pages.links)}), leaderboard.json, study.toml")
+        print_line()
+        what = f"index.html, runs/*.html ({len(pages.links)}), leaderboard.json, study.toml"
+        print_line(f"written to {folder}: {what}")
     if paper is not None:
         for file in write_paper(inputs.output_dir(paper), board):
-            print(file, file=sys.stderr if json == STDOUT else sys.stdout)
+            print_line(file, file=sys.stderr if json == STDOUT else sys.stdout)
     return 0 if any(run.error is None for run in board.runs) else 2
 
 
@@ -121,15 +123,15 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
         what = "error" if table.ranked_by == "total" else table.ranked_by
         title = f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned; RMSE of {what}"
         print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
-        print(table.conclusion)
+        print_line(table.conclusion)
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
         if best:
-            print(f"{group.name} ({len(group.recordings)} recordings, {group.against}): first {', '.join(best)}")
+            print_line(f"{group.name} ({len(group.recordings)} recordings, {group.against}): first {', '.join(best)}")
     print_refusals("failed", ((str(run.error), f"{run.label} on {run.recording}") for run in board.failures))
     for source in board.sources:
         if source.lost:
-            print(f"{source.recording}: {source.lost}")
+            print_line(f"{source.recording}: {source.lost}")
 
 
 def _cells(row: Row, table: Table) -> list[str]:

@@ -17,6 +17,7 @@ from stillpoint.scoring.report.printed import COLUMN_IN, write_figure
 from stillpoint.scripts.shared.companions import recording_name
 from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import SUFFIX, kind_of
+from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.report import gather_material
 
 Kind = Literal["angles", "errors", "ranking", "map"]
@@ -65,7 +66,7 @@ def plot(
         _plot_board(_find_board_file(paths), kind, out, width)
     else:
         _plot_run(paths, kind, out, width, align, frame, (from_s, to_s))
-    print(out)
+    print_line(out)
 
 
 def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:

@@ -8,7 +8,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.recover import Recovered, recover_file
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
 def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
@@ -47,9 +47,9 @@ def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
 
 
 def _print_recovered(target: Path, found: Recovered) -> None:
-    print(f"{target}: {sum(found.kept.values())} messages")
+    print_line(f"{target}: {sum(found.kept.values())} messages")
     for line in found.lost or ("nothing",):
-        print(f"    lost: {line}")
+        print_line(f"    lost: {line}")
 
 
 def _print_failures(rows: Sequence[dict[str, Any]], count: int) -> None:
@@ -57,4 +57,4 @@ def _print_failures(rows: Sequence[dict[str, Any]], count: int) -> None:
     if errors and count == 1:
         raise StillpointError(errors[0])
     for error in errors:
-        print(f"not recovered: {error}")
+        print_line(f"not recovered: {error}")

@@ -20,7 +20,7 @@ from stillpoint.scripts.shared.companions import files_of, neighbours, recording
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.inputs import KINDS
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
-from stillpoint.scripts.shared.output import write_text
+from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.spin_scores import is_roll, zero_of
 
@@ -65,9 +65,9 @@ def report(
         raise StillpointError(outcomes[0].error)
     for page, outcome in zip(pages, outcomes, strict=True):
         if outcome.error is None:
-            print(page.target)
+            print_line(page.target)
         else:
-            print(f"no report: {outcome.error}", file=sys.stderr)
+            print_line(f"no report: {outcome.error}", file=sys.stderr)
     return exit_code(outcomes)
 
 
@@ -97,7 +97,7 @@ def gather_material(path: Path) -> Material | SpinMaterial:
             raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
         require_same(file, thing.made_from, path, hashes)
         if is_roll(thing) != of_spin:
-            print(f"{file}: left out, {'an attitude' if of_spin else 'an angle about one axis'}", file=sys.stderr)
+            print_line(f"{file}: left out, {'an attitude' if of_spin else 'an angle about one axis'}", file=sys.stderr)
             continue
         made.append(thing)
         hashes[file.name] = sha256(file)

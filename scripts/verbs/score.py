@@ -21,8 +21,7 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.shared.flags import Columns, Inputs
 from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_one
-from stillpoint.scripts.shared.names import make_printable
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.progress import track
 from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
@@ -119,7 +118,7 @@ def score(
         print_spin_scores([s for s in scores if isinstance(s, SpinScore)])
         for row in rows:
             if row["error"] is not None:
-                print(make_printable(f"not scored: {row['error']}"))
+                print_line(f"not scored: {row['error']}")
     write_json(json, rows)
     return exit_code(outcomes)
 
@@ -144,9 +143,9 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
             texts=2 - first,
             wanted=wanted,
         )
-        print(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
+        print_line(f"roll, pitch, yaw: RMSE / largest absolute error in {judged[0].frame.upper()}")
         for note in _notes(judged):
-            print(make_printable(note))
+            print_line(note)
 
 
 def _print_turns(scores: Sequence[Score]) -> None:

@@ -13,7 +13,7 @@ from stillpoint.datasets.recording import Recording, rate_hz
 from stillpoint.datasets.simulate import simulate as make
 from stillpoint.scripts.shared.flags import OutDir, Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
 def simulate(
@@ -77,7 +77,7 @@ def simulate(
         write(path, recording)
         rows.append(_list_facts(path, recording))
         if json != STDOUT:
-            print(_format_line(rows[-1]))
+            print_line(_format_line(rows[-1]))
     write_json(json, rows)
 
 

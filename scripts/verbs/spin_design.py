@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, find_longest_arms, limits_m
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
@@ -98,8 +98,8 @@ def spin_design(
         return
     d1_m, d2_m = limits_m(rig)
     print_table("placements, the best that fits first", DESIGN_COLUMNS, [[_format_row(one) for one in rows]], texts=0)
-    print(f"F4 reads the whole range at d1 = {d1_m:.3f} m, F5 at d2 = {d2_m:.3f} m")
-    print(f"{folder / 'spin-design.png'}, {folder / 'spin-design.json'}")
+    print_line(f"F4 reads the whole range at d1 = {d1_m:.3f} m, F5 at d2 = {d2_m:.3f} m")
+    print_line(f"{folder / 'spin-design.png'}, {folder / 'spin-design.json'}")
 
 
 def _list_neighbours(rig: Rig, chosen: Placement) -> list[Placement]:

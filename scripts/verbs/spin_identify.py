@@ -15,7 +15,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters.spin.noise import SpinParams
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir, recordings
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_variances
@@ -73,7 +73,7 @@ def spin_identify(
     write_json(json, facts)
     if json != STDOUT:
         _print_variances(found)
-        print(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
+        print_line(f"{folder / 'spin-identify.png'}, {folder / 'spin-identify.json'}")
 
 
 def _print_variances(found: Identified) -> None:
@@ -84,19 +84,19 @@ def _print_variances(found: Identified) -> None:
     for one in found.trials:
         if one.turning_share > TURNING_SHARE:
             tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / STANDARD_GRAVITY_MPS2, 1.0)))
-            print(
+            print_line(
                 f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
                 f"tilted by {tilt_deg:.1f} deg: D4 and D5 are no noise of the sensors"
             )
     for note in _list_notes(found):
-        print(f"note: {note}")
+        print_line(f"note: {note}")
     alone = f", {found.q_alone_rad2ps4:.3g} by F5 alone" if found.tells_tangential else ""
-    print(f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)²{alone}")
+    print_line(f"R = {found.r_rad2ps4:.3g} (1/s²)², Q = {found.q_rad2ps4:.3g} (1/s²)²{alone}")
     settings = [("radial_var_m2ps4", found.d4_m2ps4)]
     settings += [("tangential_var_m2ps4", found.d5_alone_m2ps4)] if found.tells_tangential else []
     flags = " ".join(f"--set roll-guarded.{name}={value:.3g}" for name, value in settings if _is_allowed(name, value))
     if flags:
-        print(f"for `stillpoint estimate -e roll-guarded` (or another): {flags}")
+        print_line(f"for `stillpoint estimate -e roll-guarded` (or another): {flags}")
 
 
 def _is_allowed(name: str, value: float) -> bool:

@@ -18,7 +18,7 @@ from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import SetFlag, Whole
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, print_line, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, SpinArrival, make_spin_layout
@@ -180,7 +180,7 @@ def _stream_to_foxglove(
         declination_deg = degrees(local_declination(recording.info)[0])
     streams = {run.estimator: make_attitude_stream(run, declination_deg)() for run in runs}
     n_samples = replay_live(file, recording, streams, host, port, speed)
-    print(f"stillpoint: {n_samples} samples replayed", file=sys.stderr)
+    print_line(f"stillpoint: {n_samples} samples replayed", file=sys.stderr)
 
 
 def _read_geometry(runs: Sequence[Run], options: SpinOptions, declination_deg: float | None) -> SpinGeometry | None:
@@ -211,7 +211,7 @@ def _print_summary(passed: Counts, streams: Mapping[str, Live]) -> None:
         met = ", ".join(f"{what[2:].replace('_', ' ')} {n}" for what, n in one.counts.items() if n)
         said.append(f"{name} counted: {met or 'nothing'}")
     for text in said:
-        print(f"stillpoint: {text}", file=sys.stderr)
+        print_line(f"stillpoint: {text}", file=sys.stderr)
 
 
 def _list_facts(passed: Counts, name: str, one: Live) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs, Whole
 from stillpoint.scripts.shared.jobs import Outcome, run_jobs
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_text
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.leaderboard.study import Against
 from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tuning_toml
@@ -109,7 +109,7 @@ def tune(
     if json != STDOUT:
         _print_tuning(tuning)
         saved = f"; {save}" if save is not None else ""
-        print(f"written to {folder}: {estimator}.tune.json, {estimator}.map.png{saved}")
+        print_line(f"written to {folder}: {estimator}.tune.json, {estimator}.map.png{saved}")
     return 0
 
 
@@ -126,7 +126,7 @@ def _print_tuning(tuning: Tuning) -> None:
     title = f"{tuning.estimator}: {tuning.figure} RMSE in deg after {len(tuning.trials)} trials"
     print_table(title, COLUMNS, [rows, [means]], texts=1)
     setting = ", ".join(f"{name} = {value:.4g}" for name, value in tuning.best.params.items())
-    print(
+    print_line(
         f"common setting: {setting} (typical {tuning.best.typical_deg:.2f}, defaults {tuning.defaults.typical_deg:.2f})"
     )
-    print(f"{tuning.tuned_on}; 'left out' is each recording with the setting chosen on the others")
+    print_line(f"{tuning.tuned_on}; 'left out' is each recording with the setting chosen on the others")

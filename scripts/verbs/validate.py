@@ -17,7 +17,7 @@ from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutDir
 from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_jobs
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_document, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.spin_scores import find_spin_judge, print_spin_scores, zero_of
 from stillpoint.scripts.shared.tables import print_refusals, print_table
@@ -182,7 +182,7 @@ def _validate_fidelity(
         print_table(title, FIDELITY_COLUMNS, [[_fidelity_cells(judge) for judge in found.judges]], texts=1)
         errors = ((row.error, f"{row.judge} of {row.estimator}") for row in found.rows if row.error is not None)
         print_refusals("not compared", errors)
-        print(f"written to {out}: fidelity.json, fidelity.png")
+        print_line(f"written to {out}: fidelity.json, fidelity.png")
     return 0 if any(judge.recordings for judge in found.judges) else 2
 
 

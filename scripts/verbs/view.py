@@ -11,6 +11,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name
 from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import kind_of, mcap_files
+from stillpoint.scripts.shared.output import print_line
 
 NEEDED = "0.41.0"  # rerun's files and columns change between versions
 
@@ -50,7 +51,7 @@ def view(
         show_thing(scene, file.name.removesuffix(".mcap"), thing)
     finish_scene(scene)
     if save is not None:
-        print(f"{save}: {len(files)} files; open it with: rerun {save}")
+        print_line(f"{save}: {len(files)} files; open it with: rerun {save}")
 
 
 def _add_companions(files: list[Path]) -> list[Path]:

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
+from stillpoint.datasets.names import make_drawable
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.studies.leaderboard import Leaderboard, Table
 
@@ -21,12 +22,12 @@ def draw_ranking(ax: Axes, table: Table) -> None:
     places = np.arange(len(rows))
     ax.hlines(places, [one.ci95[0] for one in summaries], [one.ci95[1] for one in summaries], color=COLOURS[0], lw=1.4)
     ax.plot([one.typical for one in summaries], places, "o", color=COLOURS[0], ms=3.5)
-    ax.set_yticks(places, [row.label for row in rows])
+    ax.set_yticks(places, [make_drawable(row.label) for row in rows])
     ax.set_ylim(-0.6, len(rows) - 0.4)
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:g}" if _is_round(value) else ""))
-    ax.set_xlabel(f"{table.ranked_by} RMSE against {table.against} (deg)")
+    ax.set_xlabel(make_drawable(f"{table.ranked_by} RMSE against {table.against} (deg)"))
     ax.grid(axis="y", visible=False)
 
 
@@ -57,8 +58,8 @@ def draw_map(ax: Axes, board: Leaderboard) -> None:
         size = sizes[row, column]
         text = "–" if math.isnan(size) else f"{size:.1f}" if size < 10 else f"{size:.0f}"
         ax.text(column, row, text, ha="center", va="center", fontsize=6)
-    ax.set_xticks(range(len(labels)), labels, rotation=60, ha="right", rotation_mode="anchor")
-    ax.set_yticks(range(len(names)), names, fontsize=6)
+    ax.set_xticks(range(len(labels)), list(map(make_drawable, labels)), rotation=60, ha="right", rotation_mode="anchor")
+    ax.set_yticks(range(len(names)), list(map(make_drawable, names)), fontsize=6)
     ax.tick_params(length=0)
     ax.grid(visible=False)
     ax.set_title(f"{first.ranked_by} RMSE (deg)", loc="left")

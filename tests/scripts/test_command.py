@@ -116,7 +116,8 @@ def test_the_readable_files_are_shown_and_the_others_named(call, oddities, capsy
     write(oddities / "full" / "good.mcap", simulate("phone-1", minutes=0.6))
     assert call(verb, "full") == 2
     printed = capsys.readouterr()
-    assert printed.err.startswith("stillpoint: full/text.mcap: ")
+    errors = [line for line in printed.err.splitlines() if " done after " not in line]  # of a slow machine
+    assert errors[0].startswith("stillpoint: full/text.mcap: ")
     assert "full/good.mcap: " in printed.out
     assert call(verb, "full", "--json", "-") == 2
     rows = json.loads(capsys.readouterr().out)["rows"]
@@ -187,7 +188,8 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path, words: list[s
     os.close(read_end)
     result = subprocess.run([command_file, *words], cwd=tmp_path, stdout=write_end, stderr=subprocess.PIPE, text=True)
     os.close(write_end)
-    assert (result.returncode, result.stderr.strip()) == (0, "")
+    errors = [line for line in result.stderr.splitlines() if " done after " not in line]  # of a slow machine
+    assert (result.returncode, errors) == (0, [])
 
 
 def test_importing_the_package_leaves_the_name_datasets_free() -> None:

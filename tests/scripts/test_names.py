@@ -5,8 +5,8 @@ import shutil
 import pytest
 
 from stillpoint.datasets.mcap.store import write
+from stillpoint.datasets.names import make_drawable, make_printable
 from stillpoint.datasets.simulate import simulate
-from stillpoint.scripts.shared.names import make_drawable, make_printable
 
 HOSTILE = ["esc\x1b[2Japed", "two\nlines", "bell\x07", "not\udcffutf8", "reversed\u202egnp", "[x]"]
 

@@ -13,7 +13,7 @@ from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import Fault, verify_archive
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.flags import Jobs, Whole
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
 TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md says what is known about others
@@ -63,14 +63,15 @@ def verify(
             state = f"{len(found.faults)} faults" if found.faults else "clean"
             speed = found.bytes / 1e6 / max(seconds, 1e-9)
             read = f"{found.bytes / 1e6:.1f} MB read in {seconds:.1f} s ({speed:.0f} MB/s)"
-            print(f"{found.objects} objects, {read}: {state}")
+            print_line(f"{found.objects} objects, {read}: {state}")
         faults = list(found.faults)
         if remake is not None:
             differing, lines = _remake(opened, count, seed, tolerance, jobs)
             faults += differing
             if json != STDOUT:
                 _print_faults(differing)
-                print("\n".join(lines))
+                for line in lines:
+                    print_line(line)
     write_json(json, [asdict(fault) for fault in faults])
     return 1 if faults else 0
 
@@ -135,9 +136,9 @@ def repair(
         done, left = repair_archive(opened, verify_archive(opened).faults, copies)
     if json != STDOUT:
         for line in done:
-            print(line)
+            print_line(line)
         _print_faults(left)
-        print(f"{len(done)} repaired, {len(left)} left")
+        print_line(f"{len(done)} repaired, {len(left)} left")
     write_json(json, [asdict(fault) for fault in left])
     return 1 if left else 0
 
@@ -154,13 +155,13 @@ def rebuild(*, archive: ArchiveDir = None) -> int:
         problems = opened.rebuild()
         count = len(opened.catalogue.entries())
     for problem in problems:
-        print(problem)
-    print(f"{count} objects in the catalogue")
+        print_line(problem)
+    print_line(f"{count} objects in the catalogue")
     return 1 if problems else 0
 
 
 def _print_faults(faults: Sequence[Fault]) -> None:
     """Two lines per fault: what is wrong where, and how to repair it."""
     for fault in faults:
-        print(f"{fault.level}: {fault.where}: {fault.what}")
-        print(f"    {fault.repair}")
+        print_line(f"{fault.level}: {fault.where}: {fault.what}")
+        print_line(f"    {fault.repair}")

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.archive import Archive, Entry, open_archive
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.shared.output import print_cells
 from stillpoint.scripts.shared.tables import print_table
 
 VARIABLE = "STILLPOINT_ARCHIVE"
@@ -55,7 +56,7 @@ def print_entries(archive: Archive, title: str, entries: Iterable[Entry]) -> Non
     """Print a table on a terminal; elsewhere one line per object: ID, kind and file name with tabs between."""
     if not sys.stdout.isatty():
         for entry in entries:
-            print(entry.sha256, entry.kind, entry.file_name, sep="\t")
+            print_cells((entry.sha256, entry.kind, entry.file_name))
         return
     rows = [
         [

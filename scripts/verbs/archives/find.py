@@ -10,7 +10,8 @@ from rich.tree import Tree
 
 from stillpoint.datasets.archive import Archive, Entry
 from stillpoint.datasets.archive.catalogue import SCORE_FIGURES, facts_in
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.datasets.names import make_printable
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, entry_row, open_named, print_entries
 
@@ -46,7 +47,7 @@ def find(
         entries = opened.find(query)
         if paths:
             for entry in entries:
-                print(opened.path_of(entry))
+                print_line(opened.path_of(entry))
         elif json != STDOUT:
             print_entries(opened, f"{len(entries)} found", entries)
         write_json(json, [entry_row(opened, entry) for entry in entries] if json else [])
@@ -109,13 +110,13 @@ def _scores_of(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
 
 def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]], scores: list[dict[str, Any]]) -> None:
     row = entry_row(archive, entry)
-    print(f"{entry.file_name}: {entry.kind} {entry.name}")
+    print_line(f"{entry.file_name}: {entry.kind} {entry.name}")
     for key, value in row.items():
         if key in ("kind", "name", "file_name") or value in (None, "", [], {}):
             continue
         text = ", ".join(value) if isinstance(value, list) else value
         text = ", ".join(f"{name}={item}" for name, item in value.items()) if isinstance(value, dict) else text
-        print(f"  {key:15} {f'{text:.6g}' if isinstance(text, float) else text}")
+        print_line(f"  {key:15} {f'{text:.6g}' if isinstance(text, float) else text}")
     if streams:
         columns = ("stream", "samples", "Hz", "start, s", "length, s", "gaps")
         print_table("streams", columns, [[_stream_cells(one) for one in streams]], texts=1)
@@ -154,7 +155,7 @@ def _add_parents(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
     for name, parent in archive.parents(sha256):
         kept = archive.entry(parent)
         state = "not in the archive" if kept is None else f"{kept.kind}{', removed' if kept.removed else ''}"
-        branch = tree.add(Text(f"{parent[:12]}  {name}  ({state})"))
+        branch = tree.add(Text(make_printable(f"{parent[:12]}  {name}  ({state})")))
         if kept is not None and depth:
             _add_parents(archive, branch, parent, depth - 1)
 
@@ -168,6 +169,6 @@ def _draw_children(archive: Archive, entry: Entry) -> Tree:
 
 def _add_children(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
     for child in archive.children(sha256):
-        branch = tree.add(Text(f"{child.sha256[:12]}  {child.file_name}  ({child.kind})"))
+        branch = tree.add(Text(make_printable(f"{child.sha256[:12]}  {child.file_name}  ({child.kind})")))
         if depth:
             _add_children(archive, branch, child.sha256, depth - 1)

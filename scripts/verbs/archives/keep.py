@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.remote import is_url
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import Inputs, read_span
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named, print_entries, read_ids
 
 Ids = Annotated[list[str], Parameter(negative=(), allow_leading_hyphen=True)]
@@ -29,7 +29,7 @@ def init(directory: str, /) -> None:
         The folder, or a URL such as s3://bucket/lab (extra cloud).
     """
     with create_archive(directory) as archive:
-        print(f"{archive.storage.name}: an empty archive; its files are described in the text file in it")
+        print_line(f"{archive.storage.name}: an empty archive; its files are described in the text file in it")
 
 
 def add(
@@ -68,12 +68,12 @@ def add(
                  "error": one.reason or None}
             )  # fmt: skip
             if one.status == "refused":
-                print(f"stillpoint: {one.reason}", file=sys.stderr)
+                print_line(f"stillpoint: {one.reason}", file=sys.stderr)
     if json != STDOUT:
         for status, count in Counter(row["status"] for row in rows).items():
             kinds = Counter(row["kind"] for row in rows if row["status"] == status and row["kind"])
             what = ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in kinds.items())
-            print(f"{count} {'already there' if status == 'present' else status}{f': {what}' if what else ''}")
+            print_line(f"{count} {'already there' if status == 'present' else status}{f': {what}' if what else ''}")
     write_json(json, rows)
     return 2 if any(row["error"] for row in rows) else 0
 
@@ -107,7 +107,7 @@ def tag(
         raise BadParameter("nothing to change: give --tag, --without or --set KEY=VALUE")
     with open_named(archive) as opened:
         chosen = [opened.resolve(word).sha256 for word in read_ids(ids)]
-        print(f"{opened.label(chosen, tag or (), without or (), metadata)} of {len(chosen)} objects changed")
+        print_line(f"{opened.label(chosen, tag or (), without or (), metadata)} of {len(chosen)} objects changed")
 
 
 def remove(
@@ -135,7 +135,7 @@ def remove(
         chosen = [opened.resolve(word).sha256 for word in read_ids(ids)]
         removed = opened.remove(chosen, reason, with_derived)
         print_entries(opened, "removed", removed)
-    print(f"{len(removed)} removed; archive add brings back what gc has not deleted yet", file=sys.stderr)
+    print_line(f"{len(removed)} removed; archive add brings back what gc has not deleted yet", file=sys.stderr)
 
 
 def gc(
@@ -162,10 +162,10 @@ def gc(
         size = sum(entry.size for entry in entries) / 1e6
         if not entries or not yes:
             note = f"; stillpoint archive gc --older-than {older_than} --yes deletes them" if entries else ""
-            print(f"{len(entries)} objects, {size:.2f} MB{note}", file=sys.stderr)
+            print_line(f"{len(entries)} objects, {size:.2f} MB{note}", file=sys.stderr)
             return 0
         freed = opened.collect(entries)
-    print(f"{len(entries)} objects deleted, {freed / 1e6:.2f} MB freed; their records stay", file=sys.stderr)
+    print_line(f"{len(entries)} objects deleted, {freed / 1e6:.2f} MB freed; their records stay", file=sys.stderr)
     return 0
 
 

@@ -18,7 +18,7 @@ from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
 from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.scripts.shared.flags import Whole
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
 from stillpoint.studies.one_file import write_one_file
@@ -77,7 +77,7 @@ def export(
     counts = Counter(item.entry.kind for item in items)
     size = sum(item.entry.size for item in items) / 1e6
     what = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items())
-    print(f"{out}: {what}; {size:.1f} MB")
+    print_line(f"{out}: {what}; {size:.1f} MB")
 
 
 def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
@@ -127,10 +127,10 @@ def import_(
         added = list(opened.add_given(contents.given()))
     refused = [one for one in added if one.status == "refused"]
     for one in refused:
-        print(f"stillpoint: {one.reason}", file=sys.stderr)
+        print_line(f"stillpoint: {one.reason}", file=sys.stderr)
     if json != STDOUT:
         for status, count in Counter(one.status for one in added).items():
-            print(f"{count} {'already there' if status == 'present' else status}")
+            print_line(f"{count} {'already there' if status == 'present' else status}")
     rows = [
         {"file": str(one.source), "id": one.sha256 or None, "kind": one.kind, "status": one.status} for one in added
     ]
@@ -178,9 +178,11 @@ def bundle(
     if not isinstance(reference, Reference | SpinReference | None):
         raise BadParameter(f"{references[-1].file_name}: is no reference")
     reasons = write_one_file(out, recording, reference, estimates)
-    print(f"{out}: {entry.name}, reference: {'yes' if reference else 'no'}, estimates: {', '.join(named) or 'none'}")
+    print_line(
+        f"{out}: {entry.name}, reference: {'yes' if reference else 'no'}, estimates: {', '.join(named) or 'none'}"
+    )
     for name, reason in reasons.items():
-        print(f"without error ({name}): {reason}")
+        print_line(f"without error ({name}): {reason}")
 
 
 def _recording_of(archive: Archive, entry: Entry) -> Entry:

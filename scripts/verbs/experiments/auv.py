@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
+from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
@@ -49,7 +49,7 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
         print_table(
             f"{name}: {trials.trials} missions per sea", columns, [_make_rows(some) for some in by_sea.values()]
         )
-        print(page)
+        print_line(page)
     write_json(trials.json, [row for one in made for row in _list_facts(one)])
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from stillpoint.datasets.errors import require_known
 from stillpoint.scoring.score import score_row
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
+from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, phone_page
@@ -81,7 +81,7 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> N
     write_text(page, phone_page(scenario, by_hand, long_runs, minutes, command))
     if trials.json != STDOUT:
         _print(scenario, by_hand, long_runs, minutes)
-        print(page)
+        print_line(page)
     rows = [row for one in made for row in _list_facts(one)]
     write_json(trials.json, rows + [{"minutes": minutes, **asdict(run)} for run in long_runs])
 
@@ -102,7 +102,7 @@ def _print(
         sections[-1].append(_format_cells(row))
     print_table(f"{scenario.name}: mean of {trials} trials, RMSE / largest error", COLUMNS, sections, texts=3)
     for run in long_runs:
-        print(
+        print_line(
             f"{minutes:g} min {run.method} ({run.estimator}): tilt {run.tilt_rmse_deg:.2f}, heading "
             f"{run.heading_rmse_deg:.2f} deg, {run.ns_per_sample:.0f} ns per sample, "
             f"{run.ns_per_sample / long_runs[0].ns_per_sample:.1f} times {long_runs[0].method}'s"

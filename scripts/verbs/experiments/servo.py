@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
+from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
 from stillpoint.studies.papers.servo.page import make_rows, servo_page
@@ -41,7 +41,7 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
     if trials.json != STDOUT:
         table = [[row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
         print_table(f"servo-bench: {trials.trials} benches", COLUMNS, [table], texts=2)
-        print(page)
+        print_line(page)
     write_json(trials.json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
 
 

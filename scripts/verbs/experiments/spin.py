@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from stillpoint.scoring.spin import spin_score_row
 from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.output import STDOUT, write_json, write_text
+from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import Trials
 from stillpoint.studies.papers.spin.page import spin_page
@@ -102,7 +102,7 @@ def _run(scenario: Scenario, wanted: SpinTrials) -> None:
     if trials.json != STDOUT:
         columns = [_make_rows(some) for some in by_noise.values()]
         print_table(f"{name}: the worst of {trials.trials} trials", COLUMNS, columns)
-        print(page)
+        print_line(page)
     write_json(trials.json, [row for one in made for row in _list_facts(one)])
 
 

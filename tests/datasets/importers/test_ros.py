@@ -10,7 +10,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from stillpoint.datasets.importers.ros import GPS, GPS_LEAVES, IMU, IMU_LEAVES, MAG, MAG_LEAVES, POSES, TF, RosOptions
+from stillpoint.datasets.importers.ros import GPS, GPS_LEAVES, IMU, IMU_LEAVES, MAG, MAG_LEAVES, RosOptions
+from stillpoint.datasets.importers.ros_truth import POSES, TF
 
 
 def ros_source(tmp_path: Path, variant: str, known: Known, truth: str) -> Path:

@@ -52,11 +52,13 @@ class Ros:
         self.messages.append((topic, kind, t_ns, message))
 
     def tf(self, topic, t_ns, *transforms):
-        """Transforms are (parent, child, quaternion)."""
+        """Transforms are (parent, child, quaternion), or with a translation in m as a fourth part."""
         stamped, moved = self.types["geometry_msgs/msg/TransformStamped"], self.types["geometry_msgs/msg/Transform"]
         parts = [
-            stamped(self.header(t_ns, parent), child, moved(self.vector((0, 0, 0)), self.quaternion(q)))
-            for parent, child, q in transforms
+            stamped(
+                self.header(t_ns, parent), child, moved(self.vector(more[0] if more else (0, 0, 0)), self.quaternion(q))
+            )
+            for parent, child, q, *more in transforms
         ]
         self.messages.append((topic, TF, t_ns, self.types[TF](parts)))
 
@@ -129,6 +131,79 @@ def test_a_child_of_tf_with_two_parents_is_chosen_by_its_parent(known, tmp_path)
     truth = only("ros", file, RosOptions(truth_child="phone", truth_parent="odom")).truth
     assert (truth.t_ns == known.t_ns[1::2] + START_NS).all()
     assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb[1::2]).inv()).magnitude().max() < 1e-9
+
+
+CORRECTION = Rotation.from_euler("ZYX", [35, -20, 10], degrees=True)  # of map <- odom: no two axes alike
+CORRECTION_M = np.array([3.0, -2.0, 0.5])
+BODY = Rotation.from_euler("ZYX", [-70, 40, 5], degrees=True)  # of phone <- imu
+BODY_M = np.array([0.1, 0.2, -0.3])
+
+
+def write_chain(known, path, every=10, drift_rad=0.0, hole=None, more=()):
+    """map <- odom turns slowly and comes with every tenth sample, odom <- phone with each, phone <- imu is fixed."""
+    ros = Ros()
+    ros.tf("/tf_static", START_NS, ("phone", "imu", BODY.as_quat(scalar_first=True), BODY_M))
+    n = len(known.q_nb)
+    for k, (t, gyro, accel, q) in enumerate(samples(known)):
+        ros.imu("/imu", t, gyro, accel)
+        correction = Rotation.from_rotvec([0, 0, drift_rad * k / n]) * CORRECTION
+        phone = correction.inv() * rotation(q) * BODY.inv()
+        phone_m = correction.inv().apply(-rotation(q).apply(BODY.inv().apply(BODY_M)) - CORRECTION_M)
+        parts = [("odom", "phone", phone.as_quat(scalar_first=True), phone_m), *more]
+        if k % every == 0 and not (hole and hole[0] <= k < hole[1]):
+            parts.append(("/map", "odom", correction.as_quat(scalar_first=True), CORRECTION_M))
+        ros.tf("/tf", t, *parts)
+    return ros.write(path)
+
+
+def test_a_chain_of_frames_is_composed(known, tmp_path):
+    """The attitude of the imu in the map is the known one, and it stays where the map begins."""
+    file = write_chain(known, tmp_path / "run.mcap", drift_rad=0.3)
+    recording = only("ros", file, RosOptions(truth_parent="map", truth_child="imu"))
+    truth = recording.truth
+    end = 590  # the last of the slow link is sample 590 of 600; nothing is extrapolated
+    assert (truth.t_ns == known.t_ns[: end + 1] + START_NS).all()
+    assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb[: end + 1]).inv()).magnitude().max() < 1e-7
+    assert np.abs(truth.position_n_m).max() < 1e-6
+    told = " ".join((*recording.info.conversions, *recording.info.notes))
+    assert "chain map <- odom <- phone <- imu, at the stamps of odom <- phone" in told
+    assert "map <- odom (60 transforms) interpolated at 531 of 600 stamps" in told
+    assert "9 of 600 stamps dropped" in told
+
+
+def test_the_body_frame_is_the_child_of_a_chain_by_itself(known, tmp_path):
+    file = write_chain(known, tmp_path / "run.mcap", every=1)
+    truth = only("ros", file, RosOptions(truth_parent="map", body_frame="imu")).truth
+    assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-9
+
+
+def test_frames_side_by_side_are_connected_by_the_one_above(known, tmp_path):
+    """table and phone both stand on odom: the truth is that of the phone against the table."""
+    table = Rotation.from_euler("ZYX", [10, 20, 30], degrees=True)
+    file = write_chain(known, tmp_path / "run.mcap", more=[("odom", "table", table.as_quat(scalar_first=True))])
+    truth = only("ros", file, RosOptions(truth_parent="table", truth_child="imu")).truth
+    expected = table.inv() * CORRECTION.inv() * rotation(known.q_nb)
+    assert (rotation(truth.q_nb.copy()) * expected.inv()).magnitude().max() < 1e-9
+
+
+def test_a_gap_of_a_slow_link_is_not_bridged(known, tmp_path):
+    """Samples 200-259 lack the slow link: 7 of its steps without one, where 5 are a gap."""
+    file = write_chain(known, tmp_path / "run.mcap", hole=(200, 260))
+    recording = only("ros", file, RosOptions(truth_parent="map", truth_child="imu"))
+    kept = np.flatnonzero(np.isin(known.t_ns + START_NS, recording.truth.t_ns))
+    assert kept.tolist() == [*range(191), *range(260, 591)]
+    assert any("78 of 600 stamps dropped" in note for note in recording.info.notes)
+
+
+def test_a_chain_that_is_not_clear_or_not_there_is_refused_by_name(known, tmp_path):
+    two = write_chain(known, tmp_path / "two.mcap", more=[("world", "odom", (1.0, 0, 0, 0))])
+    options = RosOptions(truth_parent="map", truth_child="imu")
+    refuse(two, options, BadParameter, "odom has 2 parents", "world (600)", "map (60)")
+    file = write_chain(known, tmp_path / "run.mcap")
+    refuse(
+        file, RosOptions(truth_parent="mars", truth_child="imu"), BadParameter, "--truth-parent mars", "imu, map, odom"
+    )
+    refuse(file, RosOptions(truth_parent="phone", truth_child="imu"), BadParameter, "every link to imu is fixed")
 
 
 def test_a_truth_in_north_east_down_and_inverted(known, tmp_path):

@@ -1,5 +1,8 @@
 """Names are data: make one safe for the terminal and for pictures. In HTML, the templates escape what they insert.
 
+``scripts/shared/output.py`` has the one function that prints; whatever a figure writes that is not a word of the
+program goes through :func:`make_drawable`.
+
 The name of a file may hold line breaks, escape sequences that recolour or clear a terminal, bytes that are not UTF-8,
 and dollar signs, which matplotlib takes for mathematics.
 """
