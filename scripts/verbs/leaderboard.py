@@ -121,13 +121,18 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
     """Print the table of each judge with its conclusion, the groups in short, and the failures by reason."""
     for table in board.tables:
         what = "error" if table.ranked_by == "total" else table.ranked_by
-        title = f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned; RMSE of {what}"
+        whose = f", input {table.inputs}" if len(board.tables) > 1 else ""
+        title = (
+            f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned{whose}; RMSE of {what}"
+        )
         print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
         print_line(table.conclusion)
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
         if best:
-            print_line(f"{group.name} ({len(group.recordings)} recordings, {group.against}): first {', '.join(best)}")
+            what = "" if group.ranked_by == "total" else f", by {group.ranked_by}"
+            whose = f"{group.name} ({len(group.recordings)} recordings, {group.against}{what})"
+            print_line(f"{whose}: first {', '.join(best)}")
     print_refusals("failed", ((str(run.error), f"{run.label} on {run.recording}") for run in board.failures))
     for source in board.sources:
         if source.lost:

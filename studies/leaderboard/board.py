@@ -6,6 +6,7 @@ All errors are in degrees, over the moving samples, after the alignment of the l
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -74,6 +75,13 @@ class Table:
     recordings: tuple[str, ...]
     conclusion: str  # one sentence: what can be concluded and what cannot
 
+    @property
+    def inputs(self) -> str:
+        """Say what input the rows have: "as recorded", "calibrated by the reference", or the name of a file."""
+        words = {"none": "as recorded", "reference": "calibrated by the reference"}
+        kinds = sorted({row.calibration for row in self.rows})
+        return ", ".join(words.get(kind, f"calibrated by {kind}") for kind in kinds)
+
 
 @dataclass(frozen=True)
 class Run:
@@ -126,11 +134,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """Everything a page, a table or a paper shows. ``tables[0]`` is over all recordings."""
+    """Everything a page, a table or a paper shows."""
 
     against: str  # "truth", "reference", "both", or "truth and reference"
     align: str
-    tables: tuple[Table, ...]  # over all recordings: one, or one per judge with --against both
+    # Over all recordings: one per judge, and rows whose input lacks a magnetometer apart, ranked by inclination.
+    tables: tuple[Table, ...]
     groups: tuple[Table, ...]  # by tag and by device
     runs: tuple[Run, ...]  # every estimator on every recording, failures included
     sources: tuple[Source, ...]
@@ -141,6 +150,18 @@ class Leaderboard:
     def failures(self) -> tuple[Run, ...]:
         """The runs that have no figures."""
         return tuple(run for run in self.runs if run.error is not None)
+
+    @property
+    def first_rows(self) -> tuple[Row, ...]:
+        """The rows of all tables of the first judge."""
+        against = self.tables[0].against
+        shared = [table for table in self.tables if self.against != "both" or table.against == against]
+        return tuple(row for table in shared for row in table.rows)
+
+    @property
+    def common_error(self) -> RankedBy:
+        """The error by which all rows may be compared: inclination where the heading of some says nothing."""
+        return next((table.ranked_by for table in self.tables if table.ranked_by != "total"), "total")
 
     def __str__(self) -> str:
         from stillpoint.studies.publish.tables import format_text
@@ -163,13 +184,12 @@ class Leaderboard:
 
     def to_json(self) -> dict[str, Any]:
         """The layout of ``leaderboard.json``; numbers that are not finite become null."""
-        first = self.tables[0]
         content = {
             "against": self.against,
             "align": self.align,
             "rows": [asdict(row) for table in self.tables for row in table.rows],
             "pairs": [asdict(pair) for table in self.tables for pair in table.pairs],
-            "general": first.general,
+            "general": all(table.general for table in self.tables),
             "conclusion": " ".join(table.conclusion for table in self.tables),
             "recordings": [asdict(run) for run in self.runs],
             "tables": [_without_rows(table) for table in self.tables],
@@ -184,14 +204,13 @@ class Leaderboard:
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Leaderboard":
         """The leaderboard that :meth:`to_json` wrote."""
-        rows = [_row(row) for row in content["rows"]]
-        pairs = [_pair(pair) for pair in content["pairs"]]
+        rows = iter([_row(row) for row in content["rows"]])
+        pairs = iter([_pair(pair) for pair in content["pairs"]])
         tables = []
         for table in content["tables"]:
-            shares = len(content["tables"]) == 1
-            mine = [row for row in rows if shares or row.against == table["against"]]
-            theirs = [pair for pair in pairs if shares or pair.against == table["against"]]
-            tables.append(_table(table, mine, theirs))
+            named = {name: value for name, value in table.items() if name not in ("row_count", "pair_count")}
+            mine = list(islice(rows, table["row_count"]))
+            tables.append(_table(named, mine, list(islice(pairs, table["pair_count"]))))
         return cls(
             against=content["against"],
             align=content["align"],
@@ -208,7 +227,9 @@ class Leaderboard:
 
 
 def _without_rows(table: Table) -> dict[str, Any]:
-    return {each.name: getattr(table, each.name) for each in fields(table) if each.name not in ("rows", "pairs")}
+    """Return a table with the numbers of its rows and pairs, which stand in one list with those of the others."""
+    kept = {each.name: getattr(table, each.name) for each in fields(table) if each.name not in ("rows", "pairs")}
+    return {**kept, "row_count": len(table.rows), "pair_count": len(table.pairs)}
 
 
 def _table(content: Mapping[str, Any], rows: list[Row], pairs: list[Pair]) -> Table:

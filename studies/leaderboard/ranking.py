@@ -77,7 +77,18 @@ class ScoredRuns:
         return judge_sd(error[:, :, axes], cov[:, axes][:, :, axes], common / 1e9, np.maximum(rmse_deg, 1e-6))
 
 
-def build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> Table:
+def build_tables(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> list[Table]:
+    """Rank the rows, those apart whose input lacks a magnetometer, as their heading and total error say nothing.
+
+    Rows with the same input (``calibration``) stay together. Rows that may be ranked by the total error come first.
+    """
+    names = [source.recording for source in sources]
+    lacking = {row.calibration for row in rows if any(runs.runs[n, row.label].magnetometer_left_out for n in names)}
+    parts = [[row for row in rows if (row.calibration in lacking) is lacks] for lacks in (False, True)]
+    return [_build_table(name, runs, sources, part) for part in parts if part]
+
+
+def _build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> Table:
     """Rank the estimators of ``rows`` (of which only the names are used) over the recordings of ``sources``.
 
     Recordings on which every estimator failed do not count. An estimator that failed on one of the others is listed

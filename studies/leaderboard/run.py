@@ -16,7 +16,7 @@ from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, 
 from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
 from stillpoint.studies.leaderboard.judges import TRUTH, find_judge, needs_reference
-from stillpoint.studies.leaderboard.ranking import build_table
+from stillpoint.studies.leaderboard.ranking import build_tables
 from stillpoint.studies.leaderboard.references import References, find_references
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import survey_sources
@@ -134,9 +134,9 @@ def _compare(
     for against in (TRUTH, REFERENCE) if study.against == "both" else (study.against,):
         judges = {s.recording: find_judge(s, against, study.against == "both", references) for s in sources}
         scored = score_cells(cells, judges, study.align, store, run_jobs)
-        tables.append(build_table("", scored, sources, rows))
+        tables += build_tables("", scored, sources, rows)
         for name, members in _list_groups(sources, study.groups):
-            groups.append(build_table(name, scored, members, rows))
+            groups += build_tables(name, scored, members, rows)
         runs += scored.runs.values()
     return Leaderboard(
         against="both" if study.against == "both" else tables[0].against,

@@ -25,7 +25,7 @@ def read_entries(out: Path, board: Leaderboard) -> dict[str, Any]:
     columns = min(max(columns, FEWEST_COLUMNS), MOST_COLUMNS)
     judged: dict[str, dict[str, Run]] = {}
     for run in runs:
-        name = run.recording if len(board.tables) < 2 else f"{run.recording}, {run.against}"
+        name = run.recording if board.against != "both" else f"{run.recording}, {run.against}"
         judged.setdefault(name, {})[run.label] = run
     entries = {}
     for name, of_label in judged.items():
@@ -39,7 +39,7 @@ def _choose_errors(board: Leaderboard, runs: int) -> list[str]:
     """Return total, heading and inclination where there is room for all three, else what the runs are ranked by."""
     every = ["total", "heading", "inclination"]
     room = PAGE_BYTES // (BYTES_PER_COLUMN * max(runs, 1) * len(every))
-    return every if room >= 4 * FEWEST_COLUMNS else [board.tables[0].ranked_by]
+    return every if room >= 4 * FEWEST_COLUMNS else [board.common_error]
 
 
 def _make_entry(series: Mapping[str, ErrorOverTime], keys: list[str], columns: int) -> dict[str, Any]:

@@ -44,8 +44,8 @@ def get_map_height_in(board: Leaderboard) -> float:
 def draw_map(ax: Axes, board: Leaderboard) -> None:
     """Draw the RMSE of every run as a cell, recordings down and rows of the first table across."""
     first = board.tables[0]
-    field = f"{first.ranked_by}_rmse_deg"
-    labels = [row.label for row in first.rows]
+    field = f"{board.common_error}_rmse_deg"
+    labels = [row.label for row in board.first_rows]
     names = list(dict.fromkeys(run.recording for run in board.runs))
     sizes = np.full((len(names), len(labels)), np.nan)
     for run in board.runs:
@@ -62,7 +62,7 @@ def draw_map(ax: Axes, board: Leaderboard) -> None:
     ax.set_yticks(range(len(names)), list(map(make_drawable, names)), fontsize=6)
     ax.tick_params(length=0)
     ax.grid(visible=False)
-    ax.set_title(f"{first.ranked_by} RMSE (deg)", loc="left")
+    ax.set_title(f"{board.common_error} RMSE (deg)", loc="left")
 
 
 def _is_judged_alike(against: str, wanted: str) -> bool:

@@ -31,7 +31,7 @@ def make_page_html(
     entries = dict(recordings or {})
     labels = tuple(dict.fromkeys(row.label for table in board.tables for row in table.rows))
     panels = [panel for panel in ERROR_PANELS if any(panel.key in entry["curves"] for entry in entries.values())]
-    costs = _list_costs(board.tables[0])
+    costs = _list_costs(board)
     return load_template("stillpoint.studies.publish", "page.html.j2").render(
         title=title,
         board=board,
@@ -105,18 +105,18 @@ def _list_notes(board: Leaderboard) -> Iterator[str]:
 def _make_heat_map(board: Leaderboard) -> dict[str, Any]:
     """Return rows of recordings with a cell per label: its RMSE, and a heat from the least (0) to the greatest (1)."""
     first = board.tables[0]
-    columns = [row.label for row in first.rows]
+    columns = [row.label for row in board.first_rows]
     runs = {(run.recording, run.label): run for run in board.runs}
-    if len(board.tables) > 1:
+    if board.against == "both":
         runs = {(r.recording, r.label): r for r in board.runs if r.against.startswith(first.against.split()[0])}
-    field = f"{first.ranked_by}_rmse_deg"
+    field = f"{board.common_error}_rmse_deg"
     sizes = [size for run in runs.values() if (size := getattr(run, field)) is not None and size > 0]
     low, high = min(sizes, default=1.0), max(sizes, default=1.0)
     rows = []
     for name in dict.fromkeys(run.recording for run in board.runs):
         cells = [_make_heat_cell(runs.get((name, label)), field, low, high) for label in columns]
         rows.append({"name": name, "link": quote(name, safe=""), "cells": cells})
-    return {"columns": columns, "rows": rows, "what": first.ranked_by}
+    return {"columns": columns, "rows": rows, "what": board.common_error}
 
 
 def _make_heat_cell(run: Run | None, field: str, low: float, high: float) -> dict[str, Any] | None:
@@ -129,8 +129,15 @@ def _make_heat_cell(run: Run | None, field: str, low: float, high: float) -> dic
 
 
 def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, Any]:
+    names = [group.name for group in board.groups]
     columns = [
-        {"name": group.name, "size": len(group.recordings), "ranked_by": group.ranked_by} for group in board.groups
+        {
+            "name": group.name,
+            "size": len(group.recordings),
+            "ranked_by": group.ranked_by,
+            "input": f", {group.inputs}" if names.count(group.name) > 1 else "",
+        }
+        for group in board.groups
     ]
     rows = []
     for label in labels:
@@ -144,9 +151,9 @@ def _make_group_table(board: Leaderboard, labels: Sequence[str]) -> dict[str, An
     return {"columns": columns, "rows": rows}
 
 
-def _list_costs(table: Table) -> list[dict[str, Any]]:
+def _list_costs(board: Leaderboard) -> list[dict[str, Any]]:
     """Return the points of the plot of accuracy against cost."""
-    found = ((row.label, row.ns_per_sample, _get_ranking_summary(row, table)) for row in table.rows)
+    found = ((row.label, row.ns_per_sample, getattr(row, f"{board.common_error}_rmse_deg")) for row in board.first_rows)
     return [
         {"name": label, "cost": cost, "error": summary.typical}
         for label, cost, summary in found

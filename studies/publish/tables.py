@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 ERRORS = ("total", "heading", "inclination")
 STATISTICS = ("typical", "mean", "median", "worst")
-HEADINGS = ("rank", "estimator", "total", "95 % interval", "heading", "incl.", "worst", "ns/sample", "failed")
+SHORT = {"total": "total", "heading": "heading", "inclination": "incl."}
 LATEX = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -50,9 +50,10 @@ def format_markdown(board: Leaderboard) -> str:
     """Return the tables of the leaderboard in Markdown, each with its conclusion."""
     parts = []
     for table in board.tables:
-        rows = [[cell.replace("|", "\\|") for cell in _format_cells(row)] for row in table.rows]
-        aligned = ["---" if k == 1 else "---:" for k in range(len(HEADINGS))]
-        lines = [HEADINGS, aligned, *rows]
+        headings = _list_headings(table)
+        rows = [[cell.replace("|", "\\|") for cell in cells] for cells in _list_cells(table)]
+        aligned = ["---" if k == 1 else "---:" for k in range(len(headings))]
+        lines = [headings, aligned, *rows]
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         parts.append(f"{text}\n\n{_make_caption(table)} {table.conclusion}\n")
     return "\n".join(parts)
@@ -62,9 +63,9 @@ def format_html(board: Leaderboard) -> str:
     """Return the tables of the leaderboard as HTML, for notebooks."""
     parts = []
     for table in board.tables:
-        head = "".join(f"<th>{escape(title)}</th>" for title in HEADINGS)
+        head = "".join(f"<th>{escape(title)}</th>" for title in _list_headings(table))
         body = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in _format_cells(row))}</tr>" for row in table.rows
+            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for cells in _list_cells(table)
         )
         parts.append(
             f"<table><caption>{escape(_make_caption(table))}</caption><thead><tr>{head}</tr></thead>"
@@ -77,8 +78,8 @@ def format_text(board: Leaderboard) -> str:
     """Return the tables of the leaderboard as aligned text."""
     parts = []
     for table in board.tables:
-        lines = [HEADINGS, *map(_format_cells, table.rows)]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(HEADINGS))]
+        lines = [_list_headings(table), *_list_cells(table)]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
         padded = ["  ".join(_pad(line[k], width, k) for k, width in enumerate(widths)).rstrip() for line in lines]
         parts.append("\n".join([_make_caption(table), *padded, table.conclusion]))
     return "\n\n".join(parts)
@@ -123,16 +124,27 @@ def _flatten_summary(error: str, summary: Summary | None) -> dict[str, Any]:
     return {**statistics, f"{error}_rmse_low95_deg": low, f"{error}_rmse_high95_deg": high}
 
 
-def _format_cells(row: Row) -> list[str]:
-    total = row.total_rmse_deg
+def _list_headings(table: Table) -> list[str]:
+    """Return the titles of the columns: the error that ranks first, with its interval."""
+    others = [SHORT[error] for error in ERRORS if error != table.ranked_by]
+    lead = SHORT[table.ranked_by]
+    return ["rank", "estimator", lead, "95 % interval", *others, f"worst {lead}", "ns/sample", "failed"]
+
+
+def _list_cells(table: Table) -> list[list[str]]:
+    return [_format_cells(row, table) for row in table.rows]
+
+
+def _format_cells(row: Row, table: Table) -> list[str]:
+    lead: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
+    others = [getattr(row, f"{error}_rmse_deg") for error in ERRORS if error != table.ranked_by]
     return [
         "–" if row.rank is None else "–".join(dict.fromkeys(map(str, row.rank))),
         row.label,
-        _format_typical(total),
-        "–" if total is None else f"{total.ci95[0]:.2f}–{total.ci95[1]:.2f}",
-        _format_typical(row.heading_rmse_deg),
-        _format_typical(row.inclination_rmse_deg),
-        "–" if total is None else f"{total.worst:.2f}",
+        _format_typical(lead),
+        "–" if lead is None else f"{lead.ci95[0]:.2f}–{lead.ci95[1]:.2f}",
+        *map(_format_typical, others),
+        "–" if lead is None else f"{lead.worst:.2f}",
         "–" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}",
         f"{row.failed}/{row.recordings}",
     ]
@@ -144,8 +156,8 @@ def _format_typical(summary: Summary | None) -> str:
 
 def _make_caption(table: Table) -> str:
     return (
-        f"RMSE in degrees against {table.against} over {len(table.recordings)} recordings, ranked by the "
-        f"{table.ranked_by} error; geometric means with 95 % intervals."
+        f"RMSE in degrees against {table.against} over {len(table.recordings)} recordings, input {table.inputs}, "
+        f"ranked by the {table.ranked_by} error; geometric means with 95 % intervals."
     )
 
 
@@ -156,9 +168,9 @@ def _format_latex_table(table: Table) -> str:
         rf"\caption{{{_escape_latex(_make_caption(table))} {_escape_latex(table.conclusion)}}}",
         r"\begin{tabular}{rlrrrrrrr}",
         r"\toprule",
-        f"{' & '.join(map(_escape_latex, HEADINGS))} \\\\",
+        f"{' & '.join(map(_escape_latex, _list_headings(table)))} \\\\",
         r"\midrule",
-        *(f"{' & '.join(map(_escape_latex, _format_cells(row)))} \\\\" for row in table.rows),
+        *(f"{' & '.join(map(_escape_latex, cells))} \\\\" for cells in _list_cells(table)),
         r"\bottomrule",
         r"\end{tabular}",
         r"\end{table}",

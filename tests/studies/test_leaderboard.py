@@ -13,7 +13,7 @@ from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
 from stillpoint.studies import leaderboard
 from stillpoint.studies.job_runner import run_here
-from stillpoint.studies.leaderboard import Study, entrants, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard import Leaderboard, Study, entrants, read_study, run_study, study_toml
 
 OWN = '''
 import numpy as np
@@ -204,6 +204,23 @@ def test_uncalibrated_magnetometer_ranks_by_inclination(files, tmp_path):
     table = board.tables[0]
     assert table.ranked_by == "inclination"
     assert "left out for 1 of 1 rows on 1 of 1 recordings" in table.conclusion
+
+
+def test_rows_without_a_magnetometer_are_ranked_apart_by_inclination(files, tmp_path):
+    """With calibrated input the heading says something, so these rows keep the total error."""
+    made = simulate("phone-3", seed=7, minutes=1.5)
+    write(tmp_path / "raw.mcap", replace(made, info=replace(made.info, mag_uncalibrated=True)))
+    board = leaderboard(
+        [files[1], tmp_path / "raw.mcap"], ["cf", "gyro"], tmp_path / "out", calibration=("none", "reference")
+    )
+    calibrated, raw = board.tables
+    assert (calibrated.ranked_by, calibrated.inputs) == ("total", "calibrated by the reference")
+    assert {row.label for row in calibrated.rows} == {"cf (calibrated)", "gyro (calibrated)"}
+    assert "left out" not in calibrated.conclusion
+    assert (raw.ranked_by, raw.inputs) == ("inclination", "as recorded")
+    assert "left out for 2 of 2 rows on 1 of 2 recordings" in raw.conclusion
+    assert board.common_error == "inclination", "what all four rows may be compared by"
+    assert Leaderboard.from_json(json.loads(json.dumps(board.to_json()))).tables == board.tables
 
 
 def test_recordings_in_memory(tmp_path):
