@@ -7,13 +7,16 @@ recording. An IMU alone cannot distinguish rest from a recording that only turns
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
 from stillpoint.datasets.settings import Settings, degrees, number
 
+Windows: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64]]  # first and last + 1 of each window's samples
 DENSE_SHARE = 0.6  # share of the samples of a window that must be present; fewer are beside a long gap
 
 
@@ -46,51 +49,68 @@ def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
     if len(imu.t_ns) < 3:
         return np.empty((0, 2), dtype=np.int64)
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
-    gyro_sd, gyro_noise = _deviation(t_s, imu.gyro_b_radps, params)
-    accel_sd, accel_noise = _deviation(t_s, imu.accel_b_mps2, params)
+    narrow, wide = _windows(t_s, params.smooth_s), _windows(t_s, params.window_s)
+    gyro_sd, gyro_noise = _deviation(imu.gyro_b_radps, narrow, wide)
+    accel_sd, accel_noise = _deviation(imu.accel_b_mps2, narrow, wide)
     calmest = np.argmin(gyro_sd / params.gyro_sd_radps + accel_sd / params.accel_sd_mps2)
     gyro_limit = _limit(params.gyro_sd_radps, gyro_noise[calmest], params)
     accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
 
-    still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(imu.t_ns), params)
-    spans = _cut_edges(t_s, _widened(t_s, _runs(still), params), params)
+    still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(imu.t_ns), wide, params)
+    spans = _cut_edges(t_s, _widened(_runs(still), wide), params)
     spans = spans[[_keeps_tilt(imu, t_s, span, params) for span in spans]] if len(spans) else spans
     spans = spans[_at_bias(imu, spans, gyro_sd, params)]
     return imu.t_ns[spans]
 
 
-def _window(t_s: Floats, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+@compiled
+def _windows(t_s: Floats, width_s: float) -> Windows:
     """Return the index range [first, last) of the samples within half a width of each stamp."""
-    first = np.searchsorted(t_s, t_s - width_s / 2, side="left")
-    return first, np.searchsorted(t_s, t_s + width_s / 2, side="right")
+    n = len(t_s)
+    first, last = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    start = end = 0
+    for k in range(n):
+        while t_s[start] < t_s[k] - width_s / 2:
+            start += 1
+        while end < n and t_s[end] <= t_s[k] + width_s / 2:
+            end += 1
+        first[k], last[k] = start, end
+    return first, last
 
 
-def _mean(t_s: Floats, values: Floats, width_s: float) -> Floats:
-    """Return the centred moving mean over time, with shorter windows at the ends."""
-    first, last = _window(t_s, width_s)
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return (total[last] - total[first]) / (last - first)[:, None]
+@compiled
+def _mean(values: Floats, windows: Windows) -> Floats:
+    """Return the means of values (N, 3) over windows."""
+    n = len(values)
+    total, mean = np.zeros((n + 1, 3)), np.empty((n, 3))
+    for k in range(n):
+        for axis in range(3):
+            total[k + 1, axis] = total[k, axis] + values[k, axis]
+    for k in range(n):
+        first, last = windows[0][k], windows[1][k]
+        for axis in range(3):
+            mean[k, axis] = (total[last, axis] - total[first, axis]) / (last - first)
+    return mean
 
 
-def _deviation(t_s: Floats, values: Floats, params: RestParams) -> tuple[Floats, Floats]:
+def _deviation(values: Floats, narrow: Windows, wide: Windows) -> tuple[Floats, Floats]:
     """Return the sd of the smoothed values in each window, and the sd that white noise alone would cause."""
     centred = values - values.mean(axis=0)  # keeps the sums of squares small
-    smooth = _mean(t_s, centred, params.smooth_s)
-    variance = _mean(t_s, smooth**2, params.window_s) - _mean(t_s, smooth, params.window_s) ** 2
+    smooth = _mean(centred, narrow)
+    variance = _mean(smooth**2, wide) - _mean(smooth, wide) ** 2
     deviation = np.sqrt(np.maximum(variance.sum(axis=1), 0.0))
     steps = np.diff(centred, axis=0, prepend=centred[:1])
-    white = np.sqrt(_mean(t_s, steps**2, params.window_s).sum(axis=1) / 2)
-    first, last = _window(t_s, params.smooth_s)
-    return deviation, white / np.sqrt(last - first)
+    white = np.sqrt(_mean(steps**2, wide).sum(axis=1) / 2)
+    return deviation, white / np.sqrt(narrow[1] - narrow[0])
 
 
 def _limit(threshold: float, noise: float, params: RestParams) -> float:
     return float(np.clip(params.noise_factor * noise, threshold, params.noise_limit * threshold))
 
 
-def _dense(t_s: Floats, rate: float, params: RestParams) -> NDArray[np.bool_]:
+def _dense(t_s: Floats, rate: float, wide: Windows, params: RestParams) -> NDArray[np.bool_]:
     """Return where a window holds enough of the samples that the recording's rate promises."""
-    first, last = _window(t_s, params.window_s)
+    first, last = wide
     inside_s = np.minimum(t_s + params.window_s / 2, t_s[-1]) - np.maximum(t_s - params.window_s / 2, t_s[0])
     return (last - first >= DENSE_SHARE * rate * inside_s) & (last - first >= 3)
 
@@ -101,9 +121,9 @@ def _runs(mask: NDArray[np.bool_]) -> Times:
     return np.stack([edges[::2], edges[1::2] - 1], axis=1).astype(np.int64)
 
 
-def _widened(t_s: Floats, runs: Times, params: RestParams) -> Times:
+def _widened(runs: Times, wide: Windows) -> Times:
     """Extend runs of still window centres to what their windows cover; neighbours stay separate, half way apart."""
-    first, last = _window(t_s, params.window_s)
+    first, last = wide
     start, end = first[runs[:, 0]], last[runs[:, 1]] - 1
     middle = (runs[:-1, 1] + runs[1:, 0]) // 2
     start[1:], end[:-1] = np.maximum(start[1:], middle + 1), np.minimum(end[:-1], middle)

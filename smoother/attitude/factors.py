@@ -23,6 +23,7 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.compound import compound_samples
 from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.params import GraphParams
 
@@ -62,16 +63,19 @@ def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float,
         kind: gtsam.PreintegratedImuMeasurements(_noise(gyro**2 * eye, accel**2 * eye, g_mps2, params), start)
         for kind, (gyro, accel) in sizes.items()
     }
-    accel, gyro, dt_s = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
+    intervals = keys.intervals(~keys.gap)
+    measured = compound_samples(motion, keys.row, intervals, bias_b_radps)
     own_noise = keys.clipped | (keys.gyro_sampling_rad > 0).any(axis=1)
-    for i in keys.intervals(~keys.gap):
+    parts = list(zip(measured.accel_b_mps2, measured.gyro_b_radps, measured.length_s.tolist(), strict=True))
+    for i, (accel, gyro, length_s) in zip(intervals.tolist(), parts, strict=True):
         if own_noise[i]:
             between = gtsam.PreintegratedImuMeasurements(_interval_noise(keys, i, g_mps2, params), start)
         else:
             between = summed["rest" if keys.at_rest[i] else "moving"]
         between.resetIntegration()
-        for k in range(keys.row[i] + 1, keys.row[i + 1] + 1):
-            between.integrateMeasurement(accel[k], gyro[k], dt_s[k])
+        for part, seconds in enumerate(length_s):
+            if seconds > 0:
+                between.integrateMeasurement(accel[part], gyro[part], seconds)
         yield gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
 
 

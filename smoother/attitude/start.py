@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
+from stillpoint.datasets.quaternion import multiply
 from stillpoint.datasets.recording import Floats, Mag
 from stillpoint.smoother.attitude.keys import Motion
 from stillpoint.smoother.missing import LONG_GAP_S
@@ -28,6 +30,7 @@ BLOCKS_S = (3.0, 12.0, 24.0)
 LEVEL_BLOCK_S = 12.0  # of the attitudes that are returned
 NEIGHBOURS = 5  # blocks that decide on a heading together
 WINDOW_S = 0.5  # over which specific force and field are averaged
+SAMPLE_S = 0.02  # bias and iron are fitted to means over so long: finer ones change nothing
 FORCE_SD_MPS2 = 0.3  # of such a mean of the specific force, at the least
 FIELD_SD_UT = 2.0  # of such a mean of the field, at the least
 FIELD_WEIGHT_UT = 5.0  # that counts as much as 1 m/s^2
@@ -45,6 +48,18 @@ class Start:
     gyro_bias_b_radps: Floats  # (3,)
     hard_iron_b_ut: Floats  # (3,) zeros without magnetometer
     misfit: float  # median of the residuals in units of their sd: about 1 when the model holds
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """What bias and iron are fitted to: means over SAMPLE_S, or the samples where those are as far apart."""
+
+    t_s: Floats  # (N,) at the end of each
+    dt_s: Floats  # (N,) the interval that ends there
+    rate: Floats  # (N, 3)
+    force: Floats  # (N, 3)
+    field: Floats  # (N, 3) zeros without magnetometer
+    middle: float  # share of the interval at which force and field were measured: 1 at its end, 1/2 amid it
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +86,8 @@ def find_start(
     guesses = [rest_bias_b_radps] if rest_bias_b_radps is not None else [np.median(motion.gyro_b_radps, axis=0)]
     if rest_bias_b_radps is None:
         guesses.append(np.zeros(3))
-    found = [_fit_bias_and_iron(motion, field_b, guess) for guess in guesses]
+    samples = _average_samples(motion, field_b)
+    found = [_fit_bias_and_iron(samples, guess, field_b is not None) for guess in guesses]
     bias, iron, misfit = min(found, key=lambda each: each[2])
     return Start(_compute_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
 
@@ -81,32 +97,45 @@ def _interpolate_field(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
     return np.stack([np.interp(motion.t_s, t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
 
 
-def _split_blocks(motion: Motion, length_s: float) -> NDArray[np.int64]:
-    """Return the first sample of each block; a gap ends a block."""
+def _average_samples(motion: Motion, field_b: Floats | None) -> _Samples:
+    """Return the means of neighbouring samples over SAMPLE_S; none reaches across a long gap."""
+    count = max(1, round(SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
+    n = len(motion.t_s)
+    first = np.union1d(np.arange(0, n, count), np.flatnonzero(motion.dt_s > LONG_GAP_S))
+    size = np.diff(np.append(first, n))[:, None]
+    dt_s = np.add.reduceat(motion.dt_s, first)
+    turned = np.add.reduceat(motion.gyro_b_radps * motion.dt_s[:, None], first, axis=0)
+    force = np.add.reduceat(motion.accel_b_mps2, first, axis=0) / size
+    field = np.zeros_like(force) if field_b is None else np.add.reduceat(field_b, first, axis=0) / size
+    last = np.append(first[1:], n) - 1
+    rate = turned / np.maximum(dt_s, 1e-12)[:, None]
+    return _Samples(motion.t_s[last], dt_s, rate, force, field, (count + 1) / (2 * count))
+
+
+def _split_blocks(t_s: Floats, dt_s: Floats, length_s: float) -> NDArray[np.int64]:
+    """Return the first of the samples (N,) of each block; a gap ends a block."""
     starts = [0]
-    pieces = np.concatenate([[0], np.flatnonzero(motion.dt_s > LONG_GAP_S), [len(motion.t_s)]])
+    pieces = np.concatenate([[0], np.flatnonzero(dt_s > LONG_GAP_S), [len(t_s)]])
     for first, last in pairwise(pieces):
         if last > first:
-            span_s = motion.t_s[last - 1] - motion.t_s[first]
+            span_s = t_s[last - 1] - t_s[first]
             count = max(1, round(span_s / length_s))
-            edges_s = motion.t_s[first] + span_s * np.arange(count) / count
-            starts.extend(np.searchsorted(motion.t_s, edges_s - 1e-9).tolist())
+            edges_s = t_s[first] + span_s * np.arange(count) / count
+            starts.extend(np.searchsorted(t_s, edges_s - 1e-9).tolist())
     return np.unique(np.array(starts, dtype=np.int64))
 
 
-def _fit_bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> tuple[Floats, Floats, float]:
+def _fit_bias_and_iron(samples: _Samples, bias: Floats, magnetic: bool) -> tuple[Floats, Floats, float]:
     """Return gyro bias, hard iron and misfit by Gauss-Newton over blocks of growing length."""
     iron, misfit = np.zeros(3), np.inf
     bias = np.array(bias, dtype=np.float64)
-    field = np.zeros_like(motion.gyro_b_radps) if field_b is None else field_b
+    columns = samples.force, samples.field, samples.dt_s
     for length_s in BLOCKS_S:
-        starts = _split_blocks(motion, length_s)
+        starts = _split_blocks(samples.t_s, samples.dt_s, length_s)
+        windows, block = _split_half_seconds(samples.t_s, starts)
         for _ in range(ITERATIONS):
-            windows, block = _split_half_seconds(motion, starts)
-            means = _Means(
-                *_block_means(motion.gyro_b_radps - bias, motion.accel_b_mps2, field, motion.dt_s, starts, windows)
-            )
-            step, misfit = _solve_step(means, iron, block, field_b is not None)
+            means = _Means(*_block_means(samples.rate - bias, *columns, starts, windows, samples.middle))
+            step, misfit = _solve_step(means, iron, block, magnetic)
             bias = bias + np.clip(step[:3], -BIAS_STEP_RADPS, BIAS_STEP_RADPS)
             iron = iron + step[3:]
             if np.abs(step[:3]).max() < 1e-5:
@@ -114,20 +143,28 @@ def _fit_bias_and_iron(motion: Motion, field_b: Floats | None, bias: Floats) -> 
     return bias, iron, misfit
 
 
-def _split_half_seconds(motion: Motion, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _split_half_seconds(t_s: Floats, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first sample of each half second within each block, (W + 1,) with the end, and its block."""
-    within_s = motion.t_s - motion.t_s[starts][np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1]
-    number = np.floor(within_s / WINDOW_S).astype(np.int64)
-    block_of = np.searchsorted(starts, np.arange(len(motion.t_s)), side="right") - 1
+    block_of = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(t_s))))
+    number = np.floor((t_s - t_s[starts][block_of]) / WINDOW_S).astype(np.int64)
     first = np.flatnonzero(np.diff(number, prepend=-1) | np.diff(block_of, prepend=-1))
-    return np.append(first, len(motion.t_s)).astype(np.int64), block_of[first].astype(np.int64)
+    return np.append(first, len(t_s)).astype(np.int64), block_of[first].astype(np.int64)
 
 
 @numba.njit(cache=True)
 def _block_means(
-    rate: Floats, force: Floats, field: Floats, dt_s: Floats, starts: NDArray[np.int64], windows: NDArray[np.int64]
+    rate: Floats,
+    force: Floats,
+    field: Floats,
+    dt_s: Floats,
+    starts: NDArray[np.int64],
+    windows: NDArray[np.int64],
+    middle: float,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the four arrays of :class:`_Means` in one pass over the samples."""
+    """Return the four arrays of :class:`_Means` in one pass over the samples.
+
+    Force and field are turned by the attitude at the share ``middle`` of the interval of their sample.
+    """
     n_windows = len(windows) - 1
     mean_force, mean_field = np.zeros((n_windows, 3)), np.zeros((n_windows, 3))
     mean_turn, drift = np.zeros((n_windows, 3, 3)), np.zeros((n_windows, 3, 3))
@@ -136,25 +173,40 @@ def _block_means(
     for w in range(n_windows):
         share = 1.0 / (windows[w + 1] - windows[w])
         for k in range(windows[w], windows[w + 1]):
-            fresh = block < len(starts) and k == starts[block]
-            if fresh:
+            before_s, after_s = middle * dt_s[k], (1.0 - middle) * dt_s[k]
+            if block < len(starts) and k == starts[block]:
                 block += 1
-                turned[:] = np.eye(3)
+                turn[:] = np.eye(3)
                 swept[:] = 0.0
             else:
-                _rotate_by(rate[k, 0] * dt_s[k], rate[k, 1] * dt_s[k], rate[k, 2] * dt_s[k], step)
-            for i in range(3):
-                if not fresh:
+                _rotate_by(rate[k, 0] * before_s, rate[k, 1] * before_s, rate[k, 2] * before_s, step)
+                _multiply(turn, step, turned)
+                turn[:] = turned
+                for i in range(3):
                     for j in range(3):
-                        turned[i, j] = turn[i, 0] * step[0, j] + turn[i, 1] * step[1, j] + turn[i, 2] * step[2, j]
-                        swept[i, j] -= turned[i, j] * dt_s[k]
+                        swept[i, j] -= turn[i, j] * before_s
+            for i in range(3):
                 for j in range(3):
-                    mean_force[w, i] += share * turned[i, j] * force[k, j]
-                    mean_field[w, i] += share * turned[i, j] * field[k, j]
-                    mean_turn[w, i, j] += share * turned[i, j]
+                    mean_force[w, i] += share * turn[i, j] * force[k, j]
+                    mean_field[w, i] += share * turn[i, j] * field[k, j]
+                    mean_turn[w, i, j] += share * turn[i, j]
                     drift[w, i, j] += share * swept[i, j]
-            turn[:] = turned
+            if middle < 1.0 and k > starts[block - 1]:
+                _rotate_by(rate[k, 0] * after_s, rate[k, 1] * after_s, rate[k, 2] * after_s, step)
+                _multiply(turn, step, turned)
+                turn[:] = turned
+                for i in range(3):
+                    for j in range(3):
+                        swept[i, j] -= turn[i, j] * after_s
     return mean_force, mean_field, mean_turn, drift
+
+
+@numba.njit(cache=True)
+def _multiply(left: Floats, right: Floats, out: Floats) -> None:
+    """Write the product of two matrices (3, 3) to ``out``."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
 
 
 @numba.njit(cache=True)
@@ -234,29 +286,50 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
     The gyro carries the heading from block to block; the field corrects it by the angle on which most of the
     neighbouring blocks agree, so that a passing magnet does not turn a block.
     """
-    starts = _split_blocks(motion, LEVEL_BLOCK_S)
+    starts = _split_blocks(motion.t_s, motion.dt_s, LEVEL_BLOCK_S)
     ends = np.append(starts[1:], len(motion.t_s))
-    identity = np.array([1.0, 0.0, 0.0, 0.0])
-    chained: list[Rotation] = []
+    # Within a block, medians over SAMPLE_S are as good as those over all samples.
+    stride = max(1, int(SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
+    step_s = motion.dt_s.copy()
+    step_s[starts] = 0.0
+    rate = motion.gyro_b_radps - bias
+    turn = np.empty((len(motion.t_s), 4))
+    levels: list[Rotation] = []
     offsets = np.zeros(len(starts))
+    before: Rotation | None = None
     for block, (first, last) in enumerate(zip(starts, ends, strict=True)):
-        step_s = np.where(np.arange(first, last) == first, 0.0, motion.dt_s[first:last])
-        turn = rotation(integrate(identity, motion.gyro_b_radps[first:last] - bias, step_s))
-        up = np.median(turn.apply(motion.accel_b_mps2[first:last].copy()), axis=0)
-        before = chained[-1][-1] if chained else None
-        level = _level_block(up, before, motion.gyro_b_radps[first] - bias, motion.dt_s[first])
-        chained.append(level * turn)
+        turn[first:last] = integrate(np.array([1.0, 0.0, 0.0, 0.0]), rate[first:last], step_s[first:last])
+        rows = slice(first, last, stride)
+        some = rotation(turn[rows])
+        up = np.median(some.apply(motion.accel_b_mps2[rows].copy()), axis=0)
+        level = _level_block(up, before, rate[first], motion.dt_s[first])
+        levels.append(level)
+        before = level * rotation(turn[last - 1])
         if field_b is not None:
-            east, north, _ = level.apply(np.median(turn.apply(field_b[first:last] - iron), axis=0))
+            east, north, _ = level.apply(np.median(some.apply(field_b[rows] - iron), axis=0))
             offsets[block] = np.arctan2(east, north)
-    piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
-    corrected = (
-        [_take_circular_median(offsets[piece == number]) for number in np.unique(piece)]
-        if field_b is not None
-        else [offsets]
-    )
-    turned = zip(np.concatenate(corrected), chained, strict=True)
-    return np.concatenate([quaternion(heading_rotation(float(angle)) * block) for angle, block in turned])
+    if field_b is not None:
+        piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
+        offsets = np.concatenate([_take_circular_median(offsets[piece == number]) for number in np.unique(piece)])
+    pairs = zip(offsets.tolist(), levels, strict=True)
+    of_block = np.array([quaternion(heading_rotation(angle) * level) for angle, level in pairs])
+    return _turn_blocks(of_block, starts, turn)
+
+
+@compiled
+def _turn_blocks(of_block: Floats, starts: NDArray[np.int64], turn: Floats) -> Floats:
+    """Return the attitudes (N, 4) of samples that turned by ``turn`` (N, 4) since their block began, with w >= 0."""
+    q_nb = np.empty_like(turn)
+    block = -1
+    for k in range(len(turn)):
+        if block + 1 < len(starts) and k == starts[block + 1]:
+            block += 1
+        left = (of_block[block, 0], of_block[block, 1], of_block[block, 2], of_block[block, 3])
+        q = multiply(left, (turn[k, 0], turn[k, 1], turn[k, 2], turn[k, 3]))
+        sign = 1.0 if q[0] >= 0 else -1.0
+        for axis in range(4):
+            q_nb[k, axis] = sign * q[axis]
+    return q_nb
 
 
 def _take_circular_median(angles: Floats) -> Floats:
