@@ -13,7 +13,9 @@ import hashlib
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,9 @@ TARGET = "STILLPOINT_KERNELS_TO"
 # And of a process in which a user waits: say on stderr that something compiles.
 ANNOUNCE = "STILLPOINT_SAY_COMPILING"
 SHARED = ("compiled.py", "quaternion.py")
+# How long a process waits for another one to compile a function before it compiles the function itself.
+LONGEST_WAIT_S = 120.0
+LOCKS = "stillpoint-compiling.lock"  # in each folder of the cache
 
 
 class _KernelCache(FunctionCache):
@@ -37,20 +42,51 @@ class _KernelCache(FunctionCache):
     ships = False  # whether the function is a kernel: Python calls it
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for these argument types, or None where it is to be compiled."""
-        found = super().load_overload(sig, target_context)
-        if found is None and self.ships and TARGET not in os.environ:
-            found = self._load_kernel(sig, target_context)
+        """Return the machine code for these argument types, or None where it is to be compiled.
+
+        Of several processes that want a function one compiles it, the others wait and load what it saved.
+        """
+        found = self._find(sig, target_context)
+        if found is None:
+            _hold_lock(self._lock_file, self._lock_byte)
+            found = self._find(sig, target_context)
         if found is None:
             _announce()
+        else:
+            _release_lock(self._lock_file, self._lock_byte)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep machine code that was just compiled."""
-        super().save_overload(sig, data)
+        """Keep machine code that was just compiled.
+
+        Under the lock: numba reads, changes and writes its index of a function, and two processes that save the
+        function for different argument types would give both the same file.
+        """
+        _hold_lock(self._lock_file, self._lock_byte)
+        try:
+            super().save_overload(sig, data)
+        finally:
+            _release_lock(self._lock_file, self._lock_byte)
         if self.ships and TARGET in os.environ and self._impl.check_cachable(data):
             path = Path(os.environ[TARGET]) / self._kernel_name(sig, data.codegen)
             path.write_bytes(dumps(self._impl.reduce(data)))
+
+    def _find(self, sig: Any, target_context: Any) -> Any:
+        """Return the machine code from this machine's cache, else from the package's kernels, else None."""
+        found = super().load_overload(sig, target_context)
+        if found is None and self.ships and TARGET not in os.environ:
+            found = self._load_kernel(sig, target_context)
+        return found
+
+    @property
+    def _lock_file(self) -> Path:
+        return Path(self.cache_path) / LOCKS
+
+    @property
+    def _lock_byte(self) -> int:
+        """The byte of the lock file that stands for this function."""
+        name = f"{self._py_func.__module__}.{self._py_func.__qualname__}"
+        return int.from_bytes(hashlib.sha256(name.encode()).digest()[:7])
 
     def _load_kernel(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -96,6 +132,49 @@ def hash_sources(folder: Path) -> str:
     for path in (*sorted(folder.rglob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)):
         sources.update(path.name.encode() + b"\0" + path.read_bytes())
     return sources.hexdigest()
+
+
+if sys.platform == "win32":  # without locks, two processes may compile the same function
+
+    def _hold_lock(file: Path, byte: int) -> None:
+        """Do nothing."""
+
+    def _release_lock(file: Path, byte: int) -> None:
+        """Do nothing."""
+
+else:
+    import fcntl
+
+    _HANDLES: dict[Path, int | None] = {}  # of this process; one per file, since closing any would free all its locks
+
+    def _hold_lock(file: Path, byte: int) -> None:
+        """Lock a byte of a file; wait while another process holds it. Does nothing where the file cannot be opened.
+
+        Locks of bytes end with the process. A compilation that fails keeps its lock until then, so the wait is limited.
+        """
+        if file not in _HANDLES:
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                _HANDLES[file] = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+            except OSError:
+                _HANDLES[file] = None
+        handle = _HANDLES[file]
+        give_up = time.monotonic() + LONGEST_WAIT_S
+        while handle is not None and time.monotonic() < give_up:
+            try:
+                fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+                return
+            except (BlockingIOError, PermissionError):
+                time.sleep(0.02)
+            except OSError:  # a file system without locks
+                return
+
+    def _release_lock(file: Path, byte: int) -> None:
+        """Let the byte go."""
+        handle = _HANDLES.get(file)
+        if handle is not None:
+            with suppress(OSError):
+                fcntl.lockf(handle, fcntl.LOCK_UN, 1, byte)
 
 
 def _describe(kind: Any) -> str:

@@ -45,3 +45,25 @@ def test_a_kernel_is_loaded_into_an_empty_cache_and_not_for_other_sources(tmp_pa
     assert call(kernels, tmp_path / "b") == ("-1 1", "")
     assert call(kernels, tmp_path / "c", "other sources")[0] == "-1 0"
     assert call(kernels, tmp_path / "b") == ("-1 1", "")
+
+
+COMPILE = """
+import sys, time
+from pathlib import Path
+from stillpoint.filters.spin import front
+Path(sys.argv[1], sys.argv[2]).touch()
+while len(list(Path(sys.argv[1]).glob("ready-*"))) < 2:
+    time.sleep(0.001)
+front.start()
+print(sum(front.start.stats.cache_misses.values()), sum(front.start.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.slow
+def test_of_two_processes_that_want_a_function_one_compiles_and_the_other_loads(tmp_path: Path) -> None:
+    """Both begin when both have started: compiling takes much longer than to look for machine code and lock it."""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", COMPILE, str(tmp_path)]
+    both = [subprocess.Popen([*command, f"ready-{k}"], env=env, stdout=subprocess.PIPE, text=True) for k in range(2)]
+    counts = [tuple(map(int, process.communicate()[0].split())) for process in both]
+    assert sorted(counts) == [(0, 1), (1, 0)]

@@ -25,7 +25,13 @@ from stillpoint.filters.table import ROLLS, Estimator, SpinEstimator
 from stillpoint.smoother import METHODS, reference
 from stillpoint.smoother.reference import ROLL_METHODS
 
-SIMULATED = {"phone-1": 1.5, "phone-3-shaken": 1.5, "auv-dolphin": 6.0, "servo-bench": 2.5, "spin-variable": 0.2}  # minutes
+SIMULATED = {
+    "phone-1": 1.5,
+    "phone-3-shaken": 1.5,
+    "auv-dolphin": 6.0,
+    "servo-bench": 2.5,
+    "spin-variable": 0.2,
+}  # minutes
 REAL = (
     ("broad", "broad/04_undisturbed_slow_rotation_with_breaks_A.mat"),
     ("broad", "broad/28_disturbed_stationary_magnet_A.mat"),
