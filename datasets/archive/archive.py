@@ -222,7 +222,7 @@ class Archive:
     def read_record(self, sha256: str) -> Record:
         """The record of an object; raises :class:`BadFile` when it is damaged or not there."""
         key = record_key(sha256)
-        return record_from_bytes(read_key(self.storage, key), str(self.storage.path(key)))
+        return record_from_bytes(read_key(self.storage, key), f"{self.storage.name}/{key}")
 
     def labels(self, sha256: str) -> tuple[list[str], dict[str, str]]:
         """Tags and metadata of an object."""

@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -206,18 +207,23 @@ def described_rows(record: Record, described: Description) -> dict[str, list[dic
 
 def digest_rows(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     """The SHA-256 of described rows, the same for rows that are to be inserted and for rows that were read back."""
-    plain = {
-        table: sorted(
-            [[name, _comparable(value)] for name, value in sorted(row.items()) if name not in LABELLED]
-            for row in rows.get(table, ())
-        )
-        for table in DESCRIBED_TABLES
-    }
+    plain = {}
+    for table in DESCRIBED_TABLES:
+        own = rows.get(table, ())
+        plain[table] = sorted([[name, _comparable(row[name])] for name in _described_names(tuple(row))] for row in own)
     return hashlib.sha256(json.dumps(plain, ensure_ascii=True).encode()).hexdigest()
+
+
+@cache
+def _described_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The columns of a row that its content decides, in order."""
+    return tuple(sorted(set(names) - set(LABELLED)))
 
 
 def _comparable(value: Any) -> str:
     """A value as text; SQLite gives whole numbers of a REAL column back as floats, and NaN as NULL."""
+    if isinstance(value, str):  # the most of them
+        return f"'{value}"
     if value is None or value != value:
         return "null"
     return repr(float(value)) if isinstance(value, int | float) else f"'{value}"

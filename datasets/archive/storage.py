@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.files.remote import is_url, open_binary, open_url, url_of
@@ -19,6 +19,9 @@ class Storage(Protocol):
 
     def path(self, key: str) -> Path:
         """Return what :func:`stillpoint.datasets.read` takes to read the file; a URL for a remote one."""
+
+    def open(self, key: str) -> IO[bytes]:
+        """Open the file under this key for reading; raises ``OSError`` or :class:`BadFile`."""
 
     def has(self, key: str) -> bool:
         """Return whether there is a file under this key."""
@@ -57,6 +60,10 @@ class FolderStorage:
     def path(self, key: str) -> Path:
         """The file itself."""
         return self.root / key
+
+    def open(self, key: str) -> IO[bytes]:
+        """Open the file under this key, without a buffer: its readers ask for much at once."""
+        return open(f"{self.name}/{key}", "rb", buffering=0)
 
     def has(self, key: str) -> bool:
         """Return whether there is a file under this key."""
@@ -114,6 +121,10 @@ class _RemoteStorage:
         """The URL of a file, as a path that :func:`open_binary` takes."""
         return Path(f"{self.name}/{key}")
 
+    def open(self, key: str) -> IO[bytes]:
+        """Open the file behind the URL."""
+        return open_binary(self.path(key))
+
     def has(self, key: str) -> bool:
         """Return whether there is a file under this key."""
         self._fs.invalidate_cache()
@@ -144,6 +155,6 @@ def storage_at(place: str | Path) -> Storage:
 
 
 def read_key(storage: Storage, key: str) -> bytes:
-    """All bytes under a key; raises :class:`BadFile`."""
-    with open_binary(storage.path(key)) as file:
+    """All bytes under a key; raises ``OSError`` or :class:`BadFile`."""
+    with storage.open(key) as file:
         return file.read()

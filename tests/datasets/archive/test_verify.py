@@ -10,6 +10,7 @@ from datetime import timedelta
 import pytest
 from shelf import write_estimate, write_family, write_recording
 
+from stillpoint.datasets import read, write
 from stillpoint.datasets.archive import create_archive, open_archive
 from stillpoint.datasets.archive.record import Record, record_to_bytes
 from stillpoint.datasets.archive.repair import Copies, repair_archive
@@ -226,6 +227,22 @@ def test_a_clean_archive_is_clean(home):
         assert found.objects == 7
         assert verify_archive(archive, thorough=True) == found
         assert found.bytes == sum(path.stat().st_size for path in (home / "objects").rglob("*.mcap"))
+
+
+def test_the_raw_file_of_a_device_s_attitude_may_stay_outside(home, tmp_path):
+    """As that of a recording: an importer read it. Its recording has to be here."""
+    recording = tmp_path / "walk.mcap"
+    with open_archive(home) as archive:
+        shutil.copy(archive.path_of(archive.resolve("walk.mcap")), recording)
+        made = write_estimate(tmp_path / "walk.device.estimate.mcap", recording, "device")
+        kept = read(made)
+        write(made, replace(kept, made_from={**kept.made_from, "phone/rotation-vector.txt": "ab" * 32}))
+        list(archive.add([made]))
+        assert verify_archive(archive).faults == ()
+        write(made, replace(kept, made_from={**kept.made_from, "walk.calibration.toml": "ab" * 32}))
+        list(archive.add([made]))
+        (fault,) = verify_archive(archive).faults
+        assert "walk.calibration.toml" in fault.what
 
 
 @pytest.mark.parametrize("plant", FAULTS, ids=lambda plant: plant.__name__)
