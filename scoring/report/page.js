@@ -248,35 +248,103 @@ function recolourFigure(figure) {
   for (const line of figure.center) if (line.grid_line_color !== undefined) line.grid_line_color = grid;
 }
 
+const LABEL_PX = 14, DOT_PX = 6; // height of a name, radius of a dot
+
+function placeLabels(dots, widths, width, height) {
+  // A place beside its dot for each name, in px from the dot, so that no name covers a dot, a name or the frame.
+  // `dots` are [x, y] in px. Places near the dot come first; a name that fits nowhere gets the place of least overlap.
+  const taken = dots.map(([x, y]) => [x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX]);
+  const overlap = (a, b) =>
+    Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0])) * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
+  const places = [];
+  for (const far of [0, 14, 28, 44, 62])
+    for (const [side, up] of [[1, 0], [-1, 0], [1, -1], [1, 1], [-1, -1], [-1, 1], [0, -1], [0, 1]]) places.push([side, up, far]);
+  const order = dots.map((_, k) => k).sort((a, b) => dots[a][0] - dots[b][0]);
+  const found = [];
+  for (const k of order) {
+    const [x, y] = dots[k];
+    let best = null;
+    for (const [side, up, far] of places) {
+      const left = x + side * (DOT_PX + 3 + (up ? far / 2 : far)) - (side < 0 ? widths[k] : side ? 0 : widths[k] / 2);
+      const middle = y + up * (DOT_PX + 4 + far + LABEL_PX / 2 - (side ? LABEL_PX / 2 : 0));
+      const box = [left, middle - LABEL_PX / 2, left + widths[k], middle + LABEL_PX / 2];
+      const outside = widths[k] * LABEL_PX - overlap(box, [0, 0, width, height]);
+      const cost = outside + taken.reduce((sum, other) => sum + overlap(box, other), 0);
+      if (!best || cost < best.cost) best = { cost, box, far };
+      if (cost === 0) break;
+    }
+    taken.push(best.box);
+    found[k] = { x: best.box[0] - x, y: (best.box[1] + best.box[3]) / 2 - y, width: widths[k], far: best.far };
+  }
+  return found;
+}
+
 class CostPlot {
   // Typical error against time per sample.
   constructor(target, points) {
     const least = (key) => Math.min(...points.map((one) => one[key]));
     const greatest = (key) => Math.max(...points.map((one) => one[key]));
-    const source = new Bokeh.ColumnDataSource({ data: {
+    this.points = points;
+    this.source = new Bokeh.ColumnDataSource({ data: {
       name: points.map((one) => one.name), cost: points.map((one) => one.cost), error: points.map((one) => one.error),
+      x: points.map(() => 0), y: points.map(() => 0),
     } });
+    this.leads = new Bokeh.ColumnDataSource({ data: { cost: [], error: [], cost2: [], error2: [] } });
+    this.xRange = new Bokeh.Range1d({ start: least("cost") / 2, end: greatest("cost") * 3 });
+    this.yRange = new Bokeh.Range1d({ start: least("error") / 1.5, end: greatest("error") * 1.5 });
     const figure = Bokeh.Plotting.figure({
-      height: 360, sizing_mode: "stretch_width", x_axis_type: "log", y_axis_type: "log",
+      height: 440, sizing_mode: "stretch_width", x_axis_type: "log", y_axis_type: "log",
       tools: [new Bokeh.BoxZoomTool(), new Bokeh.PanTool(), new Bokeh.ResetTool()], toolbar_location: "above",
-      x_range: new Bokeh.Range1d({ start: least("cost") / 2, end: greatest("cost") * 3 }), // room for the last name
-      y_range: new Bokeh.Range1d({ start: least("error") / 1.3, end: greatest("error") * 1.3 }),
+      x_range: this.xRange, y_range: this.yRange,
     });
     figure.toolbar.setv({ logo: null, active_drag: null });
     figure.below[0].axis_label = "time per sample (ns)";
     figure.left[0].axis_label = "typical RMSE (deg)";
     labelLogAxis(figure.below[0], "0,0");
     labelLogAxis(figure.left[0], "0.[000]");
-    this.dots = figure.scatter({ field: "cost" }, { field: "error" }, { source, size: 11 });
-    this.names = figure.text({ field: "cost" }, { field: "error" }, { field: "name" }, { source, x_offset: 9, y_offset: 5, text_font_size: "12px" });
+    this.lines = figure.segment({ field: "cost" }, { field: "error" }, { field: "cost2" }, { field: "error2" }, { source: this.leads });
+    this.dots = figure.scatter({ field: "cost" }, { field: "error" }, { source: this.source, size: 2 * DOT_PX });
+    this.names = figure.text({ field: "cost" }, { field: "error" }, { field: "name" }, {
+      source: this.source, x_offset: { field: "x" }, y_offset: { field: "y" }, text_baseline: "middle", text_font_size: "12px",
+    });
     figure.add_tools(new Bokeh.HoverTool({ renderers: [this.dots], tooltips: "<b>@name</b> @error{0.000} deg, @cost{0,0} ns per sample" }));
     this.figure = figure;
     Bokeh.Plotting.show(figure, target);
+    let pending = null;
+    const later = () => {
+      clearTimeout(pending);
+      pending = setTimeout(() => this.place(), 60);
+    };
+    const sizes = ["inner_width", "inner_height"].map((name) => figure.properties[name]); // known once it is laid out
+    for (const { change } of [this.xRange, this.yRange, ...sizes]) change.connect(later);
+  }
+
+  place() {
+    const { inner_width: width, inner_height: height } = this.figure;
+    const scale = (range, size) => (value) => (Math.log(value / range.start) / Math.log(range.end / range.start)) * size;
+    const inverse = (range, size) => (px) => range.start * Math.exp((px / size) * Math.log(range.end / range.start));
+    const toX = scale(this.xRange, width), toY = scale(this.yRange, height);
+    const pen = document.createElement("canvas").getContext("2d");
+    pen.font = "12px sans-serif";
+    const dots = this.points.map((one) => [toX(one.cost), height - toY(one.error)]);
+    this.places = placeLabels(dots, this.points.map((one) => pen.measureText(one.name).width + 4), width, height);
+    this.source.data = { ...this.source.data, x: this.places.map((one) => one.x + 2), y: this.places.map((one) => one.y) };
+    const fromX = inverse(this.xRange, width), fromY = inverse(this.yRange, height), leads = { cost: [], error: [], cost2: [], error2: [] };
+    this.places.forEach((one, k) => {
+      if (!one.far) return;
+      const end = Math.min(Math.max(0, one.x), one.x + one.width); // the end of the name that is nearer to its dot
+      leads.cost.push(this.points[k].cost);
+      leads.error.push(this.points[k].error);
+      leads.cost2.push(fromX(dots[k][0] + end));
+      leads.error2.push(fromY(height - dots[k][1] - one.y));
+    });
+    this.leads.data = leads;
   }
 
   recolour() {
     recolourFigure(this.figure);
     this.dots.glyph.setv({ fill_color: css("--line-0"), line_color: null });
+    this.lines.glyph.line_color = css("--soft");
     this.names.glyph.text_color = css("--ink");
   }
 }

@@ -4,8 +4,7 @@ The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, an
 """
 
 import glob
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +12,6 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.files.remote import is_url, list_files
 from stillpoint.datasets.mcap.store import provenance
 from stillpoint.datasets.mcap.topics import TOPICS
-from stillpoint.scripts.shared.output import print_line
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -60,21 +58,6 @@ def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
     names another format, or holds no MCAP file.
     """
     return list(dict.fromkeys(file for path in paths for file in _expand(Path(path))))
-
-
-def each_read(files: Sequence[Path], read: Callable[[Path], Thing]) -> Iterator[tuple[Path, Thing | None, str]]:
-    """Every file with what ``read`` makes of it, or None and the reason, which goes to stderr too.
-
-    The error of a single file is raised: there is nothing to go on with.
-    """
-    for file in files:
-        try:
-            yield file, read(file), ""
-        except StillpointError as error:
-            if len(files) == 1:
-                raise
-            print_line(f"stillpoint: {error}", file=sys.stderr)
-            yield file, None, str(error)
 
 
 def output_dir(path: str | Path) -> Path:

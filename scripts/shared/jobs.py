@@ -22,6 +22,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.progress import show_progress
 
+MANY = 16  # short items, from which on processes are worth their start
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
 END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
 
@@ -60,16 +61,28 @@ def run_jobs(
     return outcomes
 
 
+def run_short_jobs(
+    function: Callable[[Item], Result], items: Sequence[Item], jobs: int | None, what: str
+) -> list[Outcome[Result]]:
+    """Do the same as :func:`run_jobs` for work of less than a second an item.
+
+    Without ``jobs``, fewer than ``MANY`` items run in this process: others would take longer to start.
+    """
+    if jobs is not None or len(items) >= MANY:
+        return run_jobs(function, items, jobs, what)
+    outcomes: list[Outcome[Result]] = []
+    with show_progress(what, len(items)) as count:
+        for item in items:
+            outcomes.append(_print_defect(item, _run(function, item)))
+            count()
+    return outcomes
+
+
 def exit_code(outcomes: Sequence[Outcome[Any]]) -> int:
     """Return 1 when an outcome is a defect of stillpoint, 2 when one is another error, else 0."""
     if any(outcome.defect for outcome in outcomes):
         return 1
     return 2 if any(outcome.error is not None for outcome in outcomes) else 0
-
-
-def run_one(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
-    """Return the outcome of one item in this process, and print the traceback of a defect to stderr."""
-    return _print_defect(item, _run(function, item))
 
 
 def _run(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:

@@ -1,5 +1,6 @@
 """``stillpoint info``: print what is in a recording, reference or estimate."""
 
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,6 +9,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
+from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.files.remote import is_url
 from stillpoint.datasets.mcap.facts import info_from
 from stillpoint.datasets.mcap.store import read
@@ -16,8 +18,9 @@ from stillpoint.datasets.recording import Floats, Info, Recording, Spin, Times, 
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
-from stillpoint.scripts.shared.flags import Columns, Inputs
-from stillpoint.scripts.shared.inputs import each_read, mcap_files
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs
+from stillpoint.scripts.shared.inputs import mcap_files
+from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
@@ -34,6 +37,7 @@ def info(
     *,
     full: Annotated[bool, Parameter(negative="")] = False,
     units_unchecked: Annotated[bool, Parameter(negative="")] = False,
+    jobs: Jobs = None,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -50,21 +54,28 @@ def info(
         64 MiB is summarised from its index and a few chunks.
     units_unchecked
         Open recordings whose sizes do not fit their units.
+    jobs
+        Processes; by default one per core for many files, else this one alone.
     columns
         Columns of the table of streams to show: names with commas between, or all. By default those that fit.
     json
         Also write the facts as JSON to this file; - is the standard output.
     """
+    files = mcap_files(paths)
+    outcomes = run_short_jobs(partial(_read_facts, full, units_unchecked), files, jobs, "info")
     rows: list[dict[str, Any]] = []
-    for path, facts, error in each_read(mcap_files(paths), partial(_read_facts, full, units_unchecked)):
-        if facts is None:
-            rows.append({"file": str(path), "error": error})
+    for path, outcome in zip(files, outcomes, strict=True):
+        if outcome.value is None:
+            if len(files) == 1 and not outcome.defect:
+                raise StillpointError(str(outcome.error))
+            print_line(f"stillpoint: {outcome.error}", file=sys.stderr)
+            rows.append({"file": str(path), "error": outcome.error})
             continue
-        rows.append({**facts, "error": None})
+        rows.append({**outcome.value, "error": None})
         if json != STDOUT:
-            _print_facts(facts, columns)
+            _print_facts(outcome.value, columns)
     write_json(json, rows)
-    return 2 if any(row["error"] is not None for row in rows) else 0
+    return exit_code(outcomes)
 
 
 def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]:

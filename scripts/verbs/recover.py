@@ -1,17 +1,20 @@
 """``stillpoint recover``: rescue what is readable of a damaged MCAP file."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.recover import Recovered, recover_file
-from stillpoint.scripts.shared.flags import Inputs, OutDir
+from stillpoint.scripts.shared.batch import require_distinct
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
-def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
+def recover(paths: Inputs, /, *, out: OutDir, jobs: Jobs = None, json: JsonFile = None) -> int:
     """Rescue what is readable of damaged MCAP files, chunk by chunk, and say what was lost.
 
     Writes NAME.mcap for each file into another folder; the damaged file stays as it is. The exit code is 2 when there
@@ -23,19 +26,22 @@ def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
         MCAP files of stillpoint or of any other program.
     out
         Folder to write into; made when it is not there.
+    jobs
+        Processes; by default one per core for many files, else this one alone.
     json
         Also write what was kept and lost as JSON to this file; - is the standard output.
     """
     folder = output_dir(out)
-    rows: list[dict[str, Any]] = []
     for path in paths:
-        target = folder / path.name
-        if target.resolve() == path.resolve():
+        if (folder / path.name).resolve() == path.resolve():
             raise BadParameter(f"--out {out}: is the folder of {path.name} itself; name another one")
-        try:
-            found = recover_file(path, target)
-        except StillpointError as error:
-            rows.append({"file": str(path), "error": str(error)})
+    require_distinct(folder / path.name for path in paths)
+    outcomes = run_short_jobs(partial(_recover_into, folder), paths, jobs, "recover")
+    rows: list[dict[str, Any]] = []
+    for path, outcome in zip(paths, outcomes, strict=True):
+        found, target = outcome.value, folder / path.name
+        if found is None:
+            rows.append({"file": str(path), "error": outcome.error})
             continue
         row = {"file": str(path), "recovered": str(target), "kept": dict(found.kept), "expected": dict(found.expected)}
         rows.append({**row, "lost": list(found.lost), "error": None})
@@ -43,7 +49,11 @@ def recover(paths: Inputs, /, *, out: OutDir, json: JsonFile = None) -> int:
             _print_recovered(target, found)
     _print_failures(rows, len(paths))
     write_json(json, rows)
-    return 2 if any(row["error"] for row in rows) else 0
+    return exit_code(outcomes)
+
+
+def _recover_into(folder: Path, path: Path) -> Recovered:
+    return recover_file(path, folder / path.name)
 
 
 def _print_recovered(target: Path, found: Recovered) -> None:

@@ -19,10 +19,9 @@ from stillpoint.scoring import score as score_against
 from stillpoint.scoring.spin import SpinScore, spin_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.shared.flags import Columns, Inputs
-from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_one
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs
+from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
-from stillpoint.scripts.shared.progress import track
 from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
 
@@ -36,6 +35,17 @@ class _Asked:
     align: AlignKind
     frame: EulerFrame
     over_s: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Work:
+    """One file to be scored, and what is to judge it: a file, a kind of file beside it, or the default beside it."""
+
+    file: Path
+    against: Path | str | None
+
+    def __str__(self) -> str:
+        return str(self.file)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +65,7 @@ def score(
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
     over: str | None = None,
+    jobs: Jobs = None,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -81,6 +92,8 @@ def score(
     over
         Also compare turns over these times in seconds, with commas between: how fast an estimate drifts, whatever its
         heading was to begin with (the relative pose error of other tools).
+    jobs
+        Processes; by default one per core for many files, else this one alone.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
@@ -93,14 +106,12 @@ def score(
             f"--against {against}: there is no such file; give truth, reference or both, or name a reference or a "
             "recording with a truth"
         )
-    work = [(file, kind or against) for file in files for kind in kinds or (None,)]
+    work = [_Work(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
     scores: list[Score | SpinScore] = []
-    outcomes: list[Outcome[Score | SpinScore]] = []
-    for file, judge in track(work, "score"):
-        outcome = run_one(partial(_score_file, against=judge, asked=asked), file)
-        outcomes.append(outcome)
-        found = outcome.value
+    outcomes = run_short_jobs(partial(_score_one, asked=asked), work, jobs, "score")
+    for one, outcome in zip(work, outcomes, strict=True):
+        file, found = one.file, outcome.value
         if found is None:
             if len(work) == 1 and not outcome.defect:
                 raise StillpointError(str(outcome.error))
@@ -108,7 +119,7 @@ def score(
             continue
         scores.append(found)
         row = spin_score_row(found) if isinstance(found, SpinScore) else score_row(found)
-        made_from = {one.name: sha256(one) for one in (file, judge) if isinstance(one, Path)}
+        made_from = {path.name: sha256(path) for path in (file, one.against) if isinstance(path, Path)}
         rows.append({**row, "file": str(file), "made_from": made_from})
     if json != STDOUT:
         attitudes = [s for s in scores if isinstance(s, Score)]
@@ -198,6 +209,10 @@ def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
     """Return the kinds of judge that a word of --against asks for; none where it names a file or nothing."""
     words = {"truth": ("truth",), "reference": ("reference",), "both": ("truth", "reference")}
     return () if against is None or inputs.file_exists(against) else words.get(str(against), ())
+
+
+def _score_one(work: _Work, asked: _Asked) -> Score | SpinScore:
+    return _score_file(work.file, work.against, asked)
 
 
 def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | SpinScore:
