@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.running import ThinnedValues
 
 if TYPE_CHECKING:
-    from stillpoint.datasets.recording import Imu, Recording
+    from stillpoint.datasets.recording import Imu, Mag, Recording
 
 GRAVITY_RANGE_MPS2 = (8.0, 12.0)  # a question of units only; a steady bend or braking adds 1-2 m/s^2 to gravity
 GRAVITY_IN = {
@@ -28,38 +29,62 @@ WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its 
 
 def check_units(recording: "Recording") -> None:
     """Raise :class:`BadRecording` with the likely unit when a size does not fit; do nothing when no second is still."""
-    if recording.imu is not None:
-        _check_imu(recording.name, recording.imu)
-    if recording.mag is not None and not recording.info.mag_uncalibrated:
-        doubt = describe_field_size(float(np.median(np.linalg.norm(recording.mag.mag_b_ut, axis=1))))
-        if doubt:
+    check = UnitCheck(recording.name, recording.info.mag_uncalibrated)
+    check.add(recording.imu, recording.mag)
+    check.raise_doubt()
+
+
+class UnitCheck:
+    """Gathers what tells the units of a recording, piece by piece; medians are over every 2^k-th of many samples."""
+
+    def __init__(self, name: str, mag_uncalibrated: bool) -> None:
+        self._name, self._mag_uncalibrated = name, mag_uncalibrated
+        self._fastest_radps = 0.0
+        self._seconds = _Seconds()
+        self._forces_mps2, self._fields_ut = ThinnedValues(), ThinnedValues()
+
+    def add(self, imu: "Imu | None", mag: "Mag | None") -> None:
+        """Take the next samples of gyro and accelerometer, and of the magnetometer."""
+        if imu is not None:
+            self._fastest_radps = max(self._fastest_radps, float(np.abs(imu.gyro_b_radps).max()))
+            self._seconds.add(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
+            self._forces_mps2.add(np.linalg.norm(imu.accel_b_mps2, axis=1))
+        if mag is not None and not self._mag_uncalibrated:
+            self._fields_ut.add(np.linalg.norm(mag.mag_b_ut, axis=1))
+
+    def raise_doubt(self) -> None:
+        """Raise :class:`BadRecording` with the likely unit when a size does not fit."""
+        if self._forces_mps2.count:
+            self._check_imu()
+        if self._fields_ut.count:
+            doubt = describe_field_size(float(np.median(self._fields_ut.values())))
+            if doubt:
+                raise BadRecording(
+                    f"{self._name}: mag.mag_b_ut has a {doubt}; "
+                    "convert it, or give --mag-uncalibrated where the sensor is not calibrated"
+                )
+
+    def _check_imu(self) -> None:
+        name, fastest = self._name, self._fastest_radps
+        if fastest > FASTEST_GYRO_RADPS:
             raise BadRecording(
-                f"{recording.name}: mag.mag_b_ut has a {doubt}; "
-                "convert it, or give --mag-uncalibrated where the sensor is not calibrated"
+                f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
+                "multiply by pi/180, or keep it with --units-unchecked for the doctor"
             )
-
-
-def _check_imu(name: str, imu: "Imu") -> None:
-    fastest = float(np.abs(imu.gyro_b_radps).max())
-    if fastest > FASTEST_GYRO_RADPS:
-        raise BadRecording(
-            f"{name}: imu.gyro_b_radps reaches {fastest:.4g} rad/s; it looks like deg/s: "
-            "multiply by pi/180, or keep it with --units-unchecked for the doctor"
-        )
-    size = _still_norm(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
-    if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
-        _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
-        hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
-        raise BadRecording(
-            f"{name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
-            "convert it, or keep it with --units-unchecked for the doctor"
-        )
-    usual = float(np.median(np.linalg.norm(imu.accel_b_mps2, axis=1)))
-    if size is None and usual < WITHOUT_GRAVITY_MPS2 and imu.t_ns[-1] - imu.t_ns[0] > WINDOW_S * 1e9:
-        raise BadRecording(
-            f"{name}: imu.accel_b_mps2 has a median size of {usual:.3g} m/s^2, so that gravity was taken out of it "
-            "(linear acceleration); log the accelerometer with gravity, or keep it with --units-unchecked"
-        )
+        size = self._seconds.still_norm()
+        if size is not None and not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:
+            _, near = min((abs(size - gravity), gravity) for gravity in GRAVITY_IN)
+            hint = f"; it looks {GRAVITY_IN[near]}" if 0.9 < size / near < 1.1 else ""
+            raise BadRecording(
+                f"{name}: imu.accel_b_mps2 is {size:.4g} at rest, not near 9.8 m/s^2{hint}; "
+                "convert it, or keep it with --units-unchecked for the doctor"
+            )
+        usual = float(np.median(self._forces_mps2.values()))
+        if size is None and usual < WITHOUT_GRAVITY_MPS2 and self._seconds.duration_ns > WINDOW_S * 1e9:
+            raise BadRecording(
+                f"{name}: imu.accel_b_mps2 has a median size of {usual:.3g} m/s^2, so that gravity was taken out of it "
+                "(linear acceleration); log the accelerometer with gravity, or keep it with --units-unchecked"
+            )
 
 
 def describe_field_size(median_ut: float) -> str:
@@ -75,19 +100,61 @@ def describe_field_size(median_ut: float) -> str:
     return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
 
 
-def _still_norm(t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> float | None:
-    """Return the mean length over the calmest second without spin; None when there is none or the stream is shorter."""
-    seconds = (t_ns - t_ns[0]) // int(WINDOW_S * 1e9)
-    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
-    counts = np.diff(starts, append=len(t_ns))
-    whole = counts >= 0.5 * np.median(counts)
-    if t_ns[-1] - t_ns[0] < WINDOW_S * 1e9 or not whole.any() or counts.max() < 5:
-        return None
-    mean = np.add.reduceat(vectors, starts, axis=0) / counts[:, None]
-    spread = np.add.reduceat(vectors**2, starts, axis=0) / counts[:, None] - mean**2
-    size = np.linalg.norm(mean, axis=1)
-    relative = np.sqrt(np.maximum(spread.sum(axis=1), 0)) / np.maximum(size, 1e-300)
-    spins = np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
-    relative[~whole | spins] = np.inf
-    calmest = int(relative.argmin())
-    return float(size[calmest]) if relative[calmest] < STILL_ACCEL_SPREAD else None
+class _Seconds:
+    """The mean specific force of each second and how much it varies, from samples that come piece by piece."""
+
+    def __init__(self) -> None:
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._counts: list[NDArray[np.int64]] = []
+        self._sizes: list[NDArray[np.float64]] = []  # of the mean
+        self._spreads: list[NDArray[np.float64]] = []  # relative to it; infinite for a second of spin
+        self._rest: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    @property
+    def duration_ns(self) -> int:
+        """The time from the first sample to the last."""
+        return 0 if self._first_ns is None else self._last_ns - self._first_ns
+
+    def add(self, t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> None:
+        """Take the next samples; those of the second that is not over wait for the next piece."""
+        if self._first_ns is None:
+            self._first_ns = int(t_ns[0])
+        self._last_ns = int(t_ns[-1])
+        if self._rest is not None:
+            old_ns, old_vectors, old_rates = self._rest
+            t_ns, vectors = np.concatenate([old_ns, t_ns]), np.concatenate([old_vectors, vectors])
+            rates = np.concatenate([old_rates, rates])
+        over = int(np.searchsorted(t_ns, t_ns[-1] - (t_ns[-1] - self._first_ns) % int(WINDOW_S * 1e9)))
+        if over:
+            self._count(t_ns[:over], vectors[:over], rates[:over])
+        self._rest = t_ns[over:].copy(), vectors[over:].copy(), rates[over:].copy()
+
+    def still_norm(self) -> float | None:
+        """Return the mean length over the calmest second without spin; None when there is none, or no whole second."""
+        if self._rest is None or self.duration_ns < WINDOW_S * 1e9:
+            return None
+        self._count(*self._rest)
+        self._rest = None
+        counts, sizes = np.concatenate(self._counts), np.concatenate(self._sizes)
+        whole = counts >= 0.5 * np.median(counts)
+        if counts.max() < 5:
+            return None
+        spreads = np.where(whole, np.concatenate(self._spreads), np.inf)
+        calmest = int(spreads.argmin())
+        return float(sizes[calmest]) if spreads[calmest] < STILL_ACCEL_SPREAD else None
+
+    def _count(self, t_ns: NDArray[np.int64], vectors: NDArray[np.float64], rates: NDArray[np.float64]) -> None:
+        assert self._first_ns is not None
+        seconds = (t_ns - self._first_ns) // int(WINDOW_S * 1e9)
+        starts = np.flatnonzero(np.diff(seconds, prepend=-1))
+        counts = np.diff(starts, append=len(t_ns))
+        mean = np.add.reduceat(vectors, starts, axis=0) / counts[:, None]
+        spread = np.add.reduceat(vectors**2, starts, axis=0) / counts[:, None] - mean**2
+        size = np.linalg.norm(mean, axis=1)
+        relative = np.sqrt(np.maximum(spread.sum(axis=1), 0)) / np.maximum(size, 1e-300)
+        spins = np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
+        relative[spins] = np.inf
+        self._counts.append(counts)
+        self._sizes.append(size)
+        self._spreads.append(relative)

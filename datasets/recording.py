@@ -271,6 +271,34 @@ class Info:
 
 
 @dataclass(frozen=True, eq=False)
+class Head:
+    """What is known of a recording before its samples are read."""
+
+    name: str
+    info: Info
+    samples: Mapping[str, int]  # of each stream that it has, by the names of :meth:`Recording.streams`
+    base_pose: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """All samples of a recording in a range of time, or some of its streams; None for a stream without a sample."""
+
+    imu: Imu | None = None
+    mag: Mag | None = None
+    gps: Gps | None = None
+    spin: Spin | None = None
+    encoder: Encoder | None = None
+    truth: Truth | None = None
+    roll_truth: Encoder | None = None
+    extra: Mapping[str, Series] = field(default_factory=dict)
+
+    def streams(self) -> Iterator[tuple[str, Times]]:
+        """Return the stamps of the streams that have samples, by name."""
+        return _list_streams(self)
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One run of one sensor. Streams keep their own clocks; all clocks of one recording share their zero.
 
@@ -339,18 +367,28 @@ class Recording:
 
     def streams(self) -> Iterator[tuple[str, Times]]:
         """Return the streams that the recording has, by name."""
-        for name in ("imu", "mag", "gps", "spin", "encoder", *TRUTHS):
-            stream = getattr(self, name)
-            if stream is not None:
-                yield name, stream.t_ns
-        for name, series in self.extra.items():
-            yield f"extra {name}", series.t_ns
+        return _list_streams(self)
+
+    @property
+    def head(self) -> Head:
+        """What is known of the recording without its samples."""
+        return Head(self.name, self.info, {name: len(t_ns) for name, t_ns in self.streams()}, self.base_pose)
 
     @property
     def duration_s(self) -> float:
         """Return the time in s from the first sample of any stream but the truths to the last."""
         clocks = [t_ns for name, t_ns in self.streams() if name not in TRUTHS]
         return float(max(t[-1] for t in clocks) - min(t[0] for t in clocks)) / 1e9
+
+
+def _list_streams(holder: Piece | Recording) -> Iterator[tuple[str, Times]]:
+    """Yield name and stamps of each stream that has samples."""
+    for name in ("imu", "mag", "gps", "spin", "encoder", *TRUTHS):
+        stream = getattr(holder, name)
+        if stream is not None:
+            yield name, stream.t_ns
+    for name, series in holder.extra.items():
+        yield f"extra {name}", series.t_ns
 
 
 def rate_hz(t_ns: Times) -> float:

@@ -1,25 +1,26 @@
 """Turn recordings, references and estimates into tables of named columns for CSV: one table per clock."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
+from stillpoint.datasets.recording import Encoder, Floats, Piece, Recording, Spin
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
 XYZ, WXYZ = "xyz", ("qw", "qx", "qy", "qz")
 UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 
+ROWS_AT_ONCE = 1 << 14  # of a text: numbers as Python objects take ten times the memory of the column
+
 Table = dict[str, np.ndarray]  # column -> (N,); t_ns comes first
 
 
-def tables_of(thing: Recording | Reference | SpinReference | Estimate) -> Mapping[str, Table]:
-    """Return stream -> table for a recording, and one table named "" for anything made from it. SI units, as the names
-    say.
+def tables_of(thing: Recording | Piece | Reference | SpinReference | Estimate) -> Mapping[str, Table]:
+    """Return stream -> table for a recording or a piece of it, one table named "" for anything made from it. SI units.
 
     The sensors' columns are called as ``stillpoint stream`` reads them.
     """
-    if isinstance(thing, Recording):
+    if isinstance(thing, Recording | Piece):
         return _streams(thing)
     table: Table = {"t_ns": thing.t_ns}
     if isinstance(thing, Reference) and thing.position_n_m is not None:
@@ -44,12 +45,23 @@ def tables_of(thing: Recording | Reference | SpinReference | Estimate) -> Mappin
 
 def csv_text(table: Table) -> str:
     """Return a header and a line per sample; every number has as many digits as reading it back exactly takes."""
+    return "".join([format_csv_header(table), *format_csv_rows(table)])
+
+
+def format_csv_header(table: Table) -> str:
+    """Return the line of a table's names."""
+    return f"{','.join(table)}\n"
+
+
+def format_csv_rows(table: Table) -> Iterator[str]:
+    """Yield the lines of a table without its header, some thousand at a time."""
     columns = [column.astype(int) if column.dtype == np.bool_ else column for column in table.values()]
-    rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
-    return "\n".join([",".join(table), *map(",".join, rows), ""])
+    for first in range(0, len(columns[0]), ROWS_AT_ONCE):
+        rows = zip(*(map(repr, column[first : first + ROWS_AT_ONCE].tolist()) for column in columns), strict=True)
+        yield "\n".join([*map(",".join, rows), ""])
 
 
-def _streams(recording: Recording) -> Mapping[str, Table]:
+def _streams(recording: Recording | Piece) -> Mapping[str, Table]:
     tables: dict[str, Table] = {}
     if (imu := recording.imu) is not None:
         columns = np.hstack([imu.gyro_b_radps, imu.accel_b_mps2])

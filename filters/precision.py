@@ -34,14 +34,26 @@ def _single(tree: Any) -> Any:
     return tree
 
 
-def compare_with_double(single: Estimate, double: Estimate) -> dict[str, float]:
-    """Return the largest and the RMS angle, in deg, by which two estimates of the same samples differ."""
-    if single.q_nb is not None and double.q_nb is not None:
-        apart_rad = (rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude()
-    else:
-        assert single.angle_rad is not None
-        assert double.angle_rad is not None
-        apart_rad = np.abs(single.angle_rad - double.angle_rad)
-    apart_deg = np.rad2deg(apart_rad)
-    rms_deg = float(np.sqrt(np.mean(apart_deg**2)))
-    return {"off_double_max_deg": float(apart_deg.max()), "off_double_rms_deg": rms_deg}
+class DoubleComparison:
+    """How far the attitudes or angles of a run in single precision are off those in double, piece by piece."""
+
+    def __init__(self) -> None:
+        self._largest_deg, self._squares_deg2, self._count = 0.0, 0.0, 0
+
+    def add(self, single: Estimate, double: Estimate) -> None:
+        """Take the next samples of both runs."""
+        if single.q_nb is not None and double.q_nb is not None:
+            apart_rad = (rotation(single.q_nb) * rotation(double.q_nb).inv()).magnitude()
+        else:
+            assert single.angle_rad is not None
+            assert double.angle_rad is not None
+            apart_rad = np.abs(single.angle_rad - double.angle_rad)
+        apart_deg = np.rad2deg(apart_rad)
+        self._largest_deg = max(self._largest_deg, float(apart_deg.max()))
+        self._squares_deg2 += float(np.sum(apart_deg**2))
+        self._count += len(apart_deg)
+
+    def report(self) -> dict[str, float]:
+        """Return the largest and the RMS angle, in deg."""
+        rms_deg = (self._squares_deg2 / self._count) ** 0.5
+        return {"off_double_max_deg": self._largest_deg, "off_double_rms_deg": rms_deg}

@@ -4,7 +4,7 @@ import numpy as np
 
 from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
-from stillpoint.datasets.recording import Floats, Recording, Times
+from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.datasets.times import longest_step_ns
 
 GAP_S = 0.05  # a shorter step is no gap, whatever the median
@@ -23,14 +23,16 @@ OVERLAP_SHARE = 0.9  # of the IMU's time that a magnetometer should cover
 SAMPLED = ("imu", "mag", "spin")  # evenly sampled sensors; truth, gps and encoder may pause
 
 
-def list_losses(recording: Recording) -> list[str]:
-    """Return what was lost when the recording's file was cut, in words."""
-    return [note for note in recording.info.notes if note.startswith(CUT)]
+def list_losses(info: Info) -> list[str]:
+    """Return what was lost when the file of a recording was cut, in words."""
+    return [note for note in info.notes if note.startswith(CUT)]
 
 
 def check_losses(recording: Recording) -> list[Finding]:
     """Return one finding per loss of a file that was cut."""
-    return [Finding("file-cut", "warning", f"{note}; copy it again where you can") for note in list_losses(recording)]
+    return [
+        Finding("file-cut", "warning", f"{note}; copy it again where you can") for note in list_losses(recording.info)
+    ]
 
 
 def check_clocks(recording: Recording) -> list[Finding]:

@@ -20,6 +20,7 @@ do for scores, since they align the heading.
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -44,6 +45,7 @@ from stillpoint.datasets.importers.ros_files import open_ros
 from stillpoint.datasets.importers.ros_truth import POSES, TF, list_pose_topics, read_pose_topic
 from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.recording import Floats, Times, Truth
+from stillpoint.datasets.tables import ROWS_AT_ONCE
 from stillpoint.datasets.trajectory import Estimate
 
 Format = Literal["tum", "kitti", "euroc", "csv", "bag"]
@@ -285,12 +287,21 @@ def _find_quaternion(table: Table) -> str | None:
     return ",".join(named) if all(name in table.columns for name in named) else None
 
 
+TUM_HEADER = "# seconds x y z qx qy qz qw (body in East-North-Up)\n"
+
+
 def format_tum(t_ns: Times, q_nb: Floats, position_n_m: Floats | None = None) -> str:
     """Return poses ``q_nb`` (N, 4) wxyz, ``position_n_m`` (N, 3) or None, as TUM lines; no position is 0 0 0."""
+    return "".join([TUM_HEADER, *format_tum_rows(t_ns, q_nb, position_n_m)])
+
+
+def format_tum_rows(t_ns: Times, q_nb: Floats, position_n_m: Floats | None = None) -> Iterator[str]:
+    """Yield the lines of :func:`format_tum` without the header, some thousand at a time."""
     place = np.zeros((len(t_ns), 3)) if position_n_m is None else np.nan_to_num(position_n_m)
-    poses = np.hstack([place, to_xyzw(q_nb)]).tolist()
-    lines = [
-        f"{t // 10**9}.{t % 10**9:09d} {' '.join(map(repr, pose))}\n"
-        for t, pose in zip(t_ns.tolist(), poses, strict=True)
-    ]
-    return "".join(["# seconds x y z qx qy qz qw (body in East-North-Up)\n", *lines])
+    poses = np.hstack([place, to_xyzw(q_nb)])
+    for first in range(0, len(t_ns), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        yield "".join(
+            f"{t // 10**9}.{t % 10**9:09d} {' '.join(map(repr, pose))}\n"
+            for t, pose in zip(t_ns[rows].tolist(), poses[rows].tolist(), strict=True)
+        )

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.mcap.topics import TOPICS
-from stillpoint.datasets.recording import Info, Recording, SpinGeometry
+from stillpoint.datasets.recording import Head, Info, Recording, Series, Spin, SpinGeometry
 from stillpoint.datasets.trajectory import BasePoseReturn, Calibration, Estimate, Reference, SpinReference
 
 Kept = Recording | Reference | SpinReference | Estimate
@@ -33,21 +33,25 @@ def kind_of(thing: Kept) -> str:
 def facts_of(thing: Kept) -> dict[str, Any]:
     """Return everything that is no column of a topic."""
     if isinstance(thing, Recording):
-        geometry = None if thing.spin is None else _shallow(thing.spin.geometry)
-        labels = {name: list(series.labels) for name, series in thing.extra.items()}
-        return {
-            "name": thing.name,
-            "base_pose": thing.base_pose,
-            "spin_geometry": geometry,
-            "info": asdict(thing.info),
-            **({"extra": labels} if labels else {}),
-        }
+        return recording_facts(thing.head, thing.spin, thing.extra)
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
     facts: dict[str, Any] = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
     if isinstance(thing, Reference):
         facts["calibration"] = _shallow(thing.calibration)
         facts["returns"] = [asdict(one) for one in thing.returns]
     return facts
+
+
+def recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) -> dict[str, Any]:
+    """Return everything of a recording that is no column of a topic; of its streams what they say beside samples."""
+    labels = {name: list(series.labels) for name, series in extra.items()}
+    return {
+        "name": head.name,
+        "base_pose": head.base_pose,
+        "spin_geometry": None if spin is None else _shallow(spin.geometry),
+        "info": asdict(head.info),
+        **({"extra": labels} if labels else {}),
+    }
 
 
 def info_from(facts: Mapping[str, Any]) -> Info:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.files.remote import RangedFile, is_url
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, MAGIC, RECORD_HEAD
-from stillpoint.datasets.mcap.reader import Columns, Log, Part, Topic, read_columns
+from stillpoint.datasets.mcap.reader import Columns, Log, cut_topic, read_columns
 from stillpoint.datasets.mcap.scan import (
     Block,
     DamagedError,
@@ -91,20 +91,9 @@ def read_part(
     log = read_columns(IndexedScan(Path(path), source, topics, window), topics, columns)
     if window is None:
         return log
-    return replace(log, topics={name: _cut(topic, window) for name, topic in log.topics.items()})
-
-
-def _cut(topic: Topic, window: Window) -> Topic:
-    """The messages of a topic within a range of log times."""
-    first = int(np.searchsorted(topic.t_ns, window.start_ns, side="left"))
-    last = int(np.searchsorted(topic.t_ns, window.end_ns, side="right"))
-    parts = []
-    for part in topic.parts:
-        inside = (part.rows >= first) & (part.rows < last)
-        if inside.any():
-            cut = {name: values[inside] for name, values in part.columns.items()}
-            parts.append(Part(part.rows[inside] - first, cut))
-    return replace(topic, t_ns=topic.t_ns[first:last], parts=tuple(parts))
+    return replace(
+        log, topics={name: cut_topic(topic, window.start_ns, window.end_ns) for name, topic in log.topics.items()}
+    )
 
 
 class IndexedScan(Scan):

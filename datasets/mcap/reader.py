@@ -19,8 +19,8 @@ joins those that all parts have with one shape. ``survey(path)`` lists topics, t
 Raises :class:`~stillpoint.datasets.errors.BadFile` for files that are damaged or are not MCAP.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -139,8 +139,26 @@ class Container(Protocol):
 
 def read_columns(scan: Container, topics: Wanted = None, columns: Mapping[str, Columns] | None = None) -> Log:
     """Return the topics that are wanted of a container; see :func:`read_log`."""
+    (log,) = read_pieces(scan, topics, columns)
+    return log
+
+
+def read_pieces(
+    scan: Container,
+    topics: Wanted = None,
+    columns: Mapping[str, Columns] | None = None,
+    starts_ns: Sequence[int] = (),
+    most: int | None = None,
+) -> Iterator[Log]:
+    """Yield the topics that are wanted of a container in pieces that end at the same time for all topics.
+
+    Each block is decoded once. A piece ends when a topic has ``most`` messages or more waiting (None: one piece of
+    everything), at the latest time before which no later block has a message; ``starts_ns`` are the first times of all
+    blocks, in their order. Counts, metadata and losses are those read so far, and complete in the last piece.
+    """
     gathers: dict[tuple[str, str], _Gather] = {}
-    for block in scan.blocks():
+    later_ns = np.minimum.accumulate(np.array(starts_ns, np.int64)[::-1])[::-1]  # of this block and all after it
+    for number, block in enumerate(scan.blocks()):
         for channel_id in block.offsets:
             channel = scan.channels[channel_id]
             if topics is not None and not (topics(channel.topic) if callable(topics) else channel.topic in topics):
@@ -150,6 +168,17 @@ def read_columns(scan: Container, topics: Wanted = None, columns: Mapping[str, C
             if key not in gathers:
                 gathers[key] = _Gather(channel, schema, (columns or {}).get(channel.topic))
             gathers[key].take(block, channel_id)
+        if (
+            most is not None
+            and number + 1 < len(later_ns)
+            and max((one.count for one in gathers.values()), default=0) >= most
+        ):
+            yield _make_log(scan, gathers, int(later_ns[number + 1]))
+    yield _make_log(scan, gathers, None)
+
+
+def _make_log(scan: Container, gathers: Mapping[tuple[str, str], "_Gather"], until_ns: int | None) -> Log:
+    """Return what was gathered before a time (None: everything), and take it out of the gathers."""
     unread = {topic: gather.refusal for (topic, _), gather in gathers.items() if gather.refusal}
     for topic in [topic for topic, _ in gathers]:
         if sum(name == topic for name, _ in gathers) > 1:
@@ -157,7 +186,7 @@ def read_columns(scan: Container, topics: Wanted = None, columns: Mapping[str, C
     found = {}
     for (topic, type_name), gather in gathers.items():
         if topic not in unread:
-            found[topic] = gather.topic(scan.path, topic, type_name)
+            found[topic] = gather.release(scan.path, topic, type_name, until_ns)
     counts: dict[str, int] = {}
     types: dict[str, str] = {}
     for channel in scan.channels.values():
@@ -242,21 +271,48 @@ class _Gather:
                 raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
             base, shape = leaves[parts[0]][0].base, leaves[parts[0]][0].shape
             forms[name] = (base, shape) if len(parts) == 1 else (np.dtype(np.float64), (len(parts),))
-        key = tuple((name, base.kind, shape) for name, (base, shape) in forms.items())
-        if key not in self.found:
-            self.rows[key] = _Growing()
-            self.found[key] = {name: _Growing() for name in forms}
-        self.rows[key].add(len(rows), rows.dtype)[:] = rows
-        for name, (base, shape) in forms.items():
-            room = self.found[key][name].add(len(rows), base, shape)
+        for name, room in self._make_room(rows, forms).items():
             if len(wanted[name]) == 1:
                 room[...] = body[wanted[name][0]]
             else:
                 for k, part in enumerate(wanted[name]):
                     room[:, k] = body[part]
 
-    def topic(self, path: Path, name: str, type_name: str) -> Topic:
-        """Return all that was collected, by time."""
+    def _keep_columns(self, rows: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
+        """Keep rows that were taken before."""
+        forms = {name: (values.dtype, values.shape[1:]) for name, values in columns.items()}
+        for name, room in self._make_room(rows, forms).items():
+            room[...] = columns[name]
+
+    def _make_room(
+        self, rows: NDArray[np.int64], forms: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]
+    ) -> dict[str, NDArray[Any]]:
+        """Note the places of more messages with columns of these forms; return the room for each column."""
+        key = tuple((name, base.kind, shape) for name, (base, shape) in forms.items())
+        if key not in self.found:
+            self.rows[key] = _Growing()
+            self.found[key] = {name: _Growing() for name in forms}
+        self.rows[key].add(len(rows), rows.dtype)[:] = rows
+        return {name: self.found[key][name].add(len(rows), base, shape) for name, (base, shape) in forms.items()}
+
+    def release(self, path: Path, name: str, type_name: str, until_ns: int | None) -> Topic:
+        """Return what was collected before a time (None: everything), by time; the rest stays."""
+        topic = self._topic(path, name, type_name)
+        self.count, self.t_ns, self.rows, self.found = 0, _Growing(), {}, {}
+        if until_ns is None:
+            return topic
+        before = cut_topic(topic, last_ns=until_ns - 1)
+        n = len(before.t_ns)
+        self.count = len(topic.t_ns) - n
+        if self.count:
+            self.t_ns.add(self.count, np.dtype(np.int64))[:] = topic.t_ns[n:]
+        for part in topic.parts:
+            rest = part.rows >= n
+            if rest.any():
+                self._keep_columns(part.rows[rest] - n, {leaf: values[rest] for leaf, values in part.columns.items()})
+        return before
+
+    def _topic(self, path: Path, name: str, type_name: str) -> Topic:
         t_ns = self.t_ns.whole()
         place = None
         if (np.diff(t_ns) < 0).any():
@@ -276,6 +332,21 @@ class _Gather:
                 columns = {column: values[by_row] for column, values in columns.items()}
             parts.append(Part(rows, columns))
         return Topic(path, name, type_name, t_ns, tuple(parts))
+
+
+def cut_topic(topic: Topic, first_ns: int | None = None, last_ns: int | None = None) -> Topic:
+    """Return the messages of a topic within a range of log times, both ends included."""
+    first = 0 if first_ns is None else int(np.searchsorted(topic.t_ns, first_ns, side="left"))
+    last = len(topic.t_ns) if last_ns is None else int(np.searchsorted(topic.t_ns, last_ns, side="right"))
+    parts = []
+    for part in topic.parts:
+        inside = (part.rows >= first) & (part.rows < last)
+        if inside.all():
+            parts.append(Part(part.rows - first, part.columns))
+        elif inside.any():
+            cut = {name: values[inside] for name, values in part.columns.items()}
+            parts.append(Part(part.rows[inside] - first, cut))
+    return replace(topic, t_ns=topic.t_ns[first:last], parts=tuple(parts))
 
 
 class _View:

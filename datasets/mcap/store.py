@@ -4,7 +4,8 @@ Columns go to the topics of :mod:`stillpoint.datasets.mcap.topics`; everything e
 rests, calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -22,19 +23,28 @@ from stillpoint.datasets.mcap.facts import (
     from_json,
     info_from,
     kind_of,
+    recording_facts,
     reference_facts,
     spin_geometry_from,
     to_json,
 )
 from stillpoint.datasets.mcap.reader import Log, read_log, survey
 from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS, Topic, extra_topic, microtesla, tesla
-from stillpoint.datasets.mcap.writer import Stream, write_mcap
-from stillpoint.datasets.recording import Encoder, Gps, Imu, Mag, Recording, Series, Spin, Truth
+from stillpoint.datasets.mcap.writer import MessageWriter, Stream, open_mcap, write_mcap
+from stillpoint.datasets.recording import Encoder, Gps, Head, Imu, Info, Mag, Piece, Recording, Series, Spin, Truth
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, SpinReference
 
+Made = TypeVar("Made")
 OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
 FORMAT = "1"
+OWN_COLUMNS = {
+    topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
+}
+_OWN = {topic.name for topic in TOPICS if not topic.drawn}
+_STREAMS: dict[str, type[Any]] = {
+    "imu": Imu, "mag": Mag, "gps": Gps, "spin": Spin, "encoder": Encoder, "truth": Truth, "roll_truth": Encoder,
+}  # fmt: skip
 
 
 def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None = None) -> None:
@@ -47,6 +57,86 @@ def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None
     write_mcap(Path(path), streams, {RECORD: record}, attachments or {}, library=f"stillpoint {version('stillpoint')}")
 
 
+@contextmanager
+def open_trajectory(path: Path | str) -> "Iterator[TrajectoryWriter]":
+    """Open a file for a reference or an estimate that comes piece by piece; it appears when the block ends.
+
+    Raises :class:`BadFile` when the file cannot be written.
+    """
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+        yield TrajectoryWriter(out)
+
+
+class TrajectoryWriter:
+    """Writes a reference or an estimate piece by piece; facts that are known at the end come last.
+
+    The bytes do not depend on where the pieces end.
+    """
+
+    def __init__(self, out: MessageWriter) -> None:
+        self._out = out
+        self._samples: dict[str, int] = {}
+
+    def add(self, piece: Reference | SpinReference | Estimate) -> None:
+        """Write the samples of a piece, which come after those before; its facts do not matter yet."""
+        streams, _ = _streams(kind_of(piece), piece)
+        if not self._samples:
+            self._out.declare(streams)
+        for stream in streams:
+            self._samples[stream.topic] = self._samples.get(stream.topic, 0) + len(stream.t_ns)
+        self._out.add(streams, int(piece.t_ns[-1]) + 1)
+
+    def close(self, last: Reference | SpinReference | Estimate) -> None:
+        """Write the facts of the whole, which the last piece carries.
+
+        Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
+        """
+        kind = kind_of(last)
+        _, absent = _streams(kind, last)
+        self._out.describe({RECORD: _record(kind, facts_of(last), self._samples, absent)}, {})
+
+
+@contextmanager
+def open_recording(path: Path | str, head: Head, first: Piece) -> "Iterator[RecordingWriter]":
+    """Open a file for a recording that comes piece by piece; it appears when the block ends.
+
+    ``first`` has a sample or more of every stream that comes (its own rows are not written), ``head`` what is known at
+    the start: it stands before the messages, so that a file that was cut says what it is. Raises :class:`BadFile` when
+    the file cannot be written.
+    """
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+        yield RecordingWriter(out, head, first)
+
+
+class RecordingWriter:
+    """Writes a recording piece by piece; the bytes do not depend on where the pieces end."""
+
+    def __init__(self, out: MessageWriter, head: Head, first: Piece) -> None:
+        self._out, self._first = out, first
+        streams, self._absent = _streams("recording", first)
+        if first.mag is not None and all(stream.topic != MAG_REMAINDER for stream in streams):
+            topic = next(topic for topic in TOPICS if topic.name == MAG_REMAINDER)
+            streams.insert(1, _stream(topic, first.mag.t_ns, {"remainder_b_ut": first.mag.mag_b_ut}))
+        self._samples: dict[str, int] = {}
+        out.declare(streams)
+        out.describe({RECORD: self._make_record(head)}, {})
+
+    def add(self, piece: Piece, until_ns: int) -> None:
+        """Write the samples of a piece; no later one lies before ``until_ns``."""
+        streams, _ = _streams("recording", piece)
+        for stream in streams:
+            self._samples[stream.topic] = self._samples.get(stream.topic, 0) + len(stream.t_ns)
+        self._out.add(streams, until_ns)
+
+    def close(self, head: Head) -> None:
+        """Write the facts once more, as they are at the end, with the number of samples."""
+        self._out.describe({RECORD: self._make_record(head)}, {})
+
+    def _make_record(self, head: Head) -> dict[str, str]:
+        facts = recording_facts(head, self._first.spin, self._first.extra)
+        return _record("recording", facts, self._samples, self._absent)
+
+
 def contents_of(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
     """Return the messages of a file, and its metadata record ``stillpoint``.
 
@@ -55,14 +145,18 @@ def contents_of(thing: Kept) -> tuple[list[Stream], dict[str, str]]:
     kind = kind_of(thing)
     streams, absent = _streams(kind, thing)
     samples = {stream.topic: len(stream.t_ns) for stream in streams}
-    record = {
+    return streams, _record(kind, facts_of(thing), samples, absent)
+
+
+def _record(kind: str, facts: Mapping[str, Any], samples: Mapping[str, int], absent: Sequence[str]) -> dict[str, str]:
+    """Return the metadata record of a file."""
+    return {
         "kind": kind,
         "format": FORMAT,
         "version": version("stillpoint"),
         "convention": CONVENTION,
-        "facts": to_json({**facts_of(thing), "samples": samples, "absent": absent}),
+        "facts": to_json({**facts, "samples": samples, "absent": absent}),
     }
-    return streams, record
 
 
 def read(path: Path | str, units_unchecked: bool = False) -> Kept:
@@ -72,29 +166,45 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
     whole chunks, and its ``info.notes`` say what is lost; a reference or estimate that was cut is refused. Raises
     :class:`BadFile`.
     """
-    columns = {
-        topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
-    }
-    own = {topic.name for topic in TOPICS if not topic.drawn}
-    log = read_log(path, lambda name: name in own or name.startswith(EXTRA), columns)
+    log = read_log(path, is_own_topic, OWN_COLUMNS)
     kind, facts = open_facts(log)
     samples, absent = facts.pop("samples"), facts.pop("absent")
     if log.lost and kind != "recording":
         raise BadFile(f"{path}: {log.lost}; a cut {kind} is of no use, make it anew")
+    check_readable(log)
+    check_counts(log, samples)
+    if kind == "recording":
+        return make_checked(log, lambda: _recording(log, facts, samples, absent, units_unchecked))
+    return make_checked(log, lambda: make_trajectory(log, kind, facts, absent))
+
+
+def is_own_topic(name: str) -> bool:
+    """Return whether a topic of this name is read back from a file of stillpoint."""
+    return name in _OWN or name.startswith(EXTRA)
+
+
+def check_readable(log: Log) -> None:
+    """Raise :class:`BadFile` where the columns of a topic could not be read."""
     for name, reason in log.unread.items():
-        raise BadFile(f"{path}: {name} cannot be read: {reason}; write the file anew")
+        raise BadFile(f"{log.path}: {name} cannot be read: {reason}; write the file anew")
+
+
+def check_counts(log: Log, samples: Mapping[str, int]) -> None:
+    """Raise :class:`BadFile` where a whole file has another number of messages than its facts say."""
     for name, count in samples.items():
         if not log.lost and log.counts.get(name, 0) != count:
-            raise BadFile(f"{path}: {name} should have {count} messages and has {log.counts.get(name, 0)}")
+            raise BadFile(f"{log.path}: {name} should have {count} messages and has {log.counts.get(name, 0)}")
+
+
+def make_checked(log: Log, make: Callable[[], Made]) -> Made:
+    """Return what ``make`` makes of a log; raises :class:`BadFile` where columns or facts of the file do not fit."""
     try:
-        if kind == "recording":
-            return _recording(log, facts, samples, absent, units_unchecked)
-        return _trajectory(log, kind, facts, absent)
+        return make()
     except BadRecording as error:
-        raise BadFile(f"{path}: {f'{log.lost}; ' if log.lost else ''}{error}") from error
+        raise BadFile(f"{log.path}: {f'{log.lost}; ' if log.lost else ''}{error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise BadFile(
-            f"{path}: its facts do not fit stillpoint {version('stillpoint')} ({type(error).__name__}: {error}); "
+            f"{log.path}: its facts do not fit stillpoint {version('stillpoint')} ({type(error).__name__}: {error}); "
             f"stillpoint {log.metadata[RECORD].get('version', '?')} wrote it"
         ) from error
 
@@ -159,16 +269,18 @@ def sha256(path: Path | str) -> str:
         raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
 
 
-def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
+def _streams(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
     """Return the messages of each topic, and which fields of them are None ("/truth/pose position_n_m")."""
     streams, absent = [], []
     for topic in TOPICS:
         if topic.kind != kind:
             continue
         if topic.name == MAG_REMAINDER:
-            streams += _mag_remainder(topic, thing.mag if isinstance(thing, Recording) else None)
+            streams += _mag_remainder(topic, thing.mag if isinstance(thing, Recording | Piece) else None)
             continue
         holder: Any = getattr(thing, topic.stream) if topic.stream else thing
+        if holder is None:
+            continue
         given: dict[str, Any] = {column.field: getattr(holder, column.field, None) for column in topic.columns}
         if all(given[column.field] is None for column in topic.columns if not column.derived):
             continue
@@ -176,7 +288,7 @@ def _streams(kind: str, thing: Kept) -> tuple[list[Stream], list[str]]:
             given["mag_b_ut"] = tesla(given["mag_b_ut"])[0]
         absent += [f"{topic.name} {name}" for name, values in given.items() if values is None]
         streams.append(_stream(topic, holder.t_ns, given))
-    for name, series in thing.extra.items() if isinstance(thing, Recording) else ():
+    for name, series in thing.extra.items() if isinstance(thing, Recording | Piece) else ():
         streams.append(_stream(extra_topic(name, series.labels), series.t_ns, {"values": series.values}))
     return streams, absent
 
@@ -220,7 +332,8 @@ def open_facts(log: Log) -> tuple[str, dict[str, Any]]:
     record = log.metadata.get(RECORD)
     if record is None:
         if log.lost:
-            raise BadFile(f"{log.path}: {log.lost}; no chunk of it is whole")
+            what = "the facts at its end are not there" if any(log.counts.values()) else "no chunk of it is whole"
+            raise BadFile(f"{log.path}: {log.lost}; {what}")
         topics = [f"{name} ({log.types[name] or 'no type'}, {log.counts[name]} messages)" for name in log.types]
         more = f" and {len(topics) - 6} topics more" if len(topics) > 6 else ""
         raise BadFile(
@@ -263,7 +376,7 @@ def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, 
     """
     holders: dict[str, dict[str, Any]] = {}
     for topic in TOPICS:
-        if topic.kind != kind or topic.drawn or topic.name not in log.topics:
+        if topic.kind != kind or topic.drawn or topic.name not in log.topics or not len(log.topics[topic.name].t_ns):
             continue
         t_ns, columns = _columns(log, topic, absent)
         holder = holders.setdefault(topic.stream, {"t_ns": t_ns})
@@ -277,31 +390,41 @@ def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, 
 def _recording(
     log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], absent: Sequence[str], units_unchecked: bool
 ) -> Recording:
+    streams, extra = make_streams(log, facts, absent)
+    base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
+    info = make_info(log, facts, samples, units_unchecked)
+    return Recording(name=facts["name"], base_pose=base_pose, info=info, extra=extra, **streams)
+
+
+def make_streams(log: Log, facts: Mapping[str, Any], absent: Sequence[str]) -> tuple[dict[str, Any], dict[str, Series]]:
+    """Return the streams of a recording that a log has messages of, by name, and the further series."""
     holders = _holders(log, "recording", absent)
     remainder = holders.pop("mag_remainder", None)
     if "mag" in holders:
         holders["mag"] = _mag(log, holders["mag"], remainder)
     if "spin" in holders:
         holders["spin"]["geometry"] = spin_geometry_from(facts)
-    kinds: dict[str, type[Any]] = {
-        "imu": Imu, "mag": Mag, "gps": Gps, "spin": Spin, "encoder": Encoder, "truth": Truth, "roll_truth": Encoder,
-    }  # fmt: skip
-    streams = {name: kinds[name](**holder) for name, holder in holders.items()}
-    info = info_from(facts)
-    if log.lost:
-        found = {name: len(log.topics[name].t_ns) if name in log.topics else 0 for name in samples}
-        less = [f"{name} {found[name]} of {count}" for name, count in samples.items() if found[name] < count]
-        notes = f"{log.lost}; messages read: {', '.join(less) or 'all'}"
-        info = replace(info, notes=(*info.notes, notes))
-    if units_unchecked:
-        info = replace(info, units_unchecked=True)
+    streams = {name: _STREAMS[name](**holder) for name, holder in holders.items()}
     extra = {
         name: Series(topic.t_ns, topic.column("data").reshape(len(topic.t_ns), -1), tuple(labels))
         for name, labels in facts.get("extra", {}).items()
-        if (topic := log.topics.get(f"{EXTRA}{name}")) is not None
+        if (topic := log.topics.get(f"{EXTRA}{name}")) is not None and len(topic.t_ns)
     }
-    base_pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
-    return Recording(name=facts["name"], base_pose=base_pose, info=info, extra=extra, **streams)
+    return streams, extra
+
+
+def make_info(log: Log, facts: Mapping[str, Any], samples: Mapping[str, int], units_unchecked: bool) -> Info:
+    """Return the provenance of a recording, with a note about what is lost of a file that was cut."""
+    info = info_from(facts)
+    if log.lost:
+        less = [
+            f"{name} {log.counts.get(name, 0)} of {count}"
+            for name, count in samples.items()
+            if log.counts.get(name, 0) < count
+        ]
+        notes = f"{log.lost}; messages read: {', '.join(less) or 'all'}"
+        info = replace(info, notes=(*info.notes, notes))
+    return replace(info, units_unchecked=True) if units_unchecked else info
 
 
 def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -317,7 +440,8 @@ def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any
     return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t, rest)}
 
 
-def _trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Sequence[str]) -> Kept:
+def make_trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Sequence[str]) -> Kept:
+    """Return the reference or estimate that facts and the messages of a log make."""
     columns = _holders(log, kind, absent)[""]
     keywords = reference_facts(facts) if kind == "reference" else dict(facts)
     return KINDS[kind](**columns, **keywords)

@@ -6,10 +6,15 @@ metadata, attachments, then chunks of 1 MiB (zstd, CRC) with their message index
 section and of the summary. Facts come before the chunks so that a file that was cut still says what it is.
 """
 
-import heapq
+import math
+import os
 import struct
+import threading
 import zlib
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -43,6 +48,8 @@ from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECO
 CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
 CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
 ZSTD_LEVEL = 3
+PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
+MOST_WAITING = 2 * PACKERS  # chunks that wait to be packed: some MiB
 
 
 @dataclass(frozen=True)
@@ -70,19 +77,27 @@ def write_mcap(
     attachments: Mapping[str, bytes],
     library: str = "stillpoint",
 ) -> None:
-    """Write one file, atomically.
+    """Write one file, atomically; the facts come before the messages.
 
     Within a group of streams, messages are ordered by time, and at equal times by the order of ``streams``; chunks are
     ordered by their first message. Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with write_file(path) as file:
-        out = _Writer(file)
-        out.file_bytes(MAGIC)
-        out.record(Header(profile="ros2", library=library))
-        out.declare(*_declarations(streams))
+    with open_mcap(path, library) as out:
+        out.declare(streams)
         out.describe(metadata, attachments)
-        for buffer, indexes in _chunks(streams):
-            out.chunk(buffer, indexes)
+        out.add(streams)
+
+
+@contextmanager
+def open_mcap(path: Path, library: str = "stillpoint") -> "Iterator[MessageWriter]":
+    """Open a file for messages that come piece by piece; it appears, atomically, when the block ends without an error.
+
+    Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
+    """
+    with write_file(path) as file, _open_writer(file, library) as out:
+        messages = MessageWriter(out)
+        yield messages
+        messages.release(None)
         out.finish()
 
 
@@ -98,10 +113,7 @@ def write_blocks(
 
     Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with write_file(path) as file:
-        out = _Writer(file)
-        out.file_bytes(MAGIC)
-        out.record(Header(profile="ros2", library="stillpoint"))
+    with write_file(path) as file, _open_writer(file, "stillpoint") as out:
         out.declare(schemas, channels)
         out.describe(metadata, attachments)
         for buffer, indexes in blocks:
@@ -109,11 +121,56 @@ def write_blocks(
         out.finish()
 
 
+class MessageWriter:
+    """Writes streams that come piece by piece; the bytes do not depend on where the pieces end.
+
+    A piece holds, of every stream, all rows up to one time. Rows wait here until their chunk is full, and a chunk waits
+    for the chunks of other groups that begin before it: some MiB, however long the streams are.
+    """
+
+    def __init__(self, out: "_Writer") -> None:
+        self._out = out
+        self._groups: list[_Group] = []
+
+    def declare(self, streams: Sequence[Stream]) -> None:
+        """Declare all streams of the file, once; their rows do not matter, their columns and constants do."""
+        self._out.declare(*_declarations(streams))
+        groups: dict[str, list[_Messages]] = {}
+        for k, stream in enumerate(streams):
+            groups.setdefault(stream.group, []).append(_Messages(stream, k + 1))
+        self._groups = [_Group(makers) for makers in groups.values()]
+
+    def describe(self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]) -> None:
+        """Write metadata and attachments: before the first piece, or after the last."""
+        self.release(None)
+        self._out.describe(metadata, attachments)
+
+    def add(self, streams: Sequence[Stream], until_ns: int | None = None) -> None:
+        """Take one piece of some or all declared streams; no later row lies before ``until_ns`` (None: the last piece).
+
+        Chunks that are complete are written.
+        """
+        by_topic = {stream.topic: stream for stream in streams}
+        for group in self._groups:
+            group.take(by_topic)
+        self.release(until_ns)
+
+    def release(self, until_ns: int | None) -> None:
+        """Write the chunks to which rows from ``until_ns`` on can add nothing; all of them for None."""
+        for group in self._groups:
+            group.close_before(until_ns)
+        while self._groups:
+            first = min(self._groups, key=lambda group: group.next_ns(until_ns))  # the first of equals, as in one piece
+            if not first.finished:
+                return
+            self._out.chunk(*first.finished.popleft())
+
+
 class _Messages:
     """The records of one stream, made for a slice of its rows at a time."""
 
     def __init__(self, stream: Stream, channel: int) -> None:
-        self.stream, self.channel = stream, channel
+        self.topic, self.channel, self.done = stream.topic, channel, 0
         lengths: dict[str, int] = {}
         for leaf, value in stream.constants.items():
             lengths[leaf] = len(value.encode()) + 1 if isinstance(value, str) else np.size(value)
@@ -137,65 +194,128 @@ class _Messages:
         self.blank = blank.view((np.void, self.dtype.itemsize))
         self.stamped = "header.stamp.sec" in (layout.dtype.names or ())
 
-    def records(self, rows: slice) -> NDArray[np.void]:
-        """Return the records of these rows, packed one after the other."""
-        t_ns = self.stream.t_ns[rows]
+    def records(self, stream: Stream, rows: slice) -> NDArray[np.void]:
+        """Return the records of the next rows, packed one after the other."""
+        t_ns = stream.t_ns[rows]
         out = np.repeat(self.blank, len(t_ns)).view(self.dtype)
-        out["sequence"] = np.arange(rows.start, rows.stop)
+        out["sequence"] = np.arange(self.done, self.done + len(t_ns))
+        self.done += len(t_ns)
         out["log_time"] = out["publish_time"] = t_ns
         body = out["body"]
         if self.stamped:
             body["header.stamp.sec"], body["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
-        for leaf, column in self.stream.columns.items():
+        for leaf, column in stream.columns.items():
             body[leaf] = column[rows].reshape(body[leaf].shape)
         return out
 
 
-def _chunks(streams: Sequence[Stream]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
-    """Yield the bytes of each chunk, and per channel its message index; each group of streams has chunks of its own."""
-    groups: dict[str, list[_Messages]] = {}
-    for k, stream in enumerate(streams):
-        groups.setdefault(stream.group, []).append(_Messages(stream, k + 1))
-    yield from heapq.merge(*map(_chunks_of_group, groups.values()), key=lambda chunk: _first_time(chunk[1]))
+@dataclass
+class _OpenChunk:
+    """A chunk to which the next piece may add: its bytes and its message indexes, as they came."""
+
+    key: tuple[int, int]  # which of the chunks by size, and by time, since the first message of its group
+    parts: list[NDArray[np.uint8]] = field(default_factory=list)
+    entries: dict[int, list[NDArray[np.void]]] = field(default_factory=dict)
+    size: int = 0
+
+    def add(self, part: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
+        """Add bytes, and the message indexes of them by channel."""
+        for channel, entries in indexes.items():
+            entries["offset"] += self.size
+            self.entries.setdefault(channel, []).append(entries)
+        self.parts.append(part)
+        self.size += len(part)
+
+    def close(self) -> "_Packed":
+        """Return the bytes of the chunk, and its message indexes in the order of their channels."""
+        indexes = {channel: np.concatenate(self.entries[channel]) for channel in sorted(self.entries)}
+        return (self.parts[0] if len(self.parts) == 1 else np.concatenate(self.parts)), indexes
+
+
+_Packed = tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]  # the bytes of a chunk, and its message indexes
+
+
+class _Group:
+    """The streams that share chunks, and the chunks that are not written yet."""
+
+    def __init__(self, makers: Sequence[_Messages]) -> None:
+        self.makers = makers
+        self.finished: deque[_Packed] = deque()
+        self.open: _OpenChunk | None = None
+        self.size = 0  # bytes of all messages so far
+        self.start_ns: int | None = None  # of the first message
+
+    def next_ns(self, until_ns: int | None) -> float:
+        """Return the time at which the next chunk begins, or, where there is no message yet, cannot begin before."""
+        if self.finished:
+            return _first_time(self.finished[0][1])
+        if self.open is not None:
+            return min(int(entries[0]["log_time"][0]) for entries in self.open.entries.values())
+        return math.inf if until_ns is None else until_ns
+
+    def close_before(self, until_ns: int | None) -> None:
+        """Finish the open chunk where messages from ``until_ns`` on (None: there are none) cannot belong to it."""
+        if self.open is None or self.start_ns is None:
+            return
+        if until_ns is None or (until_ns - self.start_ns) // CHUNK_SPAN_NS > self.open.key[1]:
+            self.finished.append(self.open.close())
+            self.open = None
+
+    def take(self, by_topic: Mapping[str, Stream]) -> None:
+        """Add the messages of one piece, by time; chunks end at multiples of their size and of their span."""
+        makers = [maker for maker in self.makers if maker.topic in by_topic and len(by_topic[maker.topic].t_ns)]
+        if not makers:
+            return
+        streams = [by_topic[maker.topic] for maker in makers]
+        times, which = _merge([np.asarray(stream.t_ns) for stream in streams])
+        if self.start_ns is None:
+            self.start_ns = int(times[0])
+        sizes = np.array([maker.dtype.itemsize for maker in makers], np.int64)[which]
+        end = self.size + np.cumsum(sizes)
+        start = end - sizes
+        self.size = int(end[-1])
+        numbers, spans = end // CHUNK_BYTES, (times - self.start_ns) // CHUNK_SPAN_NS
+        bounds = np.flatnonzero((np.diff(numbers) > 0) | (np.diff(spans) > 0)) + 1
+        done = [0] * len(makers)
+        for first, last in pairwise([0, *bounds.tolist(), len(end)]):
+            buffer = np.empty(int(end[last - 1] - start[first]), np.uint8)
+            offsets, of_chunk = start[first:last] - start[first], which[first:last]
+            indexes = {}
+            for k, (maker, stream) in enumerate(zip(makers, streams, strict=True)):
+                own = offsets[of_chunk == k]
+                rows = slice(done[k], done[k] + len(own))
+                done[k] = rows.stop
+                if not len(own):
+                    continue
+                records = maker.records(stream, rows).view((np.void, maker.dtype.itemsize))
+                windows(buffer, maker.dtype.itemsize)[own] = records
+                entries = np.empty(len(own), INDEX_ENTRY)
+                entries["log_time"], entries["offset"] = stream.t_ns[rows], own
+                indexes[maker.channel] = entries
+            self._append((int(numbers[first]), int(spans[first])), buffer, indexes)
+
+    def _append(self, key: tuple[int, int], buffer: NDArray[np.uint8], indexes: dict[int, NDArray[np.void]]) -> None:
+        if self.open is not None and self.open.key != key:
+            self.finished.append(self.open.close())
+            self.open = None
+        if self.open is None:
+            self.open = _OpenChunk(key)
+        self.open.add(buffer, indexes)
+
+
+def _merge(times: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return the stamps of all streams by time, and which stream each is of; at equal times by the order of streams."""
+    count = len(times)
+    if all(np.array_equal(own, times[0]) for own in times[1:]):  # as of most groups, and much faster
+        return np.repeat(times[0], count), np.tile(np.arange(count, dtype=np.int32), len(times[0]))
+    together = np.concatenate(times)
+    which = np.repeat(np.arange(count, dtype=np.int32), [len(own) for own in times])
+    order = np.argsort(together, kind="stable")
+    return together[order], which[order]
 
 
 def _first_time(indexes: Mapping[int, NDArray[np.void]]) -> int:
     return min(int(entries["log_time"][0]) for entries in indexes.values())
-
-
-def _chunks_of_group(makers: Sequence[_Messages]) -> Iterator[tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]]:
-    """Yield the chunks of streams that share them, by time."""
-    streams = [maker.stream for maker in makers]
-    times = np.concatenate([np.asarray(stream.t_ns) for stream in streams]) if streams else np.empty(0, np.int64)
-    which = np.repeat(np.arange(len(streams), dtype=np.int32), [len(stream.t_ns) for stream in streams])
-    order = np.argsort(times, kind="stable")
-    which = which[order]
-    sizes = np.array([maker.dtype.itemsize for maker in makers], np.int64)
-    end = np.cumsum(sizes[which])
-    start = end - sizes[which]
-    total = int(end[-1]) if len(end) else 0
-    cuts = np.searchsorted(end, np.arange(CHUNK_BYTES, total, CHUNK_BYTES))
-    spans = np.empty(0, np.int64)
-    if total:
-        spans = np.flatnonzero(np.diff((times[order] - times.min()) // CHUNK_SPAN_NS)) + 1
-    bounds = np.unique(np.concatenate([[0], cuts, spans, [len(end)]]).astype(np.int64))
-    done = [0] * len(streams)
-    for first, last in pairwise(bounds):
-        base = start[first]
-        buffer = np.empty(int(end[last - 1] - base), np.uint8)
-        of_chunk = which[first:last]
-        indexes = {}
-        for k, maker in enumerate(makers):
-            offsets = (start[first:last] - base)[of_chunk == k]
-            if not len(offsets):
-                continue
-            rows = slice(done[k], done[k] + len(offsets))
-            done[k] = rows.stop
-            windows(buffer, maker.dtype.itemsize)[offsets] = maker.records(rows).view((np.void, maker.dtype.itemsize))
-            entries = np.empty(len(offsets), INDEX_ENTRY)
-            entries["log_time"], entries["offset"] = maker.stream.t_ns[rows], offsets
-            indexes[maker.channel] = entries
-        yield buffer, indexes
 
 
 def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
@@ -220,12 +340,42 @@ def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel
     return list(schemas.values()), channels
 
 
+@contextmanager
+def _open_writer(file: IO[bytes], library: str) -> "Iterator[_Writer]":
+    """Begin a file; chunks are packed by threads meanwhile, which end with the block."""
+    with ThreadPoolExecutor(PACKERS, thread_name_prefix="pack") as packers:
+        out = _Writer(file, packers)
+        out.file_bytes(MAGIC)
+        out.record(Header(profile="ros2", library=library))
+        yield out
+
+
+_OF_THREAD = threading.local()
+
+
+def _pack(raw: memoryview) -> tuple[bytes, int]:
+    """Return the packed bytes of a chunk and its checksum; both are computed without the interpreter's lock."""
+    if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads
+        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+    return _OF_THREAD.compressor.compress(raw), zlib.crc32(raw)
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """A chunk that is being packed."""
+
+    packed: "Future[tuple[bytes, int]]"
+    size: int
+    indexes: Mapping[int, NDArray[np.void]]
+
+
 class _Writer:
     """Puts records into the file and remembers what the summary has to say."""
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes], packers: ThreadPoolExecutor) -> None:
         self.file, self.position, self.crc = file, 0, 0
-        self.compress = zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress
+        self.packers = packers
+        self.waiting: deque[_Waiting] = deque()
         self.schemas: list[McapRecord] = []
         self.channels: list[McapRecord] = []
         self.metadata: list[McapRecord] = []
@@ -255,6 +405,7 @@ class _Writer:
 
     def describe(self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]) -> None:
         """Write metadata and attachments."""
+        self.flush()
         for name, facts in metadata.items():
             at, length = self.record(Metadata(name=name, metadata=dict(facts)))
             self.metadata.append(MetadataIndex(offset=at, length=length, name=name))
@@ -272,18 +423,29 @@ class _Writer:
         )
 
     def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
+        """Take one chunk and its message indexes, and write the oldest of those that wait to be packed."""
+        self.waiting.append(_Waiting(self.packers.submit(_pack, buffer.data), len(buffer), indexes))
+        if len(self.waiting) > MOST_WAITING:
+            self._write_chunk(self.waiting.popleft())
+
+    def flush(self) -> None:
+        """Write the chunks that wait."""
+        while self.waiting:
+            self._write_chunk(self.waiting.popleft())
+
+    def _write_chunk(self, waiting: _Waiting) -> None:
         """Write one chunk and its message indexes."""
+        packed, crc = waiting.packed.result()
+        indexes = waiting.indexes
         first = _first_time(indexes)
         last = max(int(entries["log_time"][-1]) for entries in indexes.values())
-        raw = buffer.data
-        packed = self.compress(raw)
         chunk = Chunk(
             compression="zstd",
             data=packed,
             message_start_time=first,
             message_end_time=last,
-            uncompressed_crc=zlib.crc32(raw),
-            uncompressed_size=len(raw),
+            uncompressed_crc=crc,
+            uncompressed_size=waiting.size,
         )
         at, length = self.record(chunk)
         offsets, start = {}, self.position
@@ -302,12 +464,13 @@ class _Writer:
                 message_index_length=self.position - start,
                 compression="zstd",
                 compressed_size=len(packed),
-                uncompressed_size=len(raw),
+                uncompressed_size=waiting.size,
             )
         )
 
     def finish(self) -> None:
-        """Write the end of the data section, the summary with its CRC, the footer."""
+        """Write the chunks that wait, the end of the data section, the summary with its CRC, the footer."""
+        self.flush()
         self.record(DataEnd(self.crc))
         statistics = Statistics(
             attachment_count=len(self.attachments),

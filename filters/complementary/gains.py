@@ -43,7 +43,7 @@ def gains(
     sources = find_sources(recording, heading, None, None)
     imu = recording.require_imu()
     log, _ = prepare_log(imu, sources, precision)
-    c = to_precision(entry.coefficients(settings, sources.declination_rad), precision)
+    c = to_precision(entry.coefficients(settings, sources.plan.declination_rad), precision)
     kp_per_s, ki_per_s2 = np.empty((2, len(imu.t_ns), 3))
     least_squares.run_gains(log, to_precision(entry.start(c), precision), c, kp_per_s, ki_per_s2)
     return Gains(imu.t_ns, kp_per_s, ki_per_s2)

@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -65,12 +66,23 @@ def write_document(target: str | None, content: Mapping[str, Any]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text, the whole file or none of it; raises :class:`BadParameter` when it cannot be written."""
+    with open_text(path) as put:
+        put(text)
+
+
+@contextmanager
+def open_text(path: Path) -> Iterator[Callable[[str], object]]:
+    """Open a file of UTF-8 text, and give the function that adds to it; it appears, whole, when the block ends.
+
+    Raises :class:`BadParameter` when it cannot be written.
+    """
     try:
         if path.exists() and not path.is_file():  # a pipe or a device
-            path.write_text(text, encoding="utf-8")
+            with open(path, "w", encoding="utf-8", newline="") as pipe:
+                yield pipe.write
         else:
             with write_atomically(path) as file:
-                file.write(text.encode())
+                yield lambda text: file.write(text.encode())
     except OSError as error:
         raise BadParameter(f"{path}: cannot be written ({error.strerror}); name another place") from None
 

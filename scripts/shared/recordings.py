@@ -6,16 +6,21 @@ from pathlib import Path
 
 from stillpoint.datasets.doctor.clocks import list_losses
 from stillpoint.datasets.mcap.store import read_recording
-from stillpoint.datasets.recording import Recording, Times
+from stillpoint.datasets.recording import Info, Recording, Times
 from stillpoint.scripts.shared.output import print_line
 
 
 def open_recording(path: Path) -> Recording:
     """Read a recording, and print to stderr what is lost of a file that was cut short."""
     recording = read_recording(path)
-    for loss in list_losses(recording):
-        _print_once(f"stillpoint: {path}: {loss}")
+    print_losses(path, recording.info)
     return recording
+
+
+def print_losses(path: Path, info: Info) -> None:
+    """Print to stderr, once, what is lost of a recording that was cut short."""
+    for loss in list_losses(info):
+        _print_once(f"stillpoint: {path}: {loss}")
 
 
 def find_rests_at_default(recording: Recording) -> Times:

@@ -125,12 +125,16 @@ ATTITUDE = Layout(
 )
 
 
+def format_csv_header(has_mag: bool, has_fix: bool) -> str:
+    """Return the first line of samples as CSV; field and fix are optional columns."""
+    return ",".join(("t_ns", *IMU, *(MAG if has_mag else ()), *(FIX if has_fix else ())))
+
+
 def format_csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Iterator[str]:
-    """Yield lines from which :class:`Lines` reads these samples bit for bit; field and fix are optional columns.
+    """Yield lines, after the header, from which :class:`Lines` reads these samples bit for bit.
 
     A number that is not finite is written as it is, ``nan``: an empty cell would be no field, or no fix, at all.
     """
-    yield ",".join(("t_ns", *IMU, *(MAG if has_mag else ()), *(FIX if has_fix else ())))
     for sample in samples:
         numbers: list[float | str] = [*sample.gyro_b_radps, *sample.accel_b_mps2]
         if has_mag:

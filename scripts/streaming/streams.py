@@ -9,9 +9,10 @@ from typing import Any
 
 from stillpoint.datasets import Recording
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.datasets.recording import SpinGeometry
+from stillpoint.datasets.recording import Head, SpinGeometry
 from stillpoint.filters import Saved, SavedSpin, SpinStream, Stream
-from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
+from stillpoint.filters.front.front import RawLog
+from stillpoint.filters.front.sources import RawLogs, plan_heading
 from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.scripts.shared.estimator_choice import Run
 from stillpoint.scripts.shared.output import write_text
@@ -88,13 +89,18 @@ def replay_samples(recording: Recording) -> Iterator[Arrival]:
     A magnetometer that is not calibrated is left out, the course of a fix that is not valid is NaN. Raises
     :class:`BadRecording` without an IMU.
     """
-    imu, (mag, _, _), gps = recording.require_imu(), choose_magnetometer(recording), recording.gps
-    field = None if mag is None else newest_rows(mag.t_ns, imu.t_ns)
-    fix = None if gps is None else newest_rows(gps.t_ns, imu.t_ns)
-    for k, t_ns in enumerate(imu.t_ns.tolist()):
-        here = None if mag is None or field is None or field[k] < 0 else tuple(mag.mag_b_ut[field[k]].tolist())
-        course = None
-        if gps is not None and fix is not None and fix[k] >= 0:
-            row = fix[k]
-            course = (float(gps.course_rad[row]) if gps.valid[row] else float("nan"), float(gps.speed_mps[row]))
-        yield Arrival(t_ns, tuple(imu.gyro_b_radps[k].tolist()), tuple(imu.accel_b_mps2[k].tolist()), here, course)
+    yield from list_arrivals(make_raw_logs(recording.head).add(recording.require_imu(), recording.mag, recording.gps))
+
+
+def make_raw_logs(head: Head) -> RawLogs:
+    """Return what gives each IMU sample its field and its fix, for a recording that comes whole or in pieces."""
+    return RawLogs(uses_mag=plan_heading(head)[0], uses_gps="gps" in head.samples)
+
+
+def list_arrivals(log: RawLog) -> Iterator[Arrival]:
+    """Yield the samples of a log."""
+    for k, t_ns in enumerate(log.t_ns.tolist()):
+        field, fix = log.mag_row[k], log.fix_row[k]
+        here = None if field < 0 else tuple(log.mag_b_ut[field].tolist())
+        course = None if fix < 0 else (float(log.course_rad[fix]), float(log.speed_mps[fix]))
+        yield Arrival(t_ns, tuple(log.gyro_b_radps[k].tolist()), tuple(log.accel_b_mps2[k].tolist()), here, course)

@@ -8,21 +8,23 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from stillpoint.datasets import write
+from stillpoint.datasets import BadRecording, Estimate
 from stillpoint.datasets.calibration.apply import SensorCalibration, apply_calibration, calibration_of, load_calibration
-from stillpoint.datasets.mcap.store import read_reference, sha256
+from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.store import open_trajectory, read_reference, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.run import start_run
+from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import JsonFile
-from stillpoint.scripts.shared.recordings import open_recording
+from stillpoint.scripts.shared.recordings import open_recording, print_losses
 
 DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
 COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
@@ -119,6 +121,57 @@ def _jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str
 
 def _make(job: _Job) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
+    made = _run_whole(job) if _takes_whole(job) else _run_in_pieces(job)
+    return {
+        "samples": made.samples,
+        "ns_per_sample": made.last.ns_per_sample,
+        "params": dict(made.last.params),
+        "diagnostics": dict(made.last.diagnostics),
+    }
+
+
+@dataclass(frozen=True)
+class _Made:
+    """An estimate that was written."""
+
+    samples: int
+    last: Estimate  # its last piece, with the facts of the whole
+
+
+def _takes_whole(job: _Job) -> bool:
+    """Return whether the recording has to be in memory whole: for a package of another project, and to calibrate."""
+    return job.calibration != "none" or isinstance(find_estimator(job.run.estimator), Peer)
+
+
+def _run_in_pieces(job: _Job) -> _Made:
+    """Run an estimator over a recording of any length: read, estimated and written piece by piece."""
+    chosen, reader = job.run, PieceReader(job.source)
+    run = start_run(
+        reader.head,
+        chosen.estimator,
+        chosen.params,
+        chosen.precision,
+        chosen.heading,
+        heading_params=chosen.heading_params,
+        ranges=chosen.ranges,
+    )
+    samples, last = 0, None
+    with open_trajectory(job.target) as out:
+        for piece in reader.recording():
+            estimated = run.add(piece)
+            if estimated is not None:
+                out.add(estimated)
+                samples, last = samples + len(estimated.t_ns), estimated
+        print_losses(job.source, reader.info)
+        if last is None:
+            raise BadRecording(f"{job.source}: holds no sample for {chosen.estimator}; restore it from a copy")
+        last = replace(run.close(last), made_from={job.source.name: sha256(job.source)})
+        out.close(last)
+    return _Made(samples, last)
+
+
+def _run_whole(job: _Job) -> _Made:
+    """Run an estimator over a recording that is read whole, corrected by a calibration where one is asked for."""
     recording, digest = open_recording(job.source), sha256(job.source)
     known = _find_calibration(job, recording, digest)
     if known is not None:
@@ -136,13 +189,11 @@ def _make(job: _Job) -> dict[str, Any]:
     if known is not None:
         made = replace(made, diagnostics={**made.diagnostics, "calibrated_by": known.name})
         made_from |= {known.name: known.sha256} if known.sha256 else {}
-    write(job.target, replace(made, made_from=made_from))
-    return {
-        "samples": len(made.t_ns),
-        "ns_per_sample": made.ns_per_sample,
-        "params": dict(made.params),
-        "diagnostics": dict(made.diagnostics),
-    }
+    made = replace(made, made_from=made_from)
+    with open_trajectory(job.target) as out:
+        out.add(made)
+        out.close(made)
+    return _Made(len(made.t_ns), made)
 
 
 def _find_calibration(job: _Job, recording: Recording, digest: str) -> SensorCalibration | None:

@@ -1,27 +1,31 @@
 """``stillpoint export``: what MCAP files hold as text, for other tools."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import Literal
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.datasets.importers.trajectories import format_tum
+from stillpoint.datasets.importers.trajectories import TUM_HEADER, format_tum_rows
 from stillpoint.datasets.kml import kml_text
-from stillpoint.datasets.mcap.store import Kept, read
-from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.tables import csv_text, tables_of
-from stillpoint.datasets.trajectory import Reference, SpinReference
-from stillpoint.filters.front.sources import choose_magnetometer, newest_rows
+from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.store import read
+from stillpoint.datasets.recording import Piece
+from stillpoint.datasets.tables import format_csv_header, format_csv_rows, tables_of
+from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
+from stillpoint.filters.front.sources import plan_heading
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
-from stillpoint.scripts.shared.output import print_line, write_text
+from stillpoint.scripts.shared.output import open_text, print_line
+from stillpoint.scripts.shared.recordings import print_losses
+from stillpoint.scripts.streaming.lines import format_csv_header as format_samples_header
 from stillpoint.scripts.streaming.lines import format_csv_lines
-from stillpoint.scripts.streaming.streams import replay_samples
+from stillpoint.scripts.streaming.streams import list_arrivals, make_raw_logs
 
 Format = Literal["csv", "stream", "tum", "kml"]
 SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum", "kml": "kml"}
@@ -72,54 +76,101 @@ def export(
 
 
 def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
-    """Write the texts of one file, and return where."""
-    thing, stem = read(file), file.name.removesuffix(inputs.SUFFIX)
-    written = []
-    for label, text in _format_texts(file, thing, format):
-        target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
-        write_text(target, text)
-        written.append(target)
-    return written
+    """Write the texts of one file, piece by piece, and return where."""
+    stem = file.name.removesuffix(inputs.SUFFIX)
+    with ExitStack() as files:
+        puts: dict[Path, Callable[[str], object]] = {}
+        for label, text in _FORMATS[format](file):
+            target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
+            if target not in puts:
+                puts[target] = files.enter_context(open_text(target))
+            puts[target](text)
+    return list(puts)
 
 
-def _format_texts(file: Path, thing: Kept, format: Format) -> Sequence[tuple[str, str]]:
-    """Return what to write of a file, as pairs of a label and a text."""
-    if format == "csv":
-        return [(label, csv_text(table)) for label, table in tables_of(thing).items()]
-    if format == "stream":
-        return [("stream", _format_samples(file, thing))]
-    if format == "kml":
-        if not isinstance(thing, Reference):
-            raise BadParameter(f"{file}: is no reference of an attitude; KML shows the path of one with positions")
-        return [("", kml_text(thing))]
-    if isinstance(thing, Recording):
-        if thing.truth is None:
-            raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
-        return [("truth", format_tum(thing.truth.t_ns, thing.truth.q_nb, thing.truth.position_n_m))]
-    if isinstance(thing, SpinReference) or thing.q_nb is None:
-        raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
-    position = thing.position_n_m if isinstance(thing, Reference) else None
-    return [("", format_tum(thing.t_ns, thing.q_nb, position))]
+def _read_pieces(reader: PieceReader) -> Iterator[Piece | Reference | SpinReference | Estimate]:
+    """Yield the pieces of a file of any kind; print to stderr what is lost of a recording that was cut short."""
+    if reader.kind != "recording":
+        yield from reader.trajectory()
+        return
+    yield from reader.recording()
+    print_losses(reader.path, reader.info)
 
 
-def _format_samples(file: Path, thing: Kept) -> str:
-    """Return what ``stream`` reads of a recording; print what is left out, and options as of a batch run, to stderr."""
-    if not isinstance(thing, Recording):
+def _list_csv(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield parts of the tables of a file, each with the label of its table."""
+    begun: set[str] = set()
+    for piece in _read_pieces(PieceReader(file)):
+        for label, table in tables_of(piece).items():
+            if label not in begun:
+                begun.add(label)
+                yield label, format_csv_header(table)
+            for text in format_csv_rows(table):
+                yield label, text
+
+
+def _list_tum(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the poses of a file, in parts."""
+    reader = PieceReader(file)
+    if reader.kind == "recording" and "truth" not in reader.head.samples:
+        raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
+    label = "truth" if reader.kind == "recording" else ""
+    yield label, TUM_HEADER
+    for piece in _read_pieces(reader):
+        if isinstance(piece, Piece):
+            if piece.truth is not None:
+                for text in format_tum_rows(piece.truth.t_ns, piece.truth.q_nb, piece.truth.position_n_m):
+                    yield label, text
+            continue
+        if isinstance(piece, SpinReference) or piece.q_nb is None:
+            raise BadParameter(f"{file}: holds an angle about one axis, no attitude; use --format csv")
+        position = piece.position_n_m if isinstance(piece, Reference) else None
+        for text in format_tum_rows(piece.t_ns, piece.q_nb, position):
+            yield label, text
+
+
+def _list_kml(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield the path of a reference, as one text."""
+    thing = read(file)
+    if not isinstance(thing, Reference):
+        raise BadParameter(f"{file}: is no reference of an attitude; KML shows the path of one with positions")
+    yield "", kml_text(thing)
+
+
+def _list_samples(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield what ``stream`` reads of a recording; print what is left out, and options as of a batch run, to stderr."""
+    reader = PieceReader(file)
+    if reader.kind != "recording":
         raise BadParameter(f"{file}: holds no samples; give the recording that it was made from, or --format csv")
-    if thing.imu is None:
-        return csv_text(tables_of(thing)["spin"])
-    mag, declination_rad, facts = choose_magnetometer(thing)
-    notes = []
-    if mag is None:
-        notes.append(f"the heading is {facts['heading']}")
-    for what, sensor in (("fields", mag), ("fixes", thing.gps)):
-        n_unused = (
-            0 if sensor is None else len(sensor.t_ns) - int((newest_rows(sensor.t_ns, thing.imu.t_ns) >= 0).sum())
-        )
+    head = reader.head
+    if "imu" not in head.samples:
+        for label, text in _list_csv(file):
+            if label == "spin":
+                yield "stream", text
+        return
+    uses_mag, declination_rad, facts = plan_heading(head)
+    has_fix = "gps" in head.samples
+    logs = make_raw_logs(head)
+    yield "stream", f"{format_samples_header(uses_mag, has_fix)}\n"
+    for piece in reader.recording():
+        if piece.imu is None:
+            logs.keep(piece.mag, piece.gps)
+            continue
+        samples = list_arrivals(logs.add(piece.imu, piece.mag, piece.gps))
+        for line in format_csv_lines(samples, uses_mag, has_fix):
+            yield "stream", f"{line}\n"
+    print_losses(file, reader.info)
+    notes = [] if uses_mag else [f"the heading is {facts['heading']}"]
+    for what, name in (("fields", "n_mag_unused"), ("fixes", "n_fix_unused")):
+        n_unused = logs.count_unused().get(name)
         if n_unused:
             notes.append(f"{n_unused} {what} are left out as by estimate: a newer one came before the next IMU sample")
     if facts["heading"].startswith("true north"):
         notes.append(f"for true north, stream it with --declination {degrees(declination_rad)!r}")
     for text in notes:
         print_line(f"stillpoint: {file}: {text}", file=sys.stderr)
-    return "\n".join([*format_csv_lines(replay_samples(thing), mag is not None, thing.gps is not None), ""])
+
+
+_FORMATS: dict[Format, Callable[[Path], Iterator[tuple[str, str]]]] = {
+    "csv": _list_csv, "stream": _list_samples, "tum": _list_tum, "kml": _list_kml,
+}  # fmt: skip

@@ -65,7 +65,7 @@ def given(recording: Recording, **params: float) -> tuple[front.State, NDArray[n
     """The state at the end, and the stamps (s) and azimuths (deg, clockwise) of the fields that an estimator gets."""
     sources = find_sources(recording, "gps-course", params, None)
     raw, _ = make_raw_log(recording.require_imu(), sources)
-    state, log = front.filter_log(raw, front.start(sources.front), sources.front)
+    state, log = front.filter_log(raw, front.start(sources.plan.front), sources.front)
     t_s = recording.require_imu().t_ns[log.has_mag] / 1e9
     return state, t_s, log.mag_b_ut[log.has_mag]
 
@@ -190,7 +190,7 @@ def test_single_precision_is_single_throughout_and_near_double() -> None:
     raw, _ = make_raw_log(recording.require_imu(), sources)
     logs = []
     for precision in ("double", "single"):
-        c = to_precision(sources.front, precision)
+        c = to_precision(sources.plan.front, precision)
         logs.append(front.filter_log(to_precision(raw, precision), to_precision(front.start(c), precision), c)[1])
     assert logs[1].mag_b_ut.dtype == np.float32
     assert np.abs(logs[0].mag_b_ut - logs[1].mag_b_ut).max() < 0.05

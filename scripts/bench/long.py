@@ -1,0 +1,119 @@
+"""Time and peak memory of verbs on one recording of many hours; docs/scale.md holds the figures.
+
+    python -m stillpoint.scripts.bench.long FOLDER --hours 24 --rate 200 'estimate -e cf' 'export --format csv'
+
+The recording (noise in all digits: the worst case for compression) is made in FOLDER piece by piece, and stays there.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from stillpoint.datasets.mcap.store import open_recording
+from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece
+from stillpoint.scripts.shared.output import print_line
+
+START_NS = 1_700_000_000_000_000_000
+PIECE_S = 600
+MAG_EVERY, GPS_HZ = 4, 1  # a field with every fourth sample of the IMU
+REST_S, TURN_S = 60, 240  # at rest, then turning, in turn: what a reference and the doctor look for
+
+# The peak of a process of its own and of those that it starts.
+_MEASURE = """
+import json, resource, sys, time
+from stillpoint.scripts.main import main
+begun, code = time.perf_counter(), 0
+try:
+    main()
+except SystemExit as end:
+    code = end.code
+used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+with open("/proc/self/status") as status:  # ru_maxrss of a process begins with that of its parent
+    own_kb = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+print(json.dumps({"wall_s": time.perf_counter() - begun, "user_s": sum(one.ru_utime + one.ru_stime for one in used),
+                  "peak_mb": max(own_kb, used[1].ru_maxrss) / 1e3, "code": code}), file=sys.stderr)
+"""
+
+
+def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0) -> int:
+    """Write a recording of an IMU, a magnetometer and satellite fixes; return the samples of its IMU."""
+    pieces = _make_pieces(hours, rate_hz, seed)
+    first = next(pieces)
+    head = Head(path.stem, Info(source="made for timing", date="2026-01-01", epoch="unix"), {})
+    samples = 0
+    with open_recording(path, head, first) as out:
+        piece: Piece | None = first
+        while piece is not None:
+            assert piece.imu is not None
+            samples += len(piece.imu.t_ns)
+            out.add(piece, int(piece.imu.t_ns[-1]) + 1)
+            piece = next(pieces, None)
+        out.close(head)
+    return samples
+
+
+def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
+    rng = np.random.default_rng(seed)
+    for begin_s in range(0, round(hours * 3600), PIECE_S):
+        n = PIECE_S * rate_hz
+        t_ns = START_NS + begin_s * 1_000_000_000 + np.arange(n, dtype=np.int64) * (1_000_000_000 // rate_hz)
+        t_s = begin_s + np.arange(n) / rate_hz
+        # The heading swings by 60 deg in each turn and comes back; the body stays level.
+        phase = np.maximum((t_s % (REST_S + TURN_S)) - REST_S, 0) / TURN_S * 2 * np.pi
+        yaw = np.pi / 6 * (1 - np.cos(phase))
+        rate = np.pi / 6 * np.sin(phase) * 2 * np.pi / TURN_S
+        gyro = rng.normal(size=(n, 3)) * 0.005 + rate[:, None] * np.array([0, 0, 1.0])
+        accel = rng.normal(size=(n, 3)) * 0.02 + np.array([0, 0, 9.81])
+        of_mag, of_gps = slice(None, None, MAG_EVERY), slice(None, None, rate_hz // GPS_HZ)
+        field = 20 * np.stack([np.sin(yaw), np.cos(yaw), np.full(n, -2.0)], axis=1)[of_mag]
+        fixes = len(t_ns[of_gps])
+        yield Piece(
+            imu=Imu(t_ns, gyro, accel),
+            mag=Mag(t_ns[of_mag], field + rng.normal(size=field.shape) * 0.3),
+            gps=Gps(
+                t_ns[of_gps],
+                *(np.full(fixes, value) for value in (48.0, 11.0, 500.0, 0.0, 0.0)),
+                valid=np.ones(fixes, np.bool_),
+            ),
+        )
+
+
+def measure_verb(verb: str, path: Path) -> dict[str, float]:
+    """Run a verb on a file in a process of its own; return wall and CPU seconds, peak memory in MB and exit code."""
+    name, *options = verb.split()
+    command = [sys.executable, "-c", _MEASURE, name, str(path), *options]
+    run = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
+    measured: dict[str, float] = json.loads(run.stderr.strip().splitlines()[-1])
+    return measured
+
+
+def _main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--rate", type=int, default=200)
+    parser.add_argument("verbs", nargs="*", help="a verb with its options, in quotes")
+    given = parser.parse_intermixed_args()
+    path = given.folder / f"long-{given.hours:g}h-{given.rate}hz.mcap"
+    if not path.exists():
+        begun = time.perf_counter()
+        count = write_long_recording(path, given.hours, given.rate)
+        seconds, size_mb = time.perf_counter() - begun, path.stat().st_size / 1e6
+        print_line(f"{path.name}: {count} samples, {size_mb:.0f} MB in {seconds:.0f} s", flush=True)
+    for verb in given.verbs:
+        found = measure_verb(verb, path)
+        print_line(
+            f"{verb}: {found['wall_s']:.1f} s, CPU {found['user_s']:.1f} s, peak {found['peak_mb']:.0f} MB, "
+            f"exit code {found['code']:g}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    _main()
