@@ -6,6 +6,7 @@ Therefore a candidate is dropped if gravity's direction turns during it, or if i
 recording. An IMU alone cannot distinguish rest from a recording that only turns steadily about the vertical.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -46,21 +47,74 @@ def find_rests(imu: Imu, params: RestParams = RestParams()) -> Times:
 
     The stamps may be irregular; no rest extends across a gap of half a window.
     """
-    if len(imu.t_ns) < 3:
-        return np.empty((0, 2), dtype=np.int64)
-    t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
-    narrow, wide = _windows(t_s, params.smooth_s), _windows(t_s, params.window_s)
-    gyro_sd, gyro_noise = _deviation(imu.gyro_b_radps, narrow, wide)
-    accel_sd, accel_noise = _deviation(imu.accel_b_mps2, narrow, wide)
-    calmest = np.argmin(gyro_sd / params.gyro_sd_radps + accel_sd / params.accel_sd_mps2)
-    gyro_limit = _limit(params.gyro_sd_radps, gyro_noise[calmest], params)
-    accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
+    finder = RestFinder(params)
+    finder.add(imu)
+    return finder.rests_ns()
 
-    still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(imu.t_ns), wide, params)
-    spans = _cut_edges(t_s, _widened(_runs(still), wide), params)
-    spans = spans[[_keeps_tilt(imu, t_s, span, params) for span in spans]] if len(spans) else spans
-    spans = spans[_at_bias(imu, spans, gyro_sd, params)]
-    return imu.t_ns[spans]
+
+class RestFinder:
+    """Finds rests in an IMU that comes piece by piece, in the memory of one piece.
+
+    Limits that follow the sensor's noise are those of each piece; the rest bias is that of all pieces. A rest that the
+    end of a piece cuts is joined again; a part of it shorter than ``min_rest_s`` is lost.
+    """
+
+    def __init__(self, params: RestParams = RestParams()) -> None:
+        self._params = params
+        self._found: list[_Span] = []
+        self._last_ns = 0  # last stamp so far
+
+    def add(self, imu: Imu) -> None:
+        """Take the next samples."""
+        params, t_ns = self._params, imu.t_ns
+        before_ns, self._last_ns = self._last_ns, int(t_ns[-1])
+        if len(t_ns) < 3:
+            return
+        t_s = (t_ns - t_ns[0]) / 1e9
+        narrow, wide = _windows(t_s, params.smooth_s), _windows(t_s, params.window_s)
+        gyro_sd, gyro_noise = _deviation(imu.gyro_b_radps, narrow, wide)
+        accel_sd, accel_noise = _deviation(imu.accel_b_mps2, narrow, wide)
+        calmest = np.argmin(gyro_sd / params.gyro_sd_radps + accel_sd / params.accel_sd_mps2)
+        gyro_limit = _limit(params.gyro_sd_radps, gyro_noise[calmest], params)
+        accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
+
+        still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(t_ns), wide, params)
+        spans = _cut_edges(t_s, _widened(_runs(still), wide), params)
+        for span in spans:
+            if not _keeps_tilt(imu, t_s, span, params):
+                continue
+            first, last = int(span[0]), int(span[1])
+            rows = slice(first, last + 1)
+            mean, calm = imu.gyro_b_radps[rows].mean(axis=0), float(np.median(gyro_sd[rows]))
+            one = _Span(int(t_ns[first]), int(t_ns[last]), last + 1 - first, mean, calm)
+            is_next = first == 0 and t_ns[0] - before_ns <= params.window_s / 2 * 1e9
+            if is_next and self._found and self._found[-1].end_ns == before_ns:
+                one = self._found.pop().join(one)
+            self._found.append(one)
+
+    def rests_ns(self) -> Times:
+        """Return first and last stamp of each rest (R, 2)."""
+        spans = np.array([(one.start_ns, one.end_ns) for one in self._found], np.int64).reshape(-1, 2)
+        return spans[_at_bias(self._found, self._params)]
+
+
+@dataclass(frozen=True)
+class _Span:
+    """A stretch that may be a rest."""
+
+    start_ns: int
+    end_ns: int
+    samples: int
+    rate_b_radps: Floats  # (3,) mean
+    calm_radps: float  # median deviation of the smoothed rate
+
+    def join(self, after: "_Span") -> "_Span":
+        """Return this stretch and the one that goes on with it as one."""
+        total = self.samples + after.samples
+        share = after.samples / total
+        rate = (1 - share) * self.rate_b_radps + share * after.rate_b_radps
+        calm = (1 - share) * self.calm_radps + share * after.calm_radps
+        return _Span(self.start_ns, after.end_ns, total, rate, calm)
 
 
 @compiled
@@ -151,19 +205,19 @@ def _keeps_tilt(imu: Imu, t_s: Floats, span: Times, params: RestParams) -> bool:
     return bool(turned <= params.tilt_change_rad)
 
 
-def _at_bias(imu: Imu, spans: Times, gyro_sd: Floats, params: RestParams) -> NDArray[np.bool_]:
+def _at_bias(spans: Sequence[_Span], params: RestParams) -> NDArray[np.bool_]:
     """Return which spans show the gyro's rest bias, which may drift slowly from rest to rest.
 
     The rest bias is the mean rate that most spans share, among the spans about as calm as the calmest; in a tie the
     smallest mean rate wins.
     """
     keep = np.zeros(len(spans), dtype=np.bool_)
-    rates = np.array([imu.gyro_b_radps[start : end + 1].mean(axis=0) for start, end in spans]).reshape(-1, 3)
+    rates = np.array([one.rate_b_radps for one in spans]).reshape(-1, 3)
     size = np.linalg.norm(rates, axis=1)
     able = np.flatnonzero(size <= params.bias_limit_radps)
     if len(able) == 0:
         return keep
-    calm = np.array([np.median(gyro_sd[start : end + 1]) for start, end in spans])
+    calm = np.array([one.calm_radps for one in spans])
     calmest = able[calm[able] <= 2 * calm[able].min()]
     gaps = np.linalg.norm(rates[calmest, None] - rates[None, able], axis=2)
     votes = (gaps <= params.bias_change_radps).sum(axis=1)

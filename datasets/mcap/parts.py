@@ -70,9 +70,9 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
     streams: dict[str, Any] = {}
     for name in STREAMS:
         pieces = [one for part in ordered if (one := getattr(part, name)) is not None]
-        streams[name] = _join_streams(pieces) if pieces else None
+        streams[name] = join_streams(pieces) if pieces else None
     names = dict.fromkeys(name for part in ordered for name in part.extra)
-    others = {name: _join_streams([part.extra[name] for part in ordered if name in part.extra]) for name in names}
+    others = {name: join_streams([part.extra[name] for part in ordered if name in part.extra]) for name in names}
     info = ordered[0].info
     extra = {key: value for key, value in info.extra.items() if key not in (WHOLE, PART)}
     return replace(ordered[0], name=whole, info=replace(info, extra=extra), extra=others, **streams)
@@ -83,7 +83,8 @@ def read_parts(paths: Sequence[Path]) -> Recording:
     return join_recordings([read_recording(path) for path in paths])
 
 
-def _join_streams(pieces: Sequence[Any]) -> Any:
+def join_streams(pieces: Sequence[Any]) -> Any:
+    """Return the samples of the same stream in several parts, as one stream."""
     columns: dict[str, Any] = {}
     for each in fields(pieces[0]):
         values = [getattr(piece, each.name) for piece in pieces]

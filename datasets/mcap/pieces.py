@@ -38,6 +38,7 @@ from stillpoint.datasets.recording import Head, Info, Piece
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
 PIECE_ROWS = 1 << 17  # messages of one topic in a piece, and up to a chunk more: 11 minutes at 200 Hz
+AnyPiece = Piece | Reference | SpinReference | Estimate
 _CHUNK_HEAD = struct.Struct("<Q")  # message_start_time
 _INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the entries
 
@@ -85,6 +86,10 @@ class PieceReader:
         }
         pose = self.facts["base_pose"]
         return Head(self.facts["name"], self.info, samples, None if pose is None else np.array(pose, np.float64))
+
+    def pieces(self) -> Iterator[AnyPiece]:
+        """Yield the pieces of a file of any kind; raises :class:`BadFile`."""
+        yield from self.recording() if self.kind == "recording" else self.trajectory()
 
     def recording(self) -> Iterator[Piece]:
         """Yield the pieces of a recording; raises :class:`BadFile`, also for sizes that do not fit their units."""

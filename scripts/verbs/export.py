@@ -11,11 +11,11 @@ from typing import Literal
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.trajectories import TUM_HEADER, format_tum_rows
 from stillpoint.datasets.kml import kml_text
-from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.pieces import AnyPiece, PieceReader
 from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.recording import Piece
 from stillpoint.datasets.tables import format_csv_header, format_csv_rows, tables_of
-from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
+from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.filters.front.sources import plan_heading
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
@@ -88,13 +88,11 @@ def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
     return list(puts)
 
 
-def _read_pieces(reader: PieceReader) -> Iterator[Piece | Reference | SpinReference | Estimate]:
+def _read_pieces(reader: PieceReader) -> Iterator[AnyPiece]:
     """Yield the pieces of a file of any kind; print to stderr what is lost of a recording that was cut short."""
-    if reader.kind != "recording":
-        yield from reader.trajectory()
-        return
-    yield from reader.recording()
-    print_losses(reader.path, reader.info)
+    yield from reader.pieces()
+    if reader.kind == "recording":
+        print_losses(reader.path, reader.info)
 
 
 def _list_csv(file: Path) -> Iterator[tuple[str, str]]:

@@ -1,6 +1,7 @@
 """``stillpoint info``: print what is in a recording, reference or estimate."""
 
 import sys
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,23 +9,27 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from stillpoint.datasets import BadFile
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.files.remote import is_url
 from stillpoint.datasets.mcap.facts import info_from
-from stillpoint.datasets.mcap.store import read
+from stillpoint.datasets.mcap.parts import join_streams
+from stillpoint.datasets.mcap.pieces import AnyPiece, PieceReader
 from stillpoint.datasets.mcap.summary import FileSummary, summarise
-from stillpoint.datasets.recording import Floats, Info, Recording, Spin, Times, rate_hz
+from stillpoint.datasets.recording import TRUTHS, Floats, Gps, Info, Piece, SpinGeometry, Times
+from stillpoint.datasets.running import ClockFacts, RunningClock, ThinnedValues
 from stillpoint.datasets.spin import find_saturated
-from stillpoint.datasets.times import find_gaps
+from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
 from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs
 from stillpoint.scripts.shared.inputs import mcap_files
 from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
-from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
+STREAM_ORDER = ("imu", "mag", "gps", "spin", "encoder", *TRUTHS)
+ROWS_AT_ONCE = 1 << 19  # samples among which rests are looked for together: 44 minutes at 200 Hz
 LARGE_BYTES = 64 << 20  # a file above this is summarised: reading 64 MiB takes about a second
 COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
@@ -50,8 +55,8 @@ def info(
     paths
         MCAP files, folders or globs: recordings, references and estimates.
     full
-        Read and check every sample of a large file too, to count gaps and find rests. Without it a file of more than
-        64 MiB is summarised from its index and a few chunks.
+        Read and check every sample of a large file too, to count gaps and find rests, in bounded memory. Without it a
+        file of more than 64 MiB is summarised from its index and a few chunks.
     units_unchecked
         Open recordings whose sizes do not fit their units.
     jobs
@@ -83,7 +88,7 @@ def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]
     is_large = not is_url(path) and path.is_file() and path.stat().st_size > LARGE_BYTES
     if is_url(path) or (is_large and not full):
         return _list_summary_facts(path, summarise(path))
-    return _list_facts(path, read(path, units_unchecked))
+    return _list_all_facts(PieceReader(path, units_unchecked, ROWS_AT_ONCE))
 
 
 def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
@@ -117,46 +122,128 @@ def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
     return facts | {key: summary.facts[key] for key in ("method", "params", "made_from") if key in summary.facts}
 
 
-def _list_facts(path: Path, thing: Recording | Reference | SpinReference | Estimate) -> dict[str, Any]:
-    """Return the facts about the content of one file."""
-    if isinstance(thing, Recording):
-        return {"file": str(path), "kind": "recording", "name": thing.name, **_list_recording_facts(thing)}
-    name = thing.recording if isinstance(thing, Estimate) else thing.name
-    facts: dict[str, Any] = {
-        "file": str(path),
-        "kind": "estimate",
-        "name": name,
-        "streams": [_describe_clock("q_nb", thing.t_ns)],
-    }
-    if isinstance(thing, Reference):
-        sd_deg = np.rad2deg(total_sd_rad(thing.cov_b_rad2))
-        returns = [one.accepted for one in thing.returns]
-        facts |= {"kind": "reference", "method": thing.method, "rests": _list_spans(thing.rests_ns, thing.t_ns)}
-        facts |= {"returns": len(returns), "returns_accepted": sum(returns)}
-        facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
-        facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
-        facts |= {name: thing.diagnostics[name] for name in SHOWN if name in thing.diagnostics}
-    elif isinstance(thing, SpinReference):
-        sd_deg = np.rad2deg(thing.angle_sd_rad)
-        facts |= {"kind": "roll reference", "method": thing.method, "streams": [_describe_clock("angle", thing.t_ns)]}
-        facts |= {"sd_median_deg": float(np.median(sd_deg)), "sd_max_deg": float(sd_deg.max())}
+def _list_all_facts(reader: PieceReader) -> dict[str, Any]:
+    """Return the facts about the content of one file, from all of its samples."""
+    content: _Recording | _Trajectory = _Recording() if reader.kind == "recording" else _Trajectory()
+    clocks: dict[str, RunningClock] = {}
+    for piece in reader.pieces():
+        content.add(piece)
+        for name, t_ns in _list_clocks(piece):
+            clocks.setdefault(name, RunningClock(GAP_STEPS)).add(t_ns)
+    unsure = {name: clock for name, clock in clocks.items() if not clock.has_all_gaps}
+    if unsure:
+        again = {name: RunningClock(GAP_STEPS, clock.median_step_ns) for name, clock in unsure.items()}
+        for piece in reader.pieces():
+            for name, t_ns in _list_clocks(piece):
+                if name in again:
+                    again[name].add(t_ns)
+        clocks |= again
+    found = {name: clock.facts() for name, clock in clocks.items()}
+    order = [name for name in STREAM_ORDER if name in found] + [name for name in found if name not in STREAM_ORDER]
+    streams = [_describe_clock(name, found[name]) for name in order]
+    return {"file": str(reader.path), "kind": reader.kind, **content.list_facts(reader, found, streams)}
+
+
+def _list_clocks(piece: AnyPiece) -> Iterator[tuple[str, Times]]:
+    """Yield the stamps of each stream of a piece by its name."""
+    if isinstance(piece, Piece):
+        yield from piece.streams()
     else:
-        facts |= {"estimator": thing.name, "ns_per_sample": thing.ns_per_sample}
-        facts["not_ready"] = 0 if thing.ready is None else int((~thing.ready).sum())
-    return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
+        yield "angle" if isinstance(piece, SpinReference) else "q_nb", piece.t_ns
 
 
-def _list_recording_facts(recording: Recording) -> dict[str, Any]:
-    info = recording.info
-    imu = recording.imu
-    facts = {
-        "duration_s": recording.duration_s,
-        "streams": [_describe_clock(name, t_ns) for name, t_ns in recording.streams()],
-        "rests": [] if imu is None else _list_spans(find_rests_at_default(recording), imu.t_ns),
-        "base_pose": None if recording.base_pose is None else recording.base_pose.tolist(),
-        "spin": [] if recording.spin is None else _describe_spin(recording.spin),
-    }
-    return facts | _list_provenance(info)
+class _Recording:
+    """Gathers what the samples of a recording say besides their clocks."""
+
+    def __init__(self) -> None:
+        from stillpoint.smoother.rest import RestFinder
+
+        self._rests = RestFinder()
+        self._fixes: list[Gps] = []
+        self._geometry: SpinGeometry | None = None
+        self._saturated = self._missing = np.zeros(0, np.int64)
+
+    def add(self, piece: AnyPiece) -> None:
+        """Take the next samples."""
+        assert isinstance(piece, Piece)
+        if piece.imu is not None:
+            self._rests.add(piece.imu)
+        if piece.gps is not None:
+            self._fixes.append(piece.gps)
+        if piece.spin is not None:
+            if self._geometry is None:
+                self._geometry = piece.spin.geometry
+                self._saturated = self._missing = np.zeros(piece.spin.accel_mps2.shape[1], np.int64)
+            self._saturated = self._saturated + find_saturated(piece.spin).sum(axis=0)
+            self._missing = self._missing + (~np.isfinite(piece.spin.accel_mps2)).sum(axis=0)
+
+    def list_facts(
+        self, reader: PieceReader, clocks: Mapping[str, ClockFacts], streams: list[dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Return the facts in the order in which they are printed."""
+        head = reader.head
+        sensors = [clock for name, clock in clocks.items() if name not in TRUTHS]
+        rests: list[dict[str, float]] = []
+        if "imu" in clocks:
+            from stillpoint.smoother.attitude.outside.satellite import not_under_way
+
+            gps = join_streams(self._fixes) if self._fixes else None
+            rests = _list_spans(not_under_way(self._rests.rests_ns(), gps), clocks["imu"].first_ns)
+        geometry = self._geometry
+        return {
+            "name": head.name,
+            "duration_s": (max(one.last_ns for one in sensors) - min(one.first_ns for one in sensors)) / 1e9,
+            "streams": streams,
+            "rests": rests,
+            "base_pose": None if head.base_pose is None else head.base_pose.tolist(),
+            "spin": [] if geometry is None else _describe_spin(geometry, self._saturated, self._missing),
+            **_list_provenance(reader.info),
+        }
+
+
+class _Trajectory:
+    """Gathers what the samples of a reference or estimate say besides their clock."""
+
+    def __init__(self) -> None:
+        self._sd_deg = ThinnedValues()
+        self._sd_max_deg = 0.0
+        self._unready = 0
+        self._last: Reference | SpinReference | Estimate | None = None  # every piece has all facts
+
+    def add(self, piece: AnyPiece) -> None:
+        """Take the next samples."""
+        assert not isinstance(piece, Piece)
+        self._last = piece
+        if isinstance(piece, Estimate):
+            self._unready += 0 if piece.ready is None else int((~piece.ready).sum())
+            return
+        sd_rad = total_sd_rad(piece.cov_b_rad2) if isinstance(piece, Reference) else piece.angle_sd_rad
+        self._sd_deg.add(np.rad2deg(sd_rad))
+        self._sd_max_deg = max(self._sd_max_deg, float(np.rad2deg(sd_rad).max()))
+
+    def list_facts(
+        self, reader: PieceReader, clocks: Mapping[str, ClockFacts], streams: list[dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Return the facts in the order in which they are printed."""
+        thing = self._last
+        if thing is None:
+            raise BadFile(f"{reader.path}: holds no sample; make it anew")
+        facts: dict[str, Any] = {"name": thing.recording if isinstance(thing, Estimate) else thing.name}
+        facts["streams"] = streams
+        if isinstance(thing, Estimate):
+            facts |= {"estimator": thing.name, "ns_per_sample": thing.ns_per_sample, "not_ready": self._unready}
+            return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
+        facts["method"] = thing.method
+        sd = {"sd_median_deg": float(np.median(self._sd_deg.values())), "sd_max_deg": self._sd_max_deg}
+        if isinstance(thing, Reference):
+            returns = [one.accepted for one in thing.returns]
+            facts["rests"] = _list_spans(thing.rests_ns, clocks["q_nb"].first_ns)
+            facts |= {"returns": len(returns), "returns_accepted": sum(returns), **sd}
+            facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
+            facts |= {name: thing.diagnostics[name] for name in SHOWN if name in thing.diagnostics}
+        else:
+            facts |= sd
+        return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
 
 
 def _list_provenance(info: Info) -> dict[str, Any]:
@@ -175,13 +262,8 @@ def _list_provenance(info: Info) -> dict[str, Any]:
     }
 
 
-def _describe_spin(spin: Spin) -> list[str]:
+def _describe_spin(geometry: SpinGeometry, saturated: Times, missing: Times) -> list[str]:
     """Return lines about the single-axis sensors: place, axis, and how many values are saturated or missing."""
-    geometry, full, missing = (
-        spin.geometry,
-        find_saturated(spin).sum(axis=0),
-        (~np.isfinite(spin.accel_mps2)).sum(axis=0),
-    )
     lines = ["on a fixed axis (a motor's shaft)" if geometry.fixed_axis else "free to turn about all axes"]
     for k, (arm, axis) in enumerate(zip(geometry.accel_r_b_m, geometry.accel_axis_b, strict=True)):
         limit = (
@@ -190,7 +272,7 @@ def _describe_spin(spin: Spin) -> list[str]:
             else f", range {geometry.accel_range_mps2[k] / STANDARD_GRAVITY_MPS2:.3g} g"
         )
         place = "arm not known" if np.isnan(arm).any() else f"arm {_format_vector(arm)} m"
-        spoilt = f", {full[k]} saturated" * bool(full[k]) + f", {missing[k]} missing" * bool(missing[k])
+        spoilt = f", {saturated[k]} saturated" * bool(saturated[k]) + f", {missing[k]} missing" * bool(missing[k])
         lines.append(f"accelerometer {k + 1}: {place}, axis {_format_vector(axis)}{limit}{spoilt}")
     return lines + [f"gyro {k + 1}: axis {_format_vector(axis)}" for k, axis in enumerate(geometry.gyro_axis_b)]
 
@@ -199,23 +281,21 @@ def _format_vector(values: Floats) -> str:
     return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
-def _describe_clock(name: str, t_ns: Times) -> dict[str, Any]:
-    steps_s = np.diff(t_ns) / 1e9
-    gaps_s = steps_s[find_gaps(t_ns)]
+def _describe_clock(name: str, clock: ClockFacts) -> dict[str, Any]:
     return {
         "stream": name,
-        "samples": len(t_ns),
-        "rate_hz": rate_hz(t_ns),
-        "start_s": float(t_ns[0]) / 1e9,
-        "length_s": float(t_ns[-1] - t_ns[0]) / 1e9,
-        "gaps": len(gaps_s),
-        "longest_gap_s": float(gaps_s.max()) if len(gaps_s) else 0.0,
+        "samples": clock.samples,
+        "rate_hz": 1e9 / clock.step_ns if clock.step_ns else 0.0,
+        "start_s": clock.first_ns / 1e9,
+        "length_s": (clock.last_ns - clock.first_ns) / 1e9,
+        "gaps": clock.gaps,
+        "longest_gap_s": clock.longest_gap_ns / 1e9,
     }
 
 
-def _list_spans(rests_ns: Times, t_ns: Times) -> list[dict[str, float]]:
+def _list_spans(rests_ns: Times, first_ns: int) -> list[dict[str, float]]:
     """Return start and length of rests, in s from the first sample."""
-    return [{"start_s": float(start - t_ns[0]) / 1e9, "length_s": float(end - start) / 1e9} for start, end in rests_ns]
+    return [{"start_s": float(start - first_ns) / 1e9, "length_s": float(end - start) / 1e9} for start, end in rests_ns]
 
 
 def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
