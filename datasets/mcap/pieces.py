@@ -7,7 +7,7 @@ time. A file that is no plain row of chunks with message indexes, or is behind a
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -18,6 +18,7 @@ from mcap.records import Channel, Metadata
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.files.remote import is_url
 from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, RECORD_HEAD
+from stillpoint.datasets.mcap.indexed import Window, read_part
 from stillpoint.datasets.mcap.reader import Log, read_log, read_pieces
 from stillpoint.datasets.mcap.scan import DamagedError, Scan, parse_record
 from stillpoint.datasets.mcap.store import (
@@ -34,7 +35,7 @@ from stillpoint.datasets.mcap.store import (
 )
 from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS
 from stillpoint.datasets.plausible import UnitCheck
-from stillpoint.datasets.recording import Head, Info, Piece
+from stillpoint.datasets.recording import Head, Info, Piece, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
 PIECE_ROWS = 1 << 17  # messages of one topic in a piece, and up to a chunk more: 11 minutes at 200 Hz
@@ -128,6 +129,28 @@ class PieceReader:
                 ends_ns[name] = int(topic.t_ns[-1]) if len(topic.t_ns) else ends_ns.get(name, -1)
             yield log
         check_counts(self._last, self._samples)
+
+
+def read_window(path: Path | str, window: Window, units_unchecked: bool = False) -> Recording:
+    """Return the samples of a recording within a range of time, through the index of the file, as a recording.
+
+    Raises :class:`BadFile` when there is no sample of gyro and accelerometer, or of a spinning body's sensors.
+    """
+    log = read_part(path, window=window, columns=OWN_COLUMNS)
+    log = replace(log, topics={name: topic for name, topic in log.topics.items() if is_own_topic(name)})
+    kind, facts = open_facts(log)
+    if kind != "recording":
+        raise BadFile(f"{path}: holds one {kind}; this needs one recording")
+    check_readable(log)
+    samples, absent = facts.pop("samples"), facts.pop("absent")
+
+    def make() -> Recording:
+        streams, extra = make_streams(log, facts, absent)
+        info = make_info(log, facts, samples, units_unchecked)
+        pose = None if facts["base_pose"] is None else np.array(facts["base_pose"], np.float64)
+        return Recording(facts["name"], base_pose=pose, info=info, extra=extra, **streams)
+
+    return make_checked(log, make)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,11 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from stillpoint.datasets.doctor import SEVERITIES, Diagnosis, Finding, Remedy, Severity, apply, diagnose
+from stillpoint.datasets.doctor.stretches import choose_stretches, merge_diagnoses
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.importers.options import parse_date, parse_place
+from stillpoint.datasets.mcap.indexed import Window
+from stillpoint.datasets.mcap.pieces import read_window
 from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.names import make_printable
 from stillpoint.datasets.recording import Recording
@@ -68,6 +71,9 @@ def doctor(
     Axes, signs, units, clocks, lags, clipping, the field, noise, bias, and the truth. Findings do not change the exit
     code; a file that cannot be read makes it 2, and the others are tested. Several files end in a summary, and their
     facts stand in the JSON only.
+
+    A recording of more than a million samples of its IMU is examined by four stretches, which a fact names; with
+    --repair it is read whole.
 
     Parameters
     ----------
@@ -137,17 +143,34 @@ def _shown_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
 
 def _examine_file(job: _Job) -> _Examined:
     """Diagnose one file and write the repaired recording where that is asked for."""
-    recording = read_recording(job.source, units_unchecked=True)
-    info = recording.info
-    if job.place is not None or job.date:
-        place = info.place_lat_lon_alt if job.place is None else job.place
-        recording = replace(recording, info=replace(info, place_lat_lon_alt=place, date=job.date or info.date))
+    stretches = choose_stretches(job.source) if job.target is None else []
+    if stretches:
+        return _Examined(_examine_stretches(job, stretches), 0)
+    recording = _place_recording(job, read_recording(job.source, units_unchecked=True))
     diagnosis = examine(recording)
     if job.target is None:
         return _Examined(diagnosis, 0)
     remedies = select_remedies(diagnosis, job.skip)
     write(job.target, apply(recording, remedies))
     return _Examined(diagnosis, len(remedies))
+
+
+def _examine_stretches(job: _Job, stretches: Sequence[Window]) -> Diagnosis:
+    """Diagnose a long recording by some stretches, of which one is in memory at a time."""
+    made = []
+    for stretch in stretches:
+        recording = read_window(job.source, stretch, units_unchecked=True)
+        made.append((stretch, examine(_place_recording(job, recording))))
+    return merge_diagnoses(made)
+
+
+def _place_recording(job: _Job, recording: Recording) -> Recording:
+    """Return the recording with the place and the date that the user knows."""
+    info = recording.info
+    if job.place is None and not job.date:
+        return recording
+    place = info.place_lat_lon_alt if job.place is None else job.place
+    return replace(recording, info=replace(info, place_lat_lon_alt=place, date=job.date or info.date))
 
 
 def _print_summary(made: Sequence[Diagnosis], severities: tuple[Severity, ...]) -> None:
