@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import M, V, X
+from gtsam.symbol_shorthand import L, M, V, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.marginals import compute_covariances, eliminate, multiply_covariance
 from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.returns import closing_square
+from stillpoint.smoother.attitude.returns import closing_error, closing_square
 from stillpoint.smoother.attitude.solve import Solution, make_unobservable, rotations_of
 
 MOST_RETURNS = 6  # that count in the covariance factor
@@ -47,53 +47,55 @@ def compute_accuracy(
     heading and a mounting, fitted to all counted states. Raises :class:`Unobservable` when there are no covariances:
     the iterations also converge where the graph does not determine all unknowns.
     """
-    shared = _shared_errors(rotations_of(solution.values, counted))  # (K, 3, 4)
+    values = solution.values
+    shared = _shared_errors(rotations_of(values, counted))  # (K, 3, 4)
+    poses = [X(int(i)) for i in states]
+    velocities = [V(int(i)) for i in states] if with_velocity else []
+    others = [M(0), *(L(0) for _ in returns[:1]), *(X(int(i)) for i in (*counted, *returns))]
     try:
-        trees = [
-            _push(solution, counted, shared[:, :, column]).eliminateMultifrontal(solution.ordering)
-            for column in range(shared.shape[2])
-        ]
-        pose = np.array([trees[0].marginalCovariance(X(int(i))) for i in states])
-        velocity = np.array([_velocity_covariance(trees[0], int(i)) for i in states]) if with_velocity else None
-        calibration = trees[0].marginalCovariance(M(0))
-        closing = [closing_square(trees[0], solution.values, state, params) for state in returns]
+        eliminated = eliminate(solution.system, solution.ordering, [*poses, *velocities, *others])
     except RuntimeError as error:
         raise make_unobservable(name) from error
+    *found, calibration = compute_covariances(eliminated, [*poses, *velocities, M(0)])
+    pose = np.array(found[: len(states)])
     attitude = pose[:, :3, :3]
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise make_unobservable(name)
-    moved = [tree.optimize() for tree in trees]
+
+    def turns(which: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the scalars (n, 3) of the turns of states."""
+        return eliminated.first[[eliminated.number[X(int(i))] for i in which]][:, None] + np.arange(3)
+
+    # The product of the covariance with a column b is the covariance with b' d: first with the means of A' d, then with
+    # the headings of the returns against the common pose.
+    columns = np.zeros((eliminated.first[-1], shared.shape[2] + len(returns)))
+    columns[turns(counted), : shared.shape[2]] = shared / len(counted)
+    errors_rad = []
+    for column, state in enumerate(returns, start=shared.shape[2]):
+        error_rad, up_b = closing_error(values, state)
+        columns[turns([state])[0], column] = up_b
+        columns[eliminated.first[eliminated.number[L(0)]] + np.arange(3), column] = -up_b
+        errors_rad.append(error_rad)
+    products = multiply_covariance(eliminated, columns)
+    variances = (columns * products).sum(axis=0)[shared.shape[2] :].tolist()
+    closing = [closing_square(*pair, params) for pair in zip(errors_rad, variances, strict=True)]
 
     def covariance_with_means(which: NDArray[np.int64]) -> Floats:
         """Return cov(d, mean of A' d), (n, 3, 4)."""
-        keys = [X(int(i)) for i in which]
-        before = np.array([solution.last_step.at(key)[:3] for key in keys])
-        return np.stack([np.array([each.at(key)[:3] for key in keys]) - before for each in moved], axis=2)
+        return np.asarray(products[turns(which), : shared.shape[2]])
 
     of_means = np.mean(shared.transpose(0, 2, 1) @ covariance_with_means(counted), axis=0)  # cov of the means, (4, 4)
-    with_means, here = covariance_with_means(states), _shared_errors(rotations_of(solution.values, states))
+    with_means, here = covariance_with_means(states), _shared_errors(rotations_of(values, states))
     of_heading = _subtract_shared(attitude, with_means[:, :, :1], of_means[:1, :1], here[:, :, :1])
     fit = np.linalg.pinv(np.mean(shared.transpose(0, 2, 1) @ shared, axis=0), rcond=LEAST_SHARE, hermitian=True)
     relative = _subtract_shared(attitude, with_means @ fit, fit @ of_means @ fit, here)
     relative = _replace_indefinite(_replace_indefinite(relative, of_heading), attitude)
     mounting = _nearest_covariance(np.mean(of_heading - relative, axis=0))
-    turn = rotations_of(solution.values, states)
+    turn = rotations_of(values, states)
     position = turn @ pose[:, 3:, 3:] @ turn.transpose(0, 2, 1)
     heading_rad2 = float(of_means[0, 0])
+    velocity = np.array(found[len(states) :]) if with_velocity else None
     return Accuracy(relative, heading_rad2, mounting, calibration, position, velocity, tuple(closing))
-
-
-def _velocity_covariance(tree: gtsam.GaussianBayesTree, state: int) -> Floats:
-    """Return the covariance (3, 3) of a velocity.
-
-    Where a velocity is hardly known, gtsam takes the last pivot of its own marginal for zero; together with the pose it
-    does not.
-    """
-    try:
-        return np.asarray(tree.marginalCovariance(V(state)))
-    except RuntimeError:
-        joint = tree.jointMarginalCovariance(gtsam.KeyVector([X(state), V(state)]))
-        return np.asarray(joint.at(V(state), V(state)))
 
 
 @dataclass(frozen=True)
@@ -156,17 +158,3 @@ def _nearest_covariance(matrix: Floats) -> Floats:
     """Return a symmetric matrix (3, 3) without its negative eigenvalues."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
-def _push(solution: Solution, counted: NDArray[np.int64], columns: Floats) -> gtsam.GaussianFactorGraph:
-    """Return the system with another right side, which moves its solution by the covariance with a mean s.
-
-    s = b' d with b = column / K at the K states that count: with b added to the right side the solution moves by P b,
-    which is cov(d, s). Covariances do not change.
-    """
-    pushed = solution.system.clone()
-    nothing = np.zeros((6, 6))
-    for i, column in zip(counted, columns, strict=True):
-        gradient = np.concatenate([column / len(counted), np.zeros(3)])
-        pushed.push_back(gtsam.HessianFactor(X(int(i)), nothing, gradient, 0.0))
-    return pushed

@@ -100,20 +100,22 @@ def _interval_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> g
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
     """Tie the effective bias of an interval to bias and calibration: C = B + M [mean force, mean rate, jerk]."""
     noise, eye, step = _diagonal(EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
-    # Without a linearisation point gtsam applies the factors to changes, and never sees a violation.
+    # Without a linearisation point gtsam applies the factors to changes, and never sees a violation. The unknowns are
+    # renamed afterwards: to make a ConstantBias for each takes longer than all else here.
     origin = gtsam.Values()
+    origin.insert(C(0), FREE)
+    origin.insert(B(0), FREE)
     origin.insert(M(0), np.zeros(CALIBRATION))
-    for i in keys.intervals(~keys.gap):
-        by_matrix = np.zeros((6, CALIBRATION))
-        for axis in range(3):
-            by_matrix[axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[i]
-            by_matrix[3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[i]
-        by_matrix[:3, 18] = -keys.jerk_b_mps3[i]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
-        linear = gtsam.JacobianFactor(C(i), eye, B(step[i]), -eye, M(0), -by_matrix, np.zeros(6), noise)
-        origin.insert(C(i), FREE)
-        if not origin.exists(B(step[i])):
-            origin.insert(B(step[i]), FREE)
-        yield gtsam.LinearContainerFactor(linear, origin)
+    intervals = keys.intervals(~keys.gap)
+    by_matrix = np.zeros((len(intervals), 6, CALIBRATION))
+    for axis in range(3):
+        by_matrix[:, axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[intervals]
+        by_matrix[:, 3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[intervals]
+    by_matrix[:, :3, 18] = -keys.jerk_b_mps3[intervals]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
+    nothing, calibration = np.zeros(6), M(0)
+    for i, k, each in zip(intervals.tolist(), step[intervals].tolist(), -by_matrix, strict=True):
+        linear = gtsam.JacobianFactor(C(0), eye, B(0), -eye, calibration, each, nothing, noise)
+        yield gtsam.LinearContainerFactor(linear, origin).rekey([C(i), B(k), calibration])
 
 
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:

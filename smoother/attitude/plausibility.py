@@ -45,7 +45,6 @@ ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
 LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
 
 KINDS = {
-    gtsam.ImuFactor: "imu",
     gtsam.BetweenFactorConstantBias: "bias walk",
     gtsam.PriorFactorVector: "velocity and calibration",
     gtsam.GPSFactor: "position",
@@ -104,19 +103,27 @@ def measure_fit(
 
     The last ``inherited`` factors stand for the window's past: their residuals belong to the windows before.
     """
-    total: dict[str, list[float]] = {}
-    clipped = keys.clipped
+    alike: dict[tuple[str, int], gtsam.NonlinearFactorGraph] = {}  # by kind and degrees of freedom
+    at_rest, clipped = keys.at_rest, keys.clipped
+    intervals = iter(keys.intervals(~keys.gap).tolist())
     for i in range(graph.size() - inherited):
         factor = graph.at(i)
         if isinstance(factor, gtsam.LinearContainerFactor):
             continue  # without a linearisation point its error is always zero
-        kind = KINDS.get(type(factor), "anchors")
-        if kind == "imu":
-            state = gtsam.Symbol(factor.keys()[0]).index()
-            kind = "imu at rest" if keys.at_rest[state] else "imu clipped" if clipped[state] else "imu"
-        degrees = 9 if isinstance(factor, gtsam.ImuFactor) else factor.dim()  # gtsam counts only its first part
-        total.setdefault(kind, []).append(2 * factor.error(solution.values) / degrees)
-    squares = {kind: float(np.mean(values)) for kind, values in total.items()}
+        if isinstance(factor, gtsam.ImuFactor):
+            k = next(intervals)  # they come in the order of the intervals
+            kind = "imu at rest" if at_rest[k] else "imu clipped" if clipped[k] else "imu"
+            degrees = 9  # gtsam counts only its first part
+        else:
+            kind, degrees = KINDS.get(type(factor), "anchors"), factor.dim()
+        if (kind, degrees) not in alike:
+            alike[kind, degrees] = gtsam.NonlinearFactorGraph()
+        alike[kind, degrees].push_back(factor)
+    total: dict[str, list[float]] = {}  # sum and count
+    for (kind, degrees), some in alike.items():
+        square, count = total.get(kind, (0.0, 0))
+        total[kind] = [square + 2 * some.error(solution.values) / degrees, count + some.size()]
+    squares = {kind: square / count for kind, (square, count) in total.items()}
     residual = solution.field_residual_ut
     if residual is None:
         return Fit(squares, None, None)

@@ -57,22 +57,26 @@ def vote_factors(votes: Votes, params: GraphParams) -> Iterator[gtsam.NonlinearF
         yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(heading_loss, gaussian(heading)))
 
 
-def closing_square(tree: gtsam.GaussianBayesTree, values: gtsam.Values, state: int, params: GraphParams) -> float:
+def closing_error(values: gtsam.Values, state: int) -> tuple[float, Floats]:
+    """Return the heading of a return against the common pose, and up (3,) in its body axes.
+
+    That heading changes by up (d_X - d_L) with the errors d_X of the return and d_L of the common pose in body axes.
+    """
+    common, here = values.atPose3(L(0)).rotation(), values.atPose3(X(state)).rotation()
+    up_b = here.matrix()[2]
+    return float(up_b @ gtsam.Rot3.Logmap(common.between(here))), up_b
+
+
+def closing_square(error_rad: float, covariance_rad2: float, params: GraphParams) -> float:
     """Return the normalised square of the heading's closing error at a return, as if the return had not been used.
 
-    Let e be the heading of the return against the common pose, C its covariance in the solution, and R the variance of
+    Let e be the heading of the return against the common pose, C its variance in the solution, and R the variance of
     the vote, widened by its robust weight. Without the vote the error is R/(R - C) e with variance R^2/(R - C): its
     normalised square is e^2 / (R - C).
     """
-    common, here = values.atPose3(L(0)).rotation(), values.atPose3(X(state)).rotation()
-    joint = tree.jointMarginalCovariance(gtsam.KeyVector([L(0), X(state)]))
-    blocks = [joint.at(i, j)[:3, :3] for i in (L(0), X(state)) for j in (L(0), X(state))]
-    up_b = here.matrix()[2]
-    error = float(up_b @ gtsam.Rot3.Logmap(common.between(here)))
-    covariance = float(up_b @ (blocks[0] - blocks[1] - blocks[2] + blocks[3]) @ up_b)
     p = params.returns
-    variance = p.heading_sd_rad**2 + (error / p.heading_kernel) ** 2
-    return error**2 / max(variance - covariance, 1e-3 * variance)
+    variance = p.heading_sd_rad**2 + (error_rad / p.heading_kernel) ** 2
+    return error_rad**2 / max(variance - covariance_rad2, 1e-3 * variance)
 
 
 def judge_returns_again(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import H, X
+from gtsam.symbol_shorthand import H, L, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
@@ -31,6 +31,7 @@ UNKNOWNS_IN_WORDS = {
     "l": "the common rest pose",
 }
 STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
+REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
 ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
 
 
@@ -44,7 +45,6 @@ class Solution:
 
     values: gtsam.Values
     system: gtsam.GaussianFactorGraph
-    last_step: gtsam.VectorValues  # the solution of that system
     ordering: gtsam.Ordering  # elimination order of its unknowns
     field_scale_ut: float  # scale of the magnetometer's robust weights
     field_widening: float  # factor on its sd in ``system``: its errors last from reading to reading
@@ -53,31 +53,44 @@ class Solution:
     cost: float  # of gtsam's own factors
 
 
-def solve(
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """Where the iterations have come to."""
+
+    values: gtsam.Values
+    ordering: gtsam.Ordering | None  # elimination order of the unknowns, None before the first iteration
+    field_scale_ut: float  # scale of the magnetometer's robust weights
+    q_steps_rad: tuple[float, ...] = ()  # largest turn of a state in each iteration
+
+
+def begin(values: gtsam.Values, params: GraphParams) -> Approach:
+    """Return the beginning of the iterations: start values, and FIRST_SCALE times the magnetometer's sd as scale."""
+    return Approach(values, None, FIRST_SCALE * params.magnetic.sd_ut)
+
+
+def iterate(
     graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
+    approach: Approach,
     states: range,
     measured: FieldMeasurements | None,
     name: str,
     params: GraphParams,
-    scale_ut: float | None = None,
-) -> Solution:
-    """Return the optimum of the graph and the magnetometer's measurements, beginning at ``values``.
+) -> Approach:
+    """Iterate until the scale of the weights has settled and no state turns by more than ``turn_limit_rad``.
 
-    ``scale_ut`` is the first scale of the magnetometer's robust weights, by default FIRST_SCALE times its sd.
+    An iteration that would turn them by much less than that is spared.
 
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
+    values, scale_ut, ordering = approach.values, approach.field_scale_ut, approach.ordering
     steps: list[float] = []
-    scale_ut = FIRST_SCALE * params.magnetic.sd_ut if scale_ut is None else scale_ut
     final = measured is None
-    ordering: gtsam.Ordering | None = None
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
         system, residual = linearise(graph, values, measured, scale_ut, params)
         ordering = ordering or _order_unknowns(system, states, name)
         step = _solve_linear(system, ordering, name)
-        turns = np.array([step.at(X(i))[:3] for i in states])
+        turns = _turns_of(step, len(states))
         turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise make_unobservable(name)
@@ -86,24 +99,38 @@ def solve(
         if turn * longer > STEP_LIMIT_RAD:
             longer = STEP_LIMIT_RAD / turn
         values = values.retract(step if longer == 1.0 else step.scale(longer))
+        rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
-        if final and turn < params.turn_limit_rad:
-            widening = 1.0
-            if measured is not None:
-                rotations = rotations_of(values, measured.state)
-                residual = compute_residuals(measured, rotations, values.atVector(H(0)))
-                widening = measure_widening(rotations, residual, scale_ut, params.magnetic)
-                system, _ = linearise(graph, values, measured, scale_ut, params, widening)
-                step = _solve_linear(system, ordering, name)
-            cost = float(graph.error(values))
-            return Solution(values, system, step, ordering, scale_ut, widening, tuple(steps), residual, cost)
+        if final and (turn < params.turn_limit_rad or rest < REST_SHARE * params.turn_limit_rad):
+            return Approach(values, ordering, scale_ut, tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
     )
+
+
+def solve(
+    graph: gtsam.NonlinearFactorGraph,
+    approach: Approach,
+    states: range,
+    measured: FieldMeasurements | None,
+    name: str,
+    params: GraphParams,
+) -> Solution:
+    """Return the optimum of the graph and the magnetometer's measurements; raises errors as :func:`iterate`."""
+    there = iterate(graph, approach, states, measured, name, params)
+    assert there.ordering is not None
+    values, scale_ut, widening, residual = there.values, there.field_scale_ut, 1.0, None
+    if measured is not None:
+        rotations = rotations_of(values, measured.state)
+        residual = compute_residuals(measured, rotations, values.atVector(H(0)))
+        widening = measure_widening(rotations, residual, scale_ut, params.magnetic)
+    system, _ = linearise(graph, values, measured, scale_ut, params, widening)
+    cost = float(graph.error(values))
+    return Solution(values, system, there.ordering, scale_ut, widening, there.q_steps_rad, residual, cost)
 
 
 def linearise(
@@ -130,7 +157,20 @@ def linearise(
 
 def rotations_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
     """Return the rotation matrices (K, 3, 3) of states."""
-    return np.array([values.atPose3(X(int(i))).rotation().matrix() for i in states])
+    return poses_of(values, states)[:, :9].reshape(-1, 3, 3)
+
+
+def poses_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
+    """Return the poses (K, 12) of states: rotation matrix by rows, and place."""
+    poses = gtsam.utilities.extractPose3(values)  # in the order of their keys: a common pose L comes before all X
+    count = len(poses) - values.exists(L(0))
+    last = gtsam.Symbol(values.keys()[-1]).index()  # the states follow each other, and no letter comes after X
+    return np.asarray(poses[len(poses) - count :][np.asarray(states) - (last - count + 1)])
+
+
+def _turns_of(step: gtsam.VectorValues, count: int) -> Floats:
+    """Return the turns (count, 3) of the states in a step, whose vectors stand last."""
+    return np.asarray(step.vector()[-6 * count :].reshape(count, 6)[:, :3])
 
 
 def make_unobservable(name: str) -> Unobservable:
@@ -143,22 +183,16 @@ def make_unobservable(name: str) -> Unobservable:
 
 def _solve_linear(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, name: str) -> gtsam.VectorValues:
     try:
-        return system.eliminateMultifrontal(ordering).optimize()
+        return system.eliminateSequential(ordering).optimize()
     except RuntimeError as error:
         raise make_unobservable(name) from error
 
 
 def _order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str) -> gtsam.Ordering:
-    """Return the order of elimination; raises :class:`Unobservable` where nothing ties a state to the others.
-
-    Nested dissection keeps the path from any state to the root short, which makes covariances cheap. METIS, which finds
-    it, crashes on a variable without neighbours, such as the field in a window without a measurement of it.
-    """
+    """Return the order of elimination; raises :class:`Unobservable` where nothing ties a state to the others."""
     keys = [system.at(i).keys() for i in range(system.size())]
-    alone = require_connected(keys, [X(i) for i in states], _describe_unknown, name, may_stand_alone=(H(0),))
-    if alone:
-        return gtsam.Ordering.ColamdGaussianFactorGraph(system)
-    return gtsam.Ordering.MetisGaussianFactorGraph(system)
+    require_connected(keys, [X(i) for i in states], _describe_unknown, name, may_stand_alone=(H(0),))
+    return gtsam.Ordering.ColamdGaussianFactorGraph(system)
 
 
 def _describe_unknown(key: int) -> str:
@@ -166,6 +200,12 @@ def _describe_unknown(key: int) -> str:
     symbol = gtsam.Symbol(key)
     kind = UNKNOWNS_IN_WORDS.get(chr(symbol.chr()))
     return f"{kind} {symbol.index()}" if kind else symbol.string()
+
+
+def _expect_rest(turn_rad: float, before_rad: float) -> float:
+    """Return the sum of all further turns if they go on to shrink as from the last but one to the last."""
+    ratio = turn_rad / before_rad if before_rad > 0 else 0.0
+    return turn_rad * ratio / (1 - ratio) if ratio < 1 else np.inf
 
 
 def _extrapolate(turns: Floats, before: Floats) -> float:

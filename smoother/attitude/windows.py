@@ -38,7 +38,7 @@ from stillpoint.smoother.attitude.plausibility import (
     refuse_fixes,
 )
 from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
-from stillpoint.smoother.attitude.solve import Solution, linearise, solve
+from stillpoint.smoother.attitude.solve import Solution, begin, iterate, linearise, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +98,14 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
             parts.append(build_graph(recording, evidence.within(until, end), bias, params))
         added = select_added(evidence.added, window.keys.states, window.keys.held)
         values, votes = start_window(window, past, params), window.find_votes()
-        scale_ut: float | None = None
+        problem = window.keys.held, window.measured, recording.name
+        approach = begin(values, params)
         if votes is not None:
             wide = with_wide_votes(params)
             graph = _push_added(join_graphs(parts, votes, past, wide), added)
-            first_solution = solve(graph, values, window.keys.held, window.measured, recording.name, wide)
-            values, scale_ut = first_solution.values, first_solution.field_scale_ut
+            approach = iterate(graph, approach, *problem, wide)
         graph = _push_added(join_graphs(parts, votes, past, params), added)
-        solution = solve(graph, values, window.keys.held, window.measured, recording.name, params, scale_ut)
+        solution = solve(graph, approach, *problem, params)
         inherited = len(added) + (0 if past is None else len(past.factors))
         fit = measure_fit(graph, inherited, solution, window.keys, params)
         fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
@@ -183,7 +183,7 @@ def hand_over(
     step = int(bias_steps(keys, params)[until])
     common = [X(until), V(until), B(step), M(0)]
     common += [key for key in (H(0), L(0)) if values.exists(key) and key in system.keyVector()]
-    _, rest = system.eliminatePartialMultifrontal(_order_without(solution.ordering, system, common))
+    _, rest = system.eliminatePartialSequential(_order_without(solution.ordering, system, common))
     return Past(
         factors=tuple(gtsam.LinearContainerFactor(rest.at(k), values) for k in range(rest.size())),
         values=values,

@@ -17,7 +17,7 @@ from stillpoint.smoother.attitude.build import build_graph  # noqa: E402
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence  # noqa: E402
 from stillpoint.smoother.attitude.graph import reference_from_evidence  # noqa: E402
 from stillpoint.smoother.attitude.params import HANDHELD  # noqa: E402
-from stillpoint.smoother.attitude.solve import linearise, solve  # noqa: E402
+from stillpoint.smoother.attitude.solve import begin, linearise, solve  # noqa: E402
 from stillpoint.smoother.attitude.windows import Past, hand_over, join_graphs, split_windows, start_window  # noqa: E402
 
 WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
@@ -56,7 +56,7 @@ def test_past_handed_over_holds_all_information_of_its_factors(recording: Record
     """At the optimum of the whole graph, the later half with the reduced past has the same covariances and step."""
     n = len(evidence.keys.t_s)
     graph, values = build(recording, evidence, None)
-    whole = solve(graph, values, evidence.keys.held, evidence.measured, "whole", HANDHELD)
+    whole = solve(graph, begin(values, HANDHELD), evidence.keys.held, evidence.measured, "whole", HANDHELD)
     closed, later = evidence.within(0, n // 2), evidence.within(n // 2, n)
     past = hand_over(build(recording, closed, None)[0], closed, evidence.keys, whole, HANDHELD)
     rest, resumed = build(recording, later, past)
