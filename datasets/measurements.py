@@ -33,7 +33,7 @@ class Dropped:
     mag_frozen: int = 0
 
     def counts(self) -> dict[str, int]:
-        """The counts that are not 0, under the names that diagnostics have."""
+        """Return the counts that are not 0, under the names that diagnostics have."""
         named = {
             "n_bad_imu": self.imu,
             "n_no_field": self.mag_zero,

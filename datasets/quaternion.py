@@ -21,7 +21,7 @@ HALF_SERIES_BELOW = 0.03
 
 @compiled
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
-    """The rotation ``q`` followed by ``p``."""
+    """Return the rotation ``q`` followed by ``p``."""
     return (
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -32,13 +32,13 @@ def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
 
 @compiled
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation."""
+    """Return the inverse rotation."""
     return q[0], -q[1], -q[2], -q[3]
 
 
 @compiled
 def half_angle(square: float) -> tuple[float, float]:
-    """cos(a / 2) and sin(a / 2) / a of the angle a with this square.
+    """Return cos(a / 2) and sin(a / 2) / a of the angle a with this square.
 
     The series of small angles are summed in pairs, which wait for each other less than term after term would.
     """
@@ -57,14 +57,14 @@ def half_angle(square: float) -> tuple[float, float]:
 
 @compiled
 def exp(v: Vector) -> Quaternion:
-    """The rotation by ``|v|`` rad about ``v``."""
+    """Return the rotation by ``|v|`` rad about ``v``."""
     w, share = half_angle(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     return w, v[0] * share, v[1] * share, v[2] * share
 
 
 @compiled
 def log(q: Quaternion) -> Vector:
-    """The rotation vector of ``q``, at most pi long: the inverse of :func:`exp` up to whole turns."""
+    """Return the rotation vector of ``q``, at most pi long: the inverse of :func:`exp` up to whole turns."""
     sign = 1.0 if q[0] >= 0 else -1.0
     w = q[0] * sign
     square = q[1] * q[1] + q[2] * q[2] + q[3] * q[3]

@@ -102,7 +102,7 @@ class PeerTrack(NamedTuple):
 
 
 def at_constant_rate(imu: Imu, mag: Mag | None) -> tuple[PeerInput, dict[str, Any]]:
-    """The samples at their mean interval, and how far that and the held field are from the truth."""
+    """Return the samples at their mean interval, and how far that and the held field are from the truth."""
     n = len(imu.t_ns)
     since_start_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     interval_s = float(since_start_s[-1]) / (n - 1) if n > 1 else 0.01
@@ -118,34 +118,34 @@ def at_constant_rate(imu: Imu, mag: Mag | None) -> tuple[PeerInput, dict[str, An
 
 
 def vqf(data: PeerInput, params: VqfParams) -> PeerTrack:
-    """The causal filter (``VQF.updateBatch``)."""
+    """Run the causal filter (``VQF.updateBatch``)."""
     peer = _package("vqf").VQF(data.interval_s, tauAcc=params.tau_acc_s, tauMag=params.tau_mag_s)
     mag = data.mag_b_ut if params.magnetometer else None
     return _track(peer.updateBatch(data.gyro_b_radps, data.accel_b_mps2, mag))
 
 
 def offline_vqf(data: PeerInput, params: VqfParams) -> PeerTrack:
-    """The smoother (``offlineVQF``): it sees the future."""
+    """Run the smoother (``offlineVQF``), which sees the future."""
     mag = data.mag_b_ut if params.magnetometer else None
     settings = {"tauAcc": params.tau_acc_s, "tauMag": params.tau_mag_s}
     return _track(_package("vqf").offlineVQF(data.gyro_b_radps, data.accel_b_mps2, mag, data.interval_s, settings))
 
 
 def madgwick(data: PeerInput, params: MadgwickParams) -> PeerTrack:
-    """``ahrs.filters.Madgwick``: body to North-West-Up, from specific force."""
+    """Run ``ahrs.filters.Madgwick``: body to North-West-Up, from specific force."""
     gains = {"gain_marg": params.gain_marg_radps, "gain_imu": params.gain_imu_radps}
     found = _ahrs("Madgwick", data, params.magnetometer, data.accel_b_mps2, gains)
     return PeerTrack(quaternion(WEST_OF_NORTH * rotation(found)))
 
 
 def mahony(data: PeerInput, params: MahonyParams) -> PeerTrack:
-    """``ahrs.filters.Mahony``: body to East-North-Up, from specific force."""
+    """Run ``ahrs.filters.Mahony``: body to East-North-Up, from specific force."""
     gains = {"k_P": params.k_p_radps, "k_I": params.k_i_radps2}
     return PeerTrack(_ahrs("Mahony", data, params.magnetometer, data.accel_b_mps2, gains))
 
 
 def ahrs_ekf(data: PeerInput, params: AhrsEkfParams) -> PeerTrack:
-    """``ahrs.filters.EKF``: body to North-East-Down, from the direction of gravity, which is down.
+    """Run ``ahrs.filters.EKF``: body to North-East-Down, from the direction of gravity, which is down.
 
     Not its East-North-Up: the start there has another handedness than the measurement model, and it diverges.
     """
@@ -158,7 +158,7 @@ def ahrs_ekf(data: PeerInput, params: AhrsEkfParams) -> PeerTrack:
 
 
 def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:
-    """``imufusion.Ahrs``: body to East-North-Up, in deg/s and g, single precision. Ready after its start-up."""
+    """Run ``imufusion.Ahrs``: body to East-North-Up, in deg/s and g, single precision. Ready after its start-up."""
     package = _package("imufusion")
     settings = package.AhrsSettings(
         sample_rate=1 / data.interval_s,
@@ -191,7 +191,7 @@ def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:
 
 
 def riann(data: PeerInput, params: RiannParams) -> PeerTrack:
-    """``riann.RIANN``: body to a frame with z up, from gyro and accelerometer. Its heading has no meaning."""
+    """Run ``riann.RIANN``: body to a frame with z up, from gyro and accelerometer. Its heading has no meaning."""
     package = _package("riann.riann")
     peer = package.RIANN(str(files("riann") / "riann.onnx"))  # its own search for the file fails on Python 3.11
     found = np.asarray(peer.predict(data.accel_b_mps2, data.gyro_b_radps, 1 / data.interval_s), dtype=np.float64)
@@ -199,7 +199,7 @@ def riann(data: PeerInput, params: RiannParams) -> PeerTrack:
 
 
 def _ahrs(name: str, data: PeerInput, magnetometer: bool, accel: Floats, settings: dict[str, Any]) -> Floats:
-    """Quaternions of one filter of the package ahrs, as it gives them."""
+    """Return quaternions of one filter of the package ahrs, as it gives them."""
     peer: Callable[..., Any] = getattr(_package("ahrs").filters, name)
     mag = data.mag_b_ut if magnetometer else None
     try:

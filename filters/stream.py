@@ -84,7 +84,7 @@ class Stream:
         mag_b_ut: Sequence[float] | None = None,
         course: tuple[float, float] | None = None,
     ) -> Output:
-        """The output after one sample.
+        """Return the output after one sample.
 
         ``mag_b_ut`` is given when there is a field that was not given before, and ``course`` likewise: course over
         ground (rad, clockwise from true north) and speed (m/s) of a new satellite fix, NaN where it is not valid.
@@ -115,7 +115,7 @@ class Stream:
         return output
 
     def save(self) -> Saved:
-        """All that is needed to go on from here, also in another process."""
+        """Return all that is needed to go on from here, also in another process."""
         return Saved(*self._kind, *deepcopy(read_cell(self._cell)[2:]))
 
     @property

@@ -63,11 +63,11 @@ class Alignment:
         return Rotation.from_rotvec(self.mounting_rotvec_rad)
 
     def attitude(self, q_est: Floats) -> Floats:
-        """The estimate (N, 4) as the truth would show it, without heading and mounting: ``Rz(-h) * q_est * M^-1``."""
+        """Return the estimate (N, 4) without heading and mounting, as the truth shows it: ``Rz(-h) * q_est * M^-1``."""
         return quaternion(heading_rotation(-self.heading_rad) * rotation(q_est) * self.mounting.inv())
 
     def covariance(self, cov_b_rad2: Floats) -> Floats:
-        """Covariances (N, 3, 3) of the estimate, turned into the truth's body axes."""
+        """Return covariances (N, 3, 3) of the estimate, turned into the truth's body axes."""
         turn = self.mounting.as_matrix()
         return turn @ cov_b_rad2 @ turn.T
 

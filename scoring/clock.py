@@ -80,7 +80,7 @@ def _pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np.intp
 
 
 def _rotation_vectors(q_first: Floats, q_second: Floats) -> Floats:
-    """Rotation vectors (N, 3) from one attitude to the other, in the body."""
+    """Return rotation vectors (N, 3) from one attitude to the other, in the body."""
     return np.asarray((rotation(q_first).inv() * rotation(q_second)).as_rotvec(), dtype=np.float64)
 
 
@@ -168,7 +168,7 @@ def _correlate_rates(turns: _Turns) -> Floats:
 
 
 def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
-    """Middle times in s and rates of turning in rad/s of a trajectory, over turns of about ``width_s``."""
+    """Return middle times in s and rates of turning in rad/s of a trajectory, over turns of about ``width_s``."""
     t_ns, q_nb = track.t_ns[~track.unready], track.q_nb[~track.unready]
     first, last = _pairs(t_ns, track.step_ns, width_s)
     duration_s = (t_ns[last] - t_ns[first]) / 1e9

@@ -71,7 +71,7 @@ def app() -> "App":
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; never returns normally."""
+    """Run the command line, as the console script does; never return normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
     debug = DEBUG in tokens
     if LARGE in tokens:

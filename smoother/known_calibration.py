@@ -16,7 +16,7 @@ IDENTITY = np.eye(3)
 
 
 def corrected(recording: Recording, known: Calibration) -> Recording:
-    """The recording as the calibrated sensor would have read it; raises :class:`Unobservable` without an IMU."""
+    """Return the recording as the calibrated sensor would have read it; raises :class:`Unobservable` without an IMU."""
     if recording.imu is None:
         raise Unobservable(f"{recording.name}: has no gyro and accelerometer; leave the calibration out")
     imu, mag = recording.imu, recording.mag
@@ -29,7 +29,7 @@ def corrected(recording: Recording, known: Calibration) -> Recording:
 
 
 def in_raw_readings(made: Reference, known: Calibration) -> Reference:
-    """The reference of a corrected recording, with calibration and gyro bias as of the readings before."""
+    """Return the reference of a corrected recording, with calibration and gyro bias as of the readings before."""
     found = made.calibration
     gyro, accel, magnet = (_matrix(m) for m in (known.gyro_matrix, known.accel_matrix, known.mag_matrix))
     iron = None

@@ -174,7 +174,7 @@ def _blame_preset(recording: Recording, settings: Settings, error: Unobservable)
 def attitude_reference(
     recording: Recording, method: str = DEFAULT_METHOD, params: Settings | Mapping[str, Any] | None = None
 ) -> Reference:
-    """:func:`reference` for those who need an attitude; raises :class:`BadRecording` where there is but an angle."""
+    """Return :func:`reference` for callers that need an attitude; raises :class:`BadRecording` for an angle."""
     made = reference(recording, method, params)
     if not isinstance(made, Reference):
         raise BadRecording(f"{recording.name}: {method} gives an angle about one axis; an attitude is needed here")

@@ -62,7 +62,7 @@ def _of_estimator(stream: Stream, name: str) -> Stream:
 
 
 def _error_stream(estimate: Estimate, judge: Truth | Reference) -> Stream:
-    """The errors of an estimate at the stamps of its judge, in degrees."""
+    """Return the errors of an estimate at the stamps of its judge, in degrees."""
     compared = compare(estimate, judge)
     found = attitude_error(compared.q_est, compared.q_true)
     angles = {"vector.x": found.total_rad, "vector.y": found.heading_rad, "vector.z": found.inclination_rad}
@@ -72,7 +72,7 @@ def _error_stream(estimate: Estimate, judge: Truth | Reference) -> Stream:
 
 
 def make_layout(topics: Sequence[str]) -> dict[str, Any]:
-    """A layout for Foxglove: the attitudes in 3D, and plots of the errors, the gyro and the field."""
+    """Return a layout for Foxglove: the attitudes in 3D, and plots of the errors, the gyro and the field."""
     errors = [topic for topic in topics if topic.startswith("/error/")]
     poses = [topic for topic in topics if topic.endswith("/pose")]
     plots = [
@@ -105,7 +105,7 @@ def _plot(title: str, paths: Sequence[str]) -> dict[str, Any]:
 
 
 def _stack(panels: Sequence[str]) -> str | Mapping[str, Any]:
-    """Panels one below the other, all of one height."""
+    """Return panels one below the other, all of one height."""
     if len(panels) == 1:
         return panels[0]
     below = _stack(panels[1:])

@@ -62,7 +62,7 @@ def draw_jobs(archive: Archive, count: int | None, seed: int) -> tuple[list[Rema
 
 
 def _job_of(archive: Archive, entry: Entry) -> RemakeJob | str:
-    """The job of one object, or why there is none."""
+    """Return the job of one object, or why there is none."""
     kept = {name: archive.entry(parent) for name, parent in archive.parents(entry.sha256)}
     missing = [name for name, parent in kept.items() if parent is None or parent.removed]
     if missing:
@@ -121,7 +121,7 @@ def _remake_estimate(kept: Estimate, recording: Recording, job: RemakeJob) -> Es
 
 
 def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Settings in settings as one mapping of dotted names, as :func:`choose_settings` takes them."""
+    """Return nested settings as one mapping of dotted names, as :func:`choose_settings` takes them."""
     flat: dict[str, Any] = {}
     for name, value in params.items():
         if isinstance(value, Mapping):
@@ -132,7 +132,7 @@ def flatten(params: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def largest_difference_rad(kept: Made, made: Made) -> float:
-    """The largest angle between two trajectories, in rad; infinite where their kinds or times differ."""
+    """Return the largest angle between two trajectories, in rad; infinite where their kinds or times differ."""
     if type(kept) is not type(made) or not np.array_equal(kept.t_ns, made.t_ns):
         return float("inf")
     found = [0.0]

@@ -58,12 +58,12 @@ class ValidationRow:
 
 
 def default_methods() -> list[str]:
-    """Every reference method and every offline peer."""
+    """Return every reference method and every offline peer."""
     return [*METHODS, *(name for name, entry in ESTIMATORS.items() if entry.offline)]
 
 
 def check_methods(names: Sequence[str]) -> list[str]:
-    """The names, each once; raises :class:`BadParameter` for one that is neither a method nor an estimator."""
+    """Return the names, each once; raises :class:`BadParameter` for one that is neither a method nor an estimator."""
     known = [*METHODS, *ESTIMATORS]
     for name in names:
         require_known(name, known, "reference method or estimator")
@@ -71,7 +71,7 @@ def check_methods(names: Sequence[str]) -> list[str]:
 
 
 def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], align: AlignKind) -> list[ValidationRow]:
-    """One row per method for the recording that ``load`` gives; what is refused keeps its message in the row."""
+    """Return one row per method for the recording that ``load`` gives; what is refused keeps its message in the row."""
     rows = [ValidationRow(name, method, align) for method in methods]
     try:
         recording = load()
@@ -113,7 +113,7 @@ def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: Al
 
 
 def summary(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
-    """Mean, median and worst of each figure per method, over the recordings that it did not refuse.
+    """Return mean, median and worst of each figure per method, over the recordings that it did not refuse.
 
     The worst coverage is the smallest, the worst of all others the largest.
     """

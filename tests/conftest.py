@@ -36,6 +36,9 @@ def known() -> Known:
 def call() -> Callable[..., int]:
     """The command in this process: words in, exit code out."""
     from stillpoint.scripts.main import main
+    from stillpoint.scripts.shared import progress
+
+    progress.LOG_EVERY_S = 3600.0  # no lines of progress among what tests read, however slow the machine
 
     def words_to_code(*words: object) -> int:
         with pytest.raises(SystemExit) as stopped:

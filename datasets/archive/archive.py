@@ -181,12 +181,12 @@ class Archive:
     # -- reading ------------------------------------------------------------------------------------------------------
 
     def find(self, query: str) -> list[Entry]:
-        """Objects that a query finds, oldest first; see :mod:`stillpoint.datasets.archive.query`."""
+        """Return objects that a query finds, oldest first; see :mod:`stillpoint.datasets.archive.query`."""
         condition = parse_query(query)
         return self.catalogue.entries(condition.sql, condition.parameters)
 
     def resolve(self, text: str) -> Entry:
-        """The one object that an ID, the beginning of one, a file name or a name stands for.
+        """Return the one object that an ID, the beginning of one, a file name or a name stands for.
 
         Raises :class:`BadParameter` when there is none, or more than one.
         """
@@ -205,7 +205,7 @@ class Archive:
         raise BadParameter(f"{text}: the archive {self.storage.name} has no such object; see stillpoint archive list")
 
     def path_of(self, entry: Entry) -> Path:
-        """A path that :func:`stillpoint.datasets.read` takes: the link with the human name, where there is one."""
+        """Return a path that :func:`stillpoint.datasets.read` takes: the link with the human name if there is one."""
         if entry.link and isinstance(self.storage, FolderStorage):
             return self.home / "names" / entry.link
         return self.storage.path(self.object_key(entry.sha256))
@@ -216,22 +216,22 @@ class Archive:
         return f"objects/{sha256[:2]}/{sha256[2:]}{rows[0]['suffix']}" if rows else self.read_record(sha256).object_key
 
     def find_record(self, sha256: str) -> Record | None:
-        """The record of an object, None when there is none; raises :class:`BadFile` when it is damaged."""
+        """Return the record of an object, None when there is none; raises :class:`BadFile` when it is damaged."""
         return self.read_record(sha256) if self.storage.has(record_key(sha256)) else None
 
     def read_record(self, sha256: str) -> Record:
-        """The record of an object; raises :class:`BadFile` when it is damaged or not there."""
+        """Return the record of an object; raises :class:`BadFile` when it is damaged or not there."""
         key = record_key(sha256)
         return record_from_bytes(read_key(self.storage, key), f"{self.storage.name}/{key}")
 
     def labels(self, sha256: str) -> tuple[list[str], dict[str, str]]:
-        """Tags and metadata of an object."""
+        """Return tags and metadata of an object."""
         tags = self.catalogue.select("SELECT tag FROM tags WHERE sha256 = ? ORDER BY tag", (sha256,))
         pairs = self.catalogue.select("SELECT key, value FROM metadata WHERE sha256 = ? ORDER BY key", (sha256,))
         return [row["tag"] for row in tags], {row["key"]: row["value"] for row in pairs}
 
     def parents(self, sha256: str) -> list[tuple[str, str]]:
-        """(file name, sha256) of what an object was made from, kept here or not."""
+        """Return (file name, sha256) of what an object was made from, kept here or not."""
         rows = self.catalogue.select("SELECT name, parent FROM parents WHERE child = ? ORDER BY name", (sha256,))
         return [(row["name"], row["parent"]) for row in rows]
 
@@ -241,7 +241,7 @@ class Archive:
         return self.catalogue.entries(where, (sha256,))
 
     def entry(self, sha256: str) -> Entry | None:
-        """The object with this hash, None when the catalogue has none."""
+        """Return the object with this hash, None when the catalogue has none."""
         found = self.catalogue.entries("o.sha256 = ?", (sha256,))
         return found[0] if found else None
 
@@ -287,7 +287,7 @@ class Archive:
         return [entry for record in marked if (entry := self.entry(record.sha256)) is not None]
 
     def removable(self, older_than: timedelta) -> list[Entry]:
-        """Objects whose mark of removal is at least this old and whose bytes are still there."""
+        """Return objects whose mark of removal is at least this old and whose bytes are still there."""
         limit = (datetime.now(UTC) - older_than).isoformat(timespec="microseconds").replace("+00:00", "Z")
         return self.catalogue.entries("o.removed != '' AND o.removed <= ? AND o.freed = ''", (limit,))
 
@@ -304,7 +304,7 @@ class Archive:
         return freed
 
     def derived(self, sha256: str) -> list[Entry]:
-        """Everything that was made from an object, and from that in turn, and is not removed."""
+        """Return everything that was made from an object, and from that in turn, and is not removed."""
         found: dict[str, Entry] = {}
         left = [sha256]
         while left:
@@ -359,7 +359,7 @@ class Archive:
                     link.unlink()
 
     def remembered_record(self, sha256: str) -> Record | None:
-        """The record of an object as the catalogue remembers it, None when it does not."""
+        """Return the record of an object as the catalogue remembers it, None when it does not."""
         try:
             rows = self.catalogue.select("SELECT * FROM objects WHERE sha256 = ?", (sha256,))
             tags, metadata = self.labels(sha256)
@@ -371,7 +371,7 @@ class Archive:
         return Record(sha256, **{name: rows[0][name] for name in names}, tags=tuple(tags), metadata=metadata)
 
     def describe(self, record: Record) -> Description:
-        """The description of an object that lies in the archive; damage and absence become its ``problem``."""
+        """Return the description of an object that lies in the archive; damage and absence become its ``problem``."""
         if record.freed:
             return Description("removed", record.file_name)
         if not self.storage.has(record.object_key):
@@ -383,7 +383,7 @@ class Archive:
         return str(rows[0]["kind"]) if rows else ""
 
     def _link(self, record: Record) -> str:
-        """The link under ``names/`` to an object, made or taken away as its record asks; "" when it has none."""
+        """Return the link under ``names/`` to an object, made or taken away as its record asks; "" when it has none."""
         if not isinstance(self.storage, FolderStorage):
             return ""
         folder = self.home / "names"
@@ -445,7 +445,7 @@ def open_archive(place: str | Path) -> Archive:
 
 
 def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
-    """Paths of the objects that IDs, names or the lines of ``archive find`` stand for, in their order.
+    """Return paths of the objects that IDs, names or the lines of ``archive find`` stand for, in their order.
 
     The first word of a line counts. Raises :class:`BadParameter`.
     """

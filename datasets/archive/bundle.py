@@ -18,7 +18,7 @@ FORMAT = 1
 
 
 def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]) -> dict[str, Path | bytes]:
-    """Every file of a bundle: objects as paths of their bytes, everything else as bytes.
+    """Return every file of a bundle: objects as paths of their bytes, everything else as bytes.
 
     ``extra`` holds further files, such as the page of a leaderboard. Needs the extra ``publish``; raises
     :class:`~stillpoint.datasets.errors.BadParameter` without it.
@@ -43,7 +43,7 @@ def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]
 
 
 def _manifest(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -> str:
-    """The list of all files with their hashes, from which `archive import` takes a bundle in."""
+    """Return the list of all files with their hashes, from which `archive import` takes a bundle in."""
     objects = [
         {
             "path": item.path,
@@ -73,7 +73,7 @@ def _manifest(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -
 
 
 def _index(items: Sequence[Item]) -> str:
-    """One row per object, for people and for the record set of Croissant."""
+    """Return one row per object, for people and for the record set of Croissant."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(INDEX_COLUMNS)
@@ -86,7 +86,7 @@ def _index(items: Sequence[Item]) -> str:
 
 
 def _citation(items: Sequence[Item], about: About) -> str:
-    """CITATION.cff 1.2.0; strings are JSON strings, which YAML reads."""
+    """Return CITATION.cff 1.2.0; strings are JSON strings, which YAML reads."""
     lines = [
         "cff-version: 1.2.0",
         "message: If you use this dataset, cite it and the sources under references.",
@@ -136,7 +136,7 @@ def _licences(items: Sequence[Item]) -> str:
 
 
 def _readme(items: Sequence[Item], about: About) -> str:
-    """The page that Zenodo and Hugging Face show, with the front matter of a dataset card."""
+    """Return the page that Zenodo and Hugging Face show, with the front matter of a dataset card."""
     licences = sorted({licence for item in items for licence in item.licences})
     counts = {kind: sum(item.entry.kind == kind for item in items) for kind in {item.entry.kind for item in items}}
     table = "\n".join(f"| {kind} | {count} |" for kind, count in sorted(counts.items()))

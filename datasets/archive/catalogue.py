@@ -131,7 +131,7 @@ class Catalogue:
 
     @contextmanager
     def change(self) -> Iterator[sqlite3.Connection]:
-        """One transaction that writes; other writers wait."""
+        """Yield one transaction that writes; other writers wait."""
         self.connection.execute("BEGIN IMMEDIATE")
         try:
             yield self.connection
@@ -141,14 +141,14 @@ class Catalogue:
         self.connection.execute("COMMIT")
 
     def select(self, sql: str, parameters: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """The rows of a query; raises :class:`BadFile` when the file is damaged."""
+        """Return the rows of a query; raises :class:`BadFile` when the file is damaged."""
         try:
             return self.connection.execute(sql, parameters).fetchall()
         except sqlite3.DatabaseError as error:
             raise BadFile(f"{self.path}: {error}; run stillpoint archive rebuild: nothing is lost") from error
 
     def entries(self, where: str = "1", parameters: Sequence[Any] = ()) -> list[Entry]:
-        """Objects that meet a condition on ``objects o``, oldest first."""
+        """Return objects that meet a condition on ``objects o``, oldest first."""
         own = ("sha256", "kind", "name", "file_name", "size", "added", "removed", "problem", "link")
         names = ", ".join(f"o.{name}" for name in (*own, *DESCRIBED))
         rows = self.select(f"SELECT {names} FROM objects o WHERE {where} ORDER BY o.added, o.sha256", parameters)
@@ -157,7 +157,7 @@ class Catalogue:
         ]
 
     def dump(self) -> dict[str, list[tuple[Any, ...]]]:
-        """Every row of every table, in order: two catalogues of one archive give the same."""
+        """Return every row of every table, in order: two catalogues of one archive give the same."""
         return {table: [tuple(row) for row in self.select(f"SELECT * FROM {table} ORDER BY 1, 2")] for table in TABLES}
 
     def _migrate(self) -> None:
@@ -184,7 +184,7 @@ def put_object(connection: sqlite3.Connection, record: Record, described: Descri
 
 
 def described_rows(record: Record, described: Description) -> dict[str, list[dict[str, Any]]]:
-    """The rows, by table, that follow from an object's content; those of its labels are added by :func:`put_labels`."""
+    """Return the rows, by table, of an object's content; those of its labels are added by :func:`put_labels`."""
     columns = {
         "sha256": record.sha256,
         "kind": described.kind,
@@ -250,7 +250,7 @@ def _forget_object(connection: sqlite3.Connection, sha256: str) -> None:
 
 
 def facts_in(text: str) -> dict[str, Any]:
-    """The facts in a row of the catalogue."""
+    """Return the facts in a row of the catalogue."""
     facts: dict[str, Any] = json.loads(text)
     return facts
 
@@ -260,7 +260,7 @@ def _parent_row(child: str, name: str, parent: str) -> dict[str, Any]:
 
 
 def _score_row(sha256: str, place: int, row: Mapping[str, Any]) -> dict[str, Any]:
-    """One row of a score table or a leaderboard; what a table does not have stays empty."""
+    """Return one row of a score table or a leaderboard; what a table does not have stays empty."""
     texts = {
         "recording": row.get("recording"),
         "estimator": row.get("method", row.get("estimator")),

@@ -35,13 +35,13 @@ _MISSING = "{} needs the extra publish ({}); install it: pip install 'stillpoint
 
 
 def _licence_url(licence: str) -> str | None:
-    """The page of a licence at SPDX, None for one that is not known here."""
+    """Return the page of a licence at SPDX, None for one that is not known here."""
     known = SPDX.get(licence.lower()) or (licence if licence in SPDX.values() else None)
     return None if known is None else f"https://spdx.org/licenses/{known}"
 
 
 def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes]) -> bytes:
-    """``ro-crate-metadata.json``: every file with its hash, its licence, and what it is based on."""
+    """Return ``ro-crate-metadata.json``: every file with its hash, its licence, and what it is based on."""
     try:
         from rocrate.model.contextentity import ContextEntity
         from rocrate.rocrate import ROCrate
@@ -99,7 +99,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
 
 
 def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
-    """``croissant.json``: every object with its hash, and ``index.csv`` as a set of records."""
+    """Return ``croissant.json``: every object with its hash, and ``index.csv`` as a set of records."""
     try:
         import mlcroissant as mlc
     except ImportError as error:

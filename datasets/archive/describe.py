@@ -140,7 +140,7 @@ def _trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> dict[s
 
 
 def _streams(log: Log, kind: str) -> list[Stream]:
-    """One row per stream of the thing; a trajectory is one stream, named by its kind."""
+    """Return one row per stream of the thing; a trajectory is one stream, named by its kind."""
     found: dict[str, Times] = {}
     for topic in TOPICS:
         if topic.kind == kind and topic.name in log.topics and topic.stream != "mag_remainder":
@@ -162,7 +162,7 @@ def _describe_stream(name: str, t_ns: Times) -> Stream:
 
 
 def _main_clock(log: Log, kind: str) -> Times:
-    """The stamps of the first stream that there is: of a recording the IMU, or else the spin."""
+    """Return the stamps of the first stream that there is: of a recording the IMU, or else the spin."""
     for topic in TOPICS:
         if topic.kind == kind and not topic.drawn and topic.name in log.topics:
             return log.topics[topic.name].t_ns
@@ -170,7 +170,7 @@ def _main_clock(log: Log, kind: str) -> Times:
 
 
 def _describe_json(path: Path, file_name: str) -> Description:
-    """A table of scores (``score --json``), a leaderboard, or any other JSON file, which is kept as a source."""
+    """Return a table of scores (``score --json``), a leaderboard, or any other JSON file, which is kept as a source."""
     with open_binary(path) as file:
         data = file.read(LARGEST_JSON + 1)
     if len(data) > LARGEST_JSON:
@@ -205,5 +205,5 @@ def _describe_table(
 
 
 def _pairs(parents: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Names and hashes, sorted; an entry that is no SHA-256 is left to the facts."""
+    """Return names and hashes, sorted; an entry that is no SHA-256 is left to the facts."""
     return sorted((str(name), value) for name, value in parents.items() if SHA256.fullmatch(str(value)))

@@ -104,7 +104,7 @@ class Bundle:
         self.members = self._read_manifest(largest)
 
     def given(self) -> Iterator[Given]:
-        """The objects, for :meth:`~stillpoint.datasets.archive.archive.Archive.add_given`; hashes are checked there."""
+        """Yield the objects for :meth:`~stillpoint.datasets.archive.archive.Archive.add_given`, which checks hashes."""
         for member in self.members:
             yield Given(
                 source=self.place / member.path,

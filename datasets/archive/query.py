@@ -59,7 +59,7 @@ class Condition:
 
 
 def parse_query(text: str) -> Condition:
-    """The SQL condition of a query; raises :class:`BadParameter` with the place where it cannot be understood."""
+    """Return the SQL condition of a query; raises :class:`BadParameter` with the place that cannot be understood."""
     from lark.exceptions import UnexpectedInput, VisitError
 
     if text.strip().lower() in ("", "all", "*"):
@@ -127,7 +127,7 @@ def _translator() -> Any:
 
 
 def _field(name: Any) -> str:
-    """A field as it is written, in lower case; a key of metadata keeps its case."""
+    """Return a field as it is written, in lower case; a key of metadata keeps its case."""
     head, dot, rest = str(name).partition(".")
     return f"{head.lower()}{dot}{rest}"
 
@@ -138,7 +138,7 @@ def _join(word: str, parts: list[Condition]) -> Condition:
 
 
 def _compare_field(name: str, operator: str, value: str) -> Condition:
-    """The condition ``name operator value``."""
+    """Return the condition ``name operator value``."""
     head, dot, rest = name.partition(".")
     if head == "meta" and dot:
         return _within("metadata", "key", rest, _compare("t.value", operator, value, number=_is_number(value)))
@@ -161,7 +161,7 @@ def _compare_field(name: str, operator: str, value: str) -> Condition:
 
 
 def _match_label(name: str, value: str) -> Condition:
-    """The condition ``name:value``."""
+    """Return the condition ``name:value``."""
     if name == "has":
         return Condition("EXISTS (SELECT 1 FROM streams t WHERE t.sha256 = o.sha256 AND t.stream = ?)", (value,))
     if name == "tag":
@@ -196,7 +196,7 @@ def _tag_condition(operator: str, value: str) -> Condition:
 
 
 def _within(table: str, key_column: str, key: str, test: Condition) -> Condition:
-    """A condition on the row of another table that belongs to the object and has this key."""
+    """Return a condition on the row of another table that belongs to the object and has this key."""
     return Condition(
         f"EXISTS (SELECT 1 FROM {table} t WHERE t.sha256 = o.sha256 AND t.{key_column} = ? AND {test.sql})",
         (key, *test.parameters),

@@ -50,7 +50,7 @@ def record_key(sha256: str) -> str:
 
 
 def sha256_of_key(key: str) -> str:
-    """The hash that the place of an object or a record stands for; "" when the place has another form."""
+    """Return the hash that the place of an object or a record stands for; "" when the place has another form."""
     parts = key.split("/")
     if len(parts) != 3:
         return ""
@@ -59,24 +59,24 @@ def sha256_of_key(key: str) -> str:
 
 
 def suffix_of(file_name: str) -> str:
-    """The suffix under which an object with this name is kept; ".bin" when the name has no plain one."""
+    """Return the suffix under which an object with this name is kept; ".bin" when the name has no plain one."""
     suffix = "." + file_name.rpartition(".")[2].lower() if "." in file_name.strip(".") else ""
     return suffix if SUFFIX.fullmatch(suffix) else ".bin"
 
 
 def now() -> str:
-    """The current time, UTC, to the microsecond."""
+    """Return the current time, UTC, to the microsecond."""
     return datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def record_to_bytes(record: Record) -> bytes:
-    """The JSON of a record, with its checksum."""
+    """Return the JSON of a record, with its checksum."""
     plain = {"format": FORMAT, **asdict(record), "tags": sorted(record.tags), "metadata": dict(record.metadata)}
     return (json.dumps({**plain, "check": _check(plain)}, indent=1, ensure_ascii=True) + "\n").encode()
 
 
 def record_from_bytes(data: bytes, where: str) -> Record:
-    """The record in these bytes; raises :class:`BadFile` when they are damaged."""
+    """Return the record in these bytes; raises :class:`BadFile` when they are damaged."""
     try:
         plain = json.loads(data)
         check, written_format = plain.pop("check"), plain["format"]

@@ -23,7 +23,7 @@ class Copies:
         self._by_size: dict[int, list[Path]] | None = None
 
     def find_object(self, record: Record) -> Path | None:
-        """A file with the bytes of this object: its hash is the right one."""
+        """Return a file with the bytes of this object: its hash is the right one."""
         candidates = [self.storage.path(record.object_key)] if self.storage.has(record.object_key) else []
         for path in [*candidates, *self._files_of_size(record.size)]:
             try:
@@ -34,7 +34,7 @@ class Copies:
         return None
 
     def find_record(self, sha256: str) -> Record | None:
-        """A sound record of this object."""
+        """Return a sound record of this object."""
         key = record_key(sha256)
         if not self.storage.has(key):
             return None

@@ -93,7 +93,7 @@ def select_items(archive: Archive, query: str, allow_unlicensed: bool = False, a
 
 
 def _licences_of(archive: Archive, entry: Entry) -> tuple[str, ...]:
-    """The licences that hold for an object, sorted.
+    """Return the licences that hold for an object, sorted.
 
     They are, in this order: its metadata ``licence``, what the file says, those of everything that it was made from;
     for a source file, those of the recordings made from it.
@@ -134,7 +134,7 @@ def _add_descendants(archive: Archive, found: dict[str, Entry]) -> None:
 
 
 def _paths(entries: Sequence[Entry]) -> Mapping[str, str]:
-    """A path in the bundle for each object: a folder per kind, the name of the file, made unlike any other."""
+    """Return a path in the bundle for each object: a folder per kind, the name of the file, made unlike any other."""
     paths: dict[str, str] = {}
     taken: set[str] = set()
     for entry in entries:
@@ -149,5 +149,5 @@ def _paths(entries: Sequence[Entry]) -> Mapping[str, str]:
 
 
 def cited(items: Sequence[Item]) -> list[str]:
-    """The citations of the recordings, each once."""
+    """Return the citations of the recordings, each once."""
     return sorted({str(text) for item in items if (text := item.entry.columns.get("citation"))})

@@ -15,7 +15,7 @@ class Storage(Protocol):
     name: str
 
     def keys(self, folder: str) -> Iterator[tuple[str, int]]:
-        """Keys below a folder with the sizes of their files, in order."""
+        """Return keys below a folder with the sizes of their files, in order."""
 
     def path(self, key: str) -> Path:
         """Return what :func:`stillpoint.datasets.read` takes to read the file; a URL for a remote one."""
@@ -45,7 +45,7 @@ class FolderStorage:
         self._made: set[Path] = set()
 
     def keys(self, folder: str) -> Iterator[tuple[str, int]]:
-        """Keys below a folder with the sizes of their files, in order."""
+        """Yield keys below a folder with the sizes of their files, in order."""
         base = self.root / folder
         if not base.is_dir():
             return
@@ -58,7 +58,7 @@ class FolderStorage:
                     yield f"{folder}/{shard}/{entry.name}", entry.stat().st_size
 
     def path(self, key: str) -> Path:
-        """The file itself."""
+        """Return the file itself."""
         return self.root / key
 
     def open(self, key: str) -> IO[bytes]:
@@ -85,7 +85,7 @@ class FolderStorage:
         os.replace(part, target)
 
     def _make_room(self, key: str) -> Path:
-        """The place of a key, whose folder is there."""
+        """Return the place of a key, whose folder is there."""
         target = self.root / key
         if target.parent not in self._made:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ class _RemoteStorage:
         self._root = self._root.rstrip("/")
 
     def keys(self, folder: str) -> Iterator[tuple[str, int]]:
-        """Keys below a folder with the sizes of their files, in order."""
+        """Yield keys below a folder with the sizes of their files, in order."""
         self._fs.invalidate_cache()
         try:
             found = self._fs.find(f"{self._root}/{folder}", detail=True)
@@ -118,7 +118,7 @@ class _RemoteStorage:
             yield path.strip("/")[start:], int(found[path]["size"])
 
     def path(self, key: str) -> Path:
-        """The URL of a file, as a path that :func:`open_binary` takes."""
+        """Return the URL of a file, as a path that :func:`open_binary` takes."""
         return Path(f"{self.name}/{key}")
 
     def open(self, key: str) -> IO[bytes]:
@@ -150,7 +150,7 @@ class _RemoteStorage:
 
 
 def storage_at(place: str | Path) -> Storage:
-    """The storage at a folder or at a URL."""
+    """Return the storage at a folder or at a URL."""
     return _RemoteStorage(url_of(place)) if is_url(place) else FolderStorage(Path(place))
 
 

@@ -87,7 +87,7 @@ _REBUILD = "stillpoint archive rebuild"
 
 
 def _read_records(archive: Archive, faults: list[Fault]) -> Iterator[tuple[str, Record]]:
-    """The sound records by hash."""
+    """Yield the sound records by hash."""
     if not archive.storage.has(MARK):
         faults.append(Fault("record", "", MARK, "is missing", f"write any text to {MARK}"))
     for key, _ in archive.storage.keys("records"):
@@ -130,7 +130,7 @@ _Rows = Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]  # object -> tab
 
 
 def _load_rows(archive: Archive, faults: list[Fault]) -> _Rows:
-    """All rows of the catalogue by object; a damaged catalogue is a fault and has none."""
+    """Return all rows of the catalogue by object; a damaged catalogue is a fault and has none."""
     where, catalogue = str(archive.catalogue.path), archive.catalogue
     found: dict[str, dict[str, list[dict[str, Any]]]] = {}
     try:
@@ -218,7 +218,7 @@ def _compare_catalogue(
 
 
 def _wrong_labels(record: Record, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
-    """The tables in which tags, metadata or the mark of removal differ from the record."""
+    """Return the tables in which tags, metadata or the mark of removal differ from the record."""
     about = own["objects"][0]
     found = {
         "objects": {name: about[name] for name in ("removed", "reason", "freed")},
@@ -236,7 +236,7 @@ def _wrong_labels(record: Record, own: Mapping[str, Sequence[Mapping[str, Any]]]
 def _check_provenance(
     archive: Archive, records: Mapping[str, Record], described: Mapping[str, Description], damaged: Collection[str]
 ) -> Iterator[Fault]:
-    """Everything that was made must have its parents here, back to a recording.
+    """Yield a fault for every object whose parents, back to a recording, are not all here.
 
     What is damaged is a fault already, and no second one of everything that was made from it.
     """
@@ -270,7 +270,7 @@ def _is_raw(name: str) -> bool:
 
 
 def _check_links(archive: Archive, records: Mapping[str, Record]) -> Iterator[Fault]:
-    """Links under names/ must lead to the object that the catalogue says."""
+    """Yield a fault for every link under names/ that does not lead to the object that the catalogue says."""
     if not isinstance(archive.storage, FolderStorage):
         return
     folder = archive.home / "names"

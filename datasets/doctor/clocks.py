@@ -36,7 +36,7 @@ def check_losses(recording: Recording) -> list[Finding]:
 
 
 def check_clocks(recording: Recording) -> list[Finding]:
-    """One fact per stream, and what is wrong with its stamps."""
+    """Return one fact per stream, and a finding for whatever is wrong with its stamps."""
     findings = []
     for name, t_ns in recording.streams():
         if len(t_ns) < 10:

@@ -271,7 +271,7 @@ class TruthFits:
 
     @cached_property
     def rate_misfit(self) -> Floats:
-        """(readings, 2) nats by which each fit of the rates is clearly worse than the best."""
+        """Return (readings, 2) nats by which each fit of the rates is clearly worse than the best."""
         rows = [losses[k] for losses, _, _ in self.rates for k in range(2)]
         if len({len(row) for row in rows}) > 1:  # cannot be: the stamps are the same for all readings
             rows = [row[: min(map(len, rows))] for row in rows]
@@ -311,7 +311,7 @@ class TruthFits:
 
     @cached_property
     def force_misfit(self) -> Floats | None:
-        """(readings, 2, 48) nats by which each constancy of the force is clearly worse than the best.
+        """Return (readings, 2, 48) nats by which each constancy of the force is clearly worse than the best.
 
         None where the force says nothing: too few calm samples, or translation hides gravity.
         """

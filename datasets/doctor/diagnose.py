@@ -149,7 +149,7 @@ def _accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
 
 
 def _bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:
-    """The gyro's bias as well as it is known before the axes are."""
+    """Return the gyro's bias as well as it is known before the axes are."""
     if len(rests_ns):
         first, last = np.searchsorted(imu.t_ns, rests_ns[0])
         return np.asarray(imu.gyro_b_radps[first : last + 1].mean(axis=0))

@@ -69,12 +69,12 @@ class Diagnosis:
         return tuple(finding.remedy for finding in self.findings if finding.remedy is not None)
 
     def codes(self, *severities: Severity) -> tuple[str, ...]:
-        """Codes of the findings of these severities (of all when none is named)."""
+        """Return the codes of the findings of these severities (of all when none is named)."""
         wanted = severities or SEVERITIES
         return tuple(finding.code for finding in self.findings if finding.severity in wanted)
 
     def rows(self) -> list[dict[str, Any]]:
-        """One JSON object per finding; a number that is not finite becomes null."""
+        """Return one JSON object per finding; a number that is not finite becomes null."""
         return [
             {
                 "recording": self.recording,

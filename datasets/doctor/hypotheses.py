@@ -122,7 +122,7 @@ def compare_hypotheses(
 
 
 def _truth_penalty(fault: Fault, view: TruthView) -> float:
-    """Nats against a truth in these conventions beside this fault of the sensors.
+    """Return the nats against a truth in these conventions beside this fault of the sensors.
 
     A cyclic order of the components is the inverse quaternion between two other constant rotations, and a mirrored
     axis is another one seen through a mounting: what is explained by one convention need not be by a chain of them.
@@ -158,7 +158,7 @@ def _changed(matrix: Floats) -> int:
 
 
 def _imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
-    """Nats by which accelerometer and magnetometer fit the gyro worse than they could."""
+    """Return the nats by which accelerometer and magnetometer fit the gyro worse than they could."""
     total = 0.0
     for name, matrix in (("accel", fault.accel), ("mag", fault.mag)):
         if name in excess:
@@ -167,7 +167,7 @@ def _imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
 
 
 def _sign_penalty(fault: Fault, dips: Dips | None, accel_up: float | None) -> float:
-    """Nats against the signs of gravity and field: by the dip of the field and by a known base pose."""
+    """Return the nats against the signs of gravity and field: by the dip of the field and by a known base pose."""
     penalty = 0.0 if dips is None else dips.penalty(fault.accel, fault.mag)
     if accel_up is not None and np.array_equal(np.abs(fault.accel), IDENTITY):
         sign = -1.0 if np.array_equal(fault.accel, -IDENTITY) else 1.0

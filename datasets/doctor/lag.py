@@ -81,7 +81,7 @@ def _bounds(table: Floats) -> Times:
 
 
 def _parts(table: Floats, bounds: Times) -> Floats:
-    """Sums (L, BLOCKS) of losses (L, n) over the parts of the recording."""
+    """Return sums (L, BLOCKS) of losses (L, n) over the parts of the recording."""
     return np.stack([part.sum(axis=1) for part in np.split(table, bounds, axis=1)], axis=1)
 
 
@@ -91,7 +91,7 @@ def _table(loss: Callable[[float], Floats | None], grid: Floats) -> Floats | Non
 
 
 def _bottom(grid: Floats, total: Floats) -> float:
-    """Vertex of a parabola through the points around the smallest."""
+    """Return Vertex of a parabola through the points around the smallest."""
     around = slice(max(0, int(total.argmin()) - 3), int(total.argmin()) + 4)
     if len(grid[around]) < 4:
         return float(grid[int(total.argmin())])

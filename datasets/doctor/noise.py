@@ -22,7 +22,7 @@ SMOOTH_S = 0.1
 
 
 def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
-    """White noise of each sensor in the calm stretches, and the gyro's bias."""
+    """Measure the white noise of each sensor in the calm stretches, and the gyro's bias."""
     imu = recording.require_imu()
     spans = rests_ns if len(rests_ns) else calm_seconds(imu)
     where = f"in {len(rests_ns)} rests" if len(rests_ns) else f"in {len(spans)} calm seconds"
@@ -40,7 +40,7 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
 
 
 def white_noise(values: Floats, still: np.ndarray) -> Floats:
-    """Standard deviation of white noise per column, from differences between neighbouring still samples.
+    """Return the standard deviation of white noise per column, from differences between neighbouring still samples.
 
     Third differences, so that slow turning does not count; robust against single jolts.
     """
@@ -97,7 +97,7 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
 
 
 def calm_seconds(imu: Imu) -> Times:
-    """First and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
+    """Return the first and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
     tenth = _bins(imu.t_ns, SMOOTH_S)
     first, mean = _means(tenth, imu.accel_b_mps2)
     second = tenth[first] // round(1 / SMOOTH_S)

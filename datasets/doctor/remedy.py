@@ -18,7 +18,7 @@ LONGEST_BURST_S = 1.0  # a longer step between stamps is a gap, not the wait for
 
 
 def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
-    """The recording with the remedies applied in order; each is recorded in ``info.conversions``.
+    """Return the recording with the remedies applied in order; each is recorded in ``info.conversions``.
 
     When the sizes then fit their units, ``info.units_unchecked`` is taken back. Raises :class:`BadParameter` for a
     remedy that is not one of :class:`Remedy`'s table, or whose stream is missing.
@@ -36,7 +36,7 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
 
 
 def line_through(t_ns: Times) -> Times:
-    """Evenly spaced stamps by a least-squares line through each stretch without a gap.
+    """Return evenly spaced stamps by a least-squares line through each stretch without a gap.
 
     The stamps as they were where lines of neighbouring stretches would cross.
     """
@@ -52,7 +52,7 @@ def line_through(t_ns: Times) -> Times:
 
 
 def repeats(values: Floats) -> np.ndarray:
-    """True for rows that equal the row before, (N,)."""
+    """Return True for rows that equal the row before, (N,)."""
     return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
 
 

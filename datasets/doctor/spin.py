@@ -51,7 +51,7 @@ def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator
 
 
 def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[Finding]:
-    """The squared rate must be positive, and the encoder's."""
+    """Yield findings where the squared rate is not positive, or not the encoder's."""
     samples = measure(spin, by)
     squared = samples.omega_squared_radps2[samples.omega_squared_valid]
     if len(squared) < 10:
@@ -78,7 +78,7 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
 
 
 def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Finding]:
-    """Angular acceleration by the accelerometers and by the encoder must have the same sign."""
+    """Yield a finding where accelerometers and encoder give angular accelerations of opposite sign."""
     if len(encoder.t_ns) < 20:
         return
     samples = measure(spin, by)
@@ -95,7 +95,7 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
 
 
 def _correlation(seen: Floats, turning: Floats, angle_rad: Floats) -> float:
-    """Correlation of what is no harmonic of the angle: on a tilted shaft the accelerometer sees gravity turn."""
+    """Return the correlation of what is no harmonic of the angle: on a tilted shaft, gravity makes harmonics."""
     harmonics = np.column_stack([np.ones(len(angle_rad)), np.cos(angle_rad), np.sin(angle_rad)])
     rest = [one - harmonics @ np.linalg.lstsq(harmonics, one, rcond=None)[0] for one in (seen, turning)]
     sizes = [float(np.linalg.norm(one)) for one in rest]

@@ -22,7 +22,7 @@ SLIP_RAD, SLIP_RATIO, MOST_SLIPS = np.deg2rad(10.0), 10.0, 0.3  # a second that 
 
 
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
-    """Axes, scale, bias and lag of the gyro by the rate of an independent attitude."""
+    """Find axes, scale, bias and lag of the gyro by the rate of an independent attitude."""
     origin = int(imu.t_ns[0])
     gyro = gyro_series(imu, origin)
     start, end, rate = truth_rates(truth, origin)
@@ -111,7 +111,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
 
 
 def _truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
-    """Times in s, specific force in body axes (n, 3), and what one metre of arm adds to it, (n, 3, 3).
+    """Return times in s, specific force in body axes (n, 3), and what one metre of arm adds to it, (n, 3, 3).
 
     The force is gravity and the second difference of the positions; the arm's is that of the attitudes.
     """

@@ -41,7 +41,7 @@ class Series:
     gaps_s: Floats  # (G, 2) start and end of each gap
 
     def between(self, start_s: Floats, end_s: Floats) -> Floats:
-        """Integral from each start to each end, (n, 3)."""
+        """Return the integral from each start to each end, (n, 3)."""
         return self._at(end_s) - self._at(start_s)
 
     def smooth_between(self, start_s: Floats, end_s: Floats) -> Floats:
@@ -64,12 +64,12 @@ class Series:
 
 
 def gyro_series(imu: Imu, origin_ns: int) -> Series:
-    """The turn that the gyro measured: a sample describes the step that ends at its stamp."""
+    """Return the turn that the gyro measured: a sample describes the step that ends at its stamp."""
     return _series(imu.t_ns, imu.gyro_b_radps, origin_ns, imu.gyro_b_radps[1:])
 
 
 def vector_series(t_ns: Times, values: Floats, origin_ns: int) -> Series:
-    """Vectors that hold at their stamps."""
+    """Return vectors that hold at their stamps."""
     return _series(t_ns, values, origin_ns, 0.5 * (values[1:] + values[:-1]))
 
 
@@ -93,12 +93,12 @@ class Windows:
     length_s: float
 
     def predicted(self, matrix: Floats, offset: Floats) -> Floats:
-        """Integral of (v - offset) x (matrix @ w), (n, 3)."""
+        """Return the integral of (v - offset) x (matrix @ w), (n, 3)."""
         turned = np.einsum("nlj,ij->nli", self.cross - offset[:, None] * self.turn[:, None, :], matrix)
         return np.einsum("kli,nli->nk", LEVI_CIVITA, turned)
 
     def design(self, offset: Floats) -> Floats:
-        """Columns of M (9, row by row), b (3) and, when the offset is unknown, K (9): (n, 3, 21)."""
+        """Return the columns of M (9, row by row), b (3) and, when the offset is unknown, K (9): (n, 3, 21)."""
         n = len(self.change)
         matrix = np.einsum("kli,nlj->nkij", LEVI_CIVITA, self.cross).reshape(n, 3, 9)
         bias = np.einsum("kli,nl->nki", LEVI_CIVITA, self.mean_dt - offset * self.length_s)
@@ -138,7 +138,7 @@ class Grid:
         return len(self.first)
 
     def at_lag(self, lag_s: float) -> Windows:
-        """The windows for a vector whose stamps are late by ``lag_s``."""
+        """Return the windows for a vector whose stamps are late by ``lag_s``."""
         half = self.width_s / 2
         at = self.vector.smooth_between(self.t_s - half + lag_s, self.t_s + half + lag_s) / self.width_s
         middle = 0.5 * (at[1:] + at[:-1])
@@ -167,7 +167,7 @@ def _running(values: Floats) -> Floats:
 
 
 def solve(columns: Floats, rhs: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Weighted least squares over n windows: unknowns (p,), and the length of each window's residual (n,).
+    """Solve weighted least squares over n windows; return the unknowns (p,) and each window's residual length (n,).
 
     ``columns`` (n, m, p), ``rhs`` (n, m). A trace of damping keeps unknowns that nothing excites at zero.
     """
@@ -234,7 +234,7 @@ class Swings:
         return len(self.rows)
 
     def at_lag(self, lag_s: float) -> Seen:
-        """The windows for an accelerometer whose stamps are late by ``lag_s``."""
+        """Return the windows for an accelerometer whose stamps are late by ``lag_s``."""
         middle, half = self.middle_s + lag_s, self.step_s / 2
         felt = self.force.smooth_between(middle - half, middle + half) / self.step_s
         return Seen(self.turn, felt[self.rows], self.step_s)
@@ -242,7 +242,7 @@ class Swings:
 
 @cache
 def displacement_modes(length: int, step_s: float) -> tuple[Floats, Floats]:
-    """Two (6, L): products with a window's forces, and with its displacements, that give the same six numbers.
+    """Return two arrays (6, L) that give the same six numbers by a window's forces and by its displacements.
 
     The sum of their squares is the mean square displacement in m^2 about the parabola that fits it best.
     """
@@ -254,7 +254,7 @@ def displacement_modes(length: int, step_s: float) -> tuple[Floats, Floats]:
 
 
 def displacement(seen: Seen, matrices: Floats) -> Floats:
-    """Mean square displacement in m^2 when true rate = matrix @ measured, for each matrix and window, (K, n)."""
+    """Return the mean square displacement (K, n) in m^2, per matrix and window, if true rate = matrix @ measured."""
     count, n, length = len(matrices), *seen.turn.shape[:2]
     modes, _ = displacement_modes(length, seen.step_s)
     q = np.zeros((count, n, 4))
@@ -293,12 +293,12 @@ def displacement_about_pivot(seen: Seen, matrix: Floats) -> Floats:
 
 
 def _rotation_matrices(rotvec: Floats) -> Floats:
-    """(n, 3, 3) of rotation vectors (n, 3)."""
+    """Return the matrices (n, 3, 3) of rotation vectors (n, 3)."""
     return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 
 
 def _times(a: Floats, b: Floats) -> Floats:
-    """Hamilton product of arrays of quaternions wxyz; scipy's cannot broadcast (K, n)."""
+    """Return the Hamilton product of arrays of quaternions wxyz; scipy's cannot broadcast (K, n)."""
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     scalar = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
     return np.concatenate([scalar, aw * bv + bw * av + _cross(av, bv)], axis=-1)
@@ -311,7 +311,7 @@ def _turn(q: Floats, vector: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross product that broadcasts; numpy's is several times slower."""
+    """Return the cross product that broadcasts; numpy's is several times slower."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

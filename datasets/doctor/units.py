@@ -22,7 +22,7 @@ FIELD_UNIT_UT = (12.0, 120.0)  # outside, another unit is looked for: half and t
 
 
 def check_gyro_size(recording: Recording) -> list[Finding]:
-    """Rates that no MEMS gyro can measure, but in deg/s could."""
+    """Find rates that no MEMS gyro can measure, but could if they were in deg/s."""
     fastest = float(np.abs(recording.require_imu().gyro_b_radps).max())
     if fastest <= FASTEST_GYRO_RADPS:
         return []
@@ -35,7 +35,7 @@ def check_gyro_size(recording: Recording) -> list[Finding]:
 
 
 def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
-    """Size of the specific force at rest, or of its median where nothing rests."""
+    """Judge the size of the specific force at rest, or of its median where nothing rests."""
     imu = recording.require_imu()
     still = is_inside(imu.t_ns, rests_ns if len(rests_ns) else calm_seconds(imu))
     at_rest = bool(still.sum() >= 20)

@@ -38,7 +38,7 @@ class _Sensor:
         return ["x", "y", "z"] if self.name in TO_SHOW else [f"{k + 1}" for k in range(self.values.shape[1])]
 
     def show(self, value: float) -> str:
-        """A value with its unit."""
+        """Return a value with its unit."""
         factor, unit = TO_SHOW.get(self.name, (1.0, "m/s^2" if "accel" in self.name else "rad/s"))
         return f"{factor * value:.4g} {unit}"
 
@@ -60,7 +60,7 @@ def check_values(recording: Recording) -> list[Finding]:
 
 
 def check_steps(recording: Recording) -> list[Finding]:
-    """Values in steps so coarse that slow motion hides between them; for a recording whose units are right."""
+    """Find values in steps so coarse that slow motion hides between them; for a recording whose units are right."""
     return [finding for sensor in _sensors(recording) for finding in _coarse(sensor)]
 
 
@@ -89,7 +89,7 @@ def _sensors(recording: Recording) -> list[_Sensor]:
 
 
 def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples with more than half of their 21 neighbours in the mask."""
+    """Return samples with more than half of their 21 neighbours in the mask."""
     return _share_around(mask, 21) > 0.5
 
 

@@ -68,7 +68,7 @@ def index_of(matrix: Floats) -> int:
 
 
 def describe(sensor: str, matrix: Floats) -> str:
-    """``gyro x -> -x`` for each component that changes: the corrected x is minus the measured x."""
+    """Return ``gyro x -> -x`` for each component that changes: the corrected x is minus the measured x."""
     parts = []
     for axis, row in zip("xyz", matrix, strict=True):
         source = int(np.abs(row).argmax())
@@ -141,7 +141,7 @@ class Witness:
 
 
 def ask_mag(imu: Imu, mag: Mag) -> Witness:
-    """The magnetometer: insensitive to translation, and its hard iron comes out as well."""
+    """Ask the magnetometer, which is insensitive to translation; its hard iron comes out as well."""
     if len(mag.t_ns) < FEWEST_WINDOWS:
         return Witness("mag", None)
     origin = int(imu.t_ns[0])
@@ -173,7 +173,7 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
 
 
 def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
-    """The accelerometer: carried back by the gyro, gravity must stay where it is, and translation stay small."""
+    """Ask the accelerometer: carried back by the gyro, gravity must stay where it is, and translation stay small."""
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
@@ -212,7 +212,7 @@ def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
 
 
 def _sphere_centre(vectors: Floats) -> Floats:
-    """Centre of the sphere closest to the points (n, 3): the hard iron, where all directions were seen."""
+    """Return the centre of the sphere closest to the points (n, 3): the hard iron, where all directions were seen."""
     middle = vectors.mean(axis=0)
     around = vectors - middle
     columns = np.hstack([2 * around, np.full((len(around), 1), np.abs(around).mean() + 1e-300)])
@@ -221,7 +221,7 @@ def _sphere_centre(vectors: Floats) -> Floats:
 
 
 def _robust_loss(grid: Grid, columns: Callable[[Windows], Floats]) -> Callable[[float], Floats]:
-    """Loss of a lag when the vector's change is linear in ``columns``.
+    """Return the loss of a lag when the vector's change is linear in ``columns``.
 
     Each lag weighs its windows anew. Weights found at one lag would leave out the windows that fit badly there, and so
     confirm it.
@@ -250,5 +250,5 @@ def _columns(at: Windows, matrix: Floats, centre: Floats) -> Floats:
 
 
 def _fit(at: Windows, matrix: Floats, centre: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """The unknowns of :func:`_columns`, and the residual of each window (n,)."""
+    """Return the unknowns of :func:`_columns`, and the residual of each window (n,)."""
     return solve(_columns(at, matrix, centre), at.change, weight)

@@ -27,12 +27,12 @@ def is_url(path: Path | str) -> bool:
 
 
 def url_of(path: Path | str) -> str:
-    """The URL that a path stands for, with its two slashes."""
+    """Return the URL that a path stands for, with its two slashes."""
     return _URL.sub(lambda match: f"{match[1].lower()}://", str(path), count=1)
 
 
 def open_url(path: Path | str) -> tuple[Any, str]:
-    """The fsspec file system of a URL, and the path in it; raises :class:`BadParameter` without fsspec."""
+    """Return the fsspec file system of a URL, and the path in it; raises :class:`BadParameter` without fsspec."""
     url = url_of(path)
     try:
         import fsspec
@@ -48,14 +48,14 @@ def open_url(path: Path | str) -> tuple[Any, str]:
 
 
 def open_binary(path: Path | str) -> IO[bytes]:
-    """A file for reading from its start to its end, local or behind a URL; raises ``OSError`` or :class:`BadFile`."""
+    """Open a file to read it from start to end, local or behind a URL; raises ``OSError`` or :class:`BadFile`."""
     if not is_url(path):
         return open(str(path).removeprefix("file://"), "rb")
     return io.BufferedReader(RangedFile(path), READ_AHEAD)
 
 
 def hash_file(path: Path | str) -> str:
-    """The SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
+    """Return the SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
     digest = hashlib.sha256()
     with open_binary(path) as file:
         while block := file.read(BLOCK):
@@ -64,7 +64,7 @@ def hash_file(path: Path | str) -> str:
 
 
 def list_files(path: Path | str, suffix: str) -> list[Path]:
-    """The files with this suffix that a URL stands for: one file, a folder with all below it, or a glob.
+    """Return the files with this suffix that a URL stands for: one file, a folder with all below it, or a glob.
 
     Raises :class:`BadParameter` when there is none.
     """
@@ -100,7 +100,7 @@ class RangedFile(io.RawIOBase):
         self.size = int(self._retry(lambda: self._fs.info(self._path))["size"])
 
     def fetch(self, start: int, end: int) -> bytes:
-        """The bytes from ``start`` to ``end``; raises :class:`BadFile` when they cannot be had in five attempts."""
+        """Return the bytes from ``start`` to ``end``; raises :class:`BadFile` after five attempts in vain."""
         if end <= start:
             return b""
 
@@ -116,15 +116,15 @@ class RangedFile(io.RawIOBase):
         return result
 
     def readable(self) -> bool:
-        """True."""
+        """Return True."""
         return True
 
     def seekable(self) -> bool:
-        """True."""
+        """Return True."""
         return True
 
     def tell(self) -> int:
-        """The place that is read next."""
+        """Return the place that is read next."""
         return self._position
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:

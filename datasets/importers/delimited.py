@@ -71,7 +71,7 @@ class Table:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Column name -> place; raises :class:`BadSource` for a name that stands twice."""
+        """Return a mapping from column name to place; raises :class:`BadSource` for a name that stands twice."""
         places: dict[str, int] = {}
         for place, name in enumerate(self.columns):
             if name in places:

@@ -41,7 +41,7 @@ class Source(Protocol):
     size: int
 
     def fetch(self, start: int, end: int) -> bytes:
-        """The bytes from ``start`` to ``end``."""
+        """Return the bytes from ``start`` to ``end``."""
 
 
 class LocalFile:
@@ -55,7 +55,7 @@ class LocalFile:
             raise BadFile(f"{path}: cannot be opened ({error.strerror}); check the name") from error
 
     def fetch(self, start: int, end: int) -> bytes:
-        """The bytes from ``start`` to ``end``."""
+        """Return the bytes from ``start`` to ``end``."""
         with open(self._path, "rb") as file:
             file.seek(start)
             return file.read(max(end - start, 0))
@@ -110,7 +110,7 @@ class IndexedScan(Scan):
         return cls(Path(path), _open_source(path), None, None)
 
     def blocks(self) -> Iterator[Block]:
-        """The messages of the chunks that are needed; raises :class:`BadFile`."""
+        """Yield the messages of the chunks that are needed; raises :class:`BadFile`."""
         try:
             yield from self.read_chunks(self._wanted(self.read_summary()))
         except DamagedError as error:
@@ -169,7 +169,7 @@ class IndexedScan(Scan):
         ]
 
     def _fetch_chunks(self, chunks: list[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-        """Each chunk with its message indexes; those that lie close together come in one request."""
+        """Yield each chunk with its message indexes; those that lie close together come in one request."""
         runs: list[list[ChunkIndex]] = []
         for chunk in chunks:
             if runs and chunk.chunk_start_offset - _end(runs[-1][-1]) <= LARGEST_GAP:
@@ -190,7 +190,7 @@ def _end(chunk: ChunkIndex) -> int:
 
 
 def _unpack(data: bytes, index: ChunkIndex) -> tuple[bytes, list[NDArray[np.int64]]]:
-    """The bytes of a chunk, and the offsets in the message indexes behind it."""
+    """Return the bytes of a chunk, and the offsets in the message indexes behind it."""
     unpacked = b""
     listed = []
     for opcode, body in iterate_records(data):

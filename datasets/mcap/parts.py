@@ -45,7 +45,7 @@ def split_recording(recording: Recording, span_s: float) -> list[Recording]:
 
 
 def _cut(stream: Any, start_ns: int | None, end_ns: int | None) -> Any:
-    """The samples of a stream from ``start_ns`` to before ``end_ns``; None without one."""
+    """Return the samples of a stream from ``start_ns`` to before ``end_ns``; None without one."""
     first = 0 if start_ns is None else int(np.searchsorted(stream.t_ns, start_ns))
     last = len(stream.t_ns) if end_ns is None else int(np.searchsorted(stream.t_ns, end_ns))
     return slice_stream(stream, first, last)

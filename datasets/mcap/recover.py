@@ -105,7 +105,7 @@ def recover_file(source: Path, target: Path) -> Recovered:
 
 
 def _search(data: mmap.mmap) -> _Found:
-    """Everything that can be located: by the records in their order, by the summary, by the marks in chunks."""
+    """Return everything that can be located: by the records in their order, by the summary, by the marks in chunks."""
     found = _Found()
     _read_summary(data, found)
     for mark in _MARKS:
@@ -180,7 +180,7 @@ def _walk_records(data: mmap.mmap, found: _Found) -> None:
 
 
 def _frames(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and end of the bodies of records, as long as their heads make sense; ends with (0, at, at)."""
+    """Yield kind, start and end of the bodies of records, as long as their heads make sense; ends with (0, at, at)."""
     while at + _HEAD <= end:
         opcode, length = data[at], _length(data, at)
         if not 0 < opcode <= LAST_OPCODE or length > end - at - _HEAD:
@@ -216,7 +216,7 @@ def _take_fact(data: mmap.mmap, found: _Found, opcode: int, start: int, stop: in
 
 
 def _read_chunks(path: Path, data: mmap.mmap, found: _Found) -> Iterator[Block]:
-    """The messages of every chunk whose checksum is right, in the order of the file."""
+    """Yield the messages of every chunk whose checksum is right, in the order of the file."""
     reader = Scan(path)
     reader.schemas, reader.channels = found.schemas, found.channels
     for start in sorted(found.chunk_starts):
@@ -251,7 +251,7 @@ def _span(index: ChunkIndex) -> str:
 
 
 def _read_facts(found: _Found) -> tuple[str, dict[str, Any] | None]:
-    """Kind and facts of a file of stillpoint; ("", None) for others, and where the facts are damaged."""
+    """Return kind and facts of a file of stillpoint; ("", None) for others, and where the facts are damaged."""
     record = found.metadata.get(RECORD)
     if record is None:
         return "", None
@@ -278,7 +278,7 @@ def _expected_counts(found: _Found, facts: Mapping[str, Any] | None) -> dict[str
 
 
 def _drop_unpaired(blocks: list[Block], found: _Found, kind: str) -> list[Block]:
-    """Without the messages that lack their counterparts on the other topics of their stream.
+    """Drop the messages that lack their counterparts on the other topics of their stream.
 
     A stream of stillpoint may lie on several topics with the same stamps: course and position of a GPS, attitude and
     bias of a reference. Where a chunk of one is lost, the others go too.
@@ -307,7 +307,7 @@ def _stamps(blocks: list[Block], number: int) -> NDArray[np.uint64]:
 
 
 def _select(block: Block, allowed: Mapping[int, NDArray[np.uint64]]) -> Block:
-    """The block with those messages only whose stamps are allowed on their channel."""
+    """Return the block with those messages only whose stamps are allowed on their channel."""
     keep = {
         number: np.isin(heads["log_time"], allowed[number]) if number in allowed else np.ones(len(heads), np.bool_)
         for number, heads in block.heads.items()
@@ -329,7 +329,7 @@ def _count(blocks: list[Block], found: _Found) -> dict[str, int]:
 
 
 def _note_losses(facts: dict[str, Any], kind: str, kept: Mapping[str, int], lost: list[str]) -> dict[str, Any]:
-    """The facts with the new counts, and with what was lost among the notes or diagnostics."""
+    """Return the facts with the new counts, and with what was lost among the notes or diagnostics."""
     notes = [f"recovered from a damaged file; lost: {'; '.join(lost) or 'nothing'}"]
     samples = {topic: kept[topic] for topic in facts["samples"] if kept.get(topic)}
     if kind == "recording":

@@ -155,7 +155,7 @@ class Voyage:
         return np.empty((0, 2))
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
-        """Body to n at times (N,)."""
+        """Return the attitude, body to n, at times (N,)."""
         return rotation(from_euler(self.euler_ned_rad(np.asarray(t_s)), "ned"))
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
@@ -172,7 +172,7 @@ class Voyage:
         return np.asarray(self._acceleration(np.asarray(t_s)))
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
-        """True everywhere."""
+        """Return True for every time."""
         return np.ones(len(np.atleast_1d(t_s)), dtype=np.bool_)
 
     @cached_property

@@ -84,11 +84,11 @@ class Drive(Voyage):
     antenna_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
-        """Body (forward-left-up) to n at times (N,)."""
+        """Return the attitude, body (forward-left-up) to n, at times (N,)."""
         return super().attitude(t_s) * FLU_FROM_FRD
 
     def position(self, t_s: ArrayLike) -> Floats:
-        """Position in n (N, 3) in m, from where the IMU is when the drive begins."""
+        """Return the position in n (N, 3) in m, from where the IMU is when the drive begins."""
         place = super().position(t_s)
         return place + self.attitude(t_s).apply(self.antenna_b_m) if any(self.antenna_b_m) else place
 

@@ -30,16 +30,16 @@ class Motion(Protocol):
         """Rests (R, 2): from, to."""
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
-        """Body to n."""
+        """Return the attitude, body to n."""
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
-        """Rotation vectors (N - 1, 3) from the attitude at each time to that at the next."""
+        """Return rotation vectors (N - 1, 3) from the attitude at each time to that at the next."""
 
     def position(self, t_s: ArrayLike) -> Floats:
-        """Position in n, (N, 3) in m."""
+        """Return the position in n, (N, 3) in m."""
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
-        """Its second derivative, (N, 3)."""
+        """Return the second derivative of the position, (N, 3)."""
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
         """Return whether a time lies outside all rests."""

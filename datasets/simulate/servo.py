@@ -82,7 +82,7 @@ class Bench:
     shake_m_degps: float = 5e-7  # sd of a step's shake on each axis, per rate
 
     def swing_s(self, rate_hz: float) -> float:
-        """Length of the swings at one of the two rates."""
+        """Return the length of the swings at one of the two rates."""
         return (self.low_periods if rate_hz == self.low_hz else self.high_periods) / rate_hz
 
 
@@ -128,7 +128,7 @@ class Swings:
         return angle, rate, accel
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
-        """Body to n at times (N,)."""
+        """Return the attitude, body to n, at times (N,)."""
         angle = np.atleast_1d(self.angle(t_s)[0])
         return rotation(self.home_q_nb) * Rotation.from_rotvec(angle[:, None] * [1.0, 0.0, 0.0])
 

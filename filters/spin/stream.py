@@ -79,7 +79,7 @@ class SpinStream:
         self._advance = compile_advance(entry.module, self._cell)
 
     def update(self, t_ns: int, accel_mps2: Sequence[float], gyro_radps: Sequence[float] = ()) -> SpinAnswer:
-        """Angle and rate after one sample: a number per accelerometer and gyro of the geometry, NaN where it is lost.
+        """Return angle and rate after one sample: a number per accelerometer and gyro, NaN where it is lost.
 
         A stamp that does not rise is left out and counted, and the answer before is returned. Raises
         :class:`BadParameter` for another number of values.
@@ -91,7 +91,7 @@ class SpinStream:
         return self._advance(self._cell, t_ns)
 
     def save(self) -> SavedSpin:
-        """All that is needed to go on from here, also in another process."""
+        """Return all that is needed to go on from here, also in another process."""
         return SavedSpin(*self._kind, *deepcopy(read_cell(self._cell)[2:5]))
 
     @property

@@ -44,5 +44,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The names that can be imported."""
+    """Return the names that can be imported."""
     return sorted({*__all__, *FOLDERS})

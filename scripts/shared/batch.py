@@ -12,7 +12,7 @@ from stillpoint.scripts.shared.tables import print_refusals, print_table
 
 
 def assignments(pairs: Sequence[str] | None, example: str) -> dict[str, str]:
-    """``{name: value}`` of the texts NAME=VALUE; raises :class:`BadParameter` with the example for another text."""
+    """Read texts NAME=VALUE as ``{name: value}``; raises :class:`BadParameter` with the example for another text."""
     changes = {}
     for pair in pairs or ():
         name, equals, value = pair.partition("=")
@@ -30,7 +30,7 @@ def require_distinct(targets: Iterable[Path]) -> None:
 
 
 def made_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
-    """The row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
+    """Return the row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
     if outcome.value is None:
         return {**named, "file": None, "error": outcome.error, "defect": outcome.defect}
     return {**named, "file": str(target), **outcome.value, "error": None}

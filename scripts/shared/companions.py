@@ -18,7 +18,7 @@ def recording_name(path: Path) -> str:
 
 
 def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
-    """The references or estimates of the recording NAME among these files, sorted by METHOD or ESTIMATOR."""
+    """Return the references or estimates of the recording NAME among these files, sorted by METHOD or ESTIMATOR."""
     suffix = KINDS[kind]
     found = []
     for file in files:
@@ -30,7 +30,7 @@ def files_of(name: str, kind: str, files: Iterable[Path]) -> list[Path]:
 
 
 def neighbours(path: Path) -> list[Path]:
-    """All MCAP files in the same folder."""
+    """Return all MCAP files in the same folder."""
     if is_url(path):
         return [file for file in list_files(path.parent, SUFFIX) if file.parent == path.parent]
     return sorted(file for file in path.absolute().parent.glob(f"*{SUFFIX}") if not file.name.startswith("."))

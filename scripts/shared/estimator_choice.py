@@ -29,7 +29,7 @@ class Run:
 
 
 def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precision, heading: Heading) -> list[Run]:
-    """One run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
+    """Return one run per estimator, checked before the first sample is read. Raises :class:`BadParameter`."""
     names = _parse_names(estimators)
     entries = {name: find_estimator(name) for name in names}
     peers = [name for name, entry in entries.items() if isinstance(entry, Peer)]
@@ -51,14 +51,14 @@ def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precisio
 
 
 def _parse_names(estimators: str) -> list[str]:
-    """The estimators that a word of the command line stands for."""
+    """Return the estimators that a word of the command line stands for."""
     if estimators in ("all", "roll"):
         return list(ATTITUDES if estimators == "all" else ROLLS)
     return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
 
 
 def _parse_settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
+    """Return settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
     settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, HEADING, RANGE)}
     for path, value in assignments(set_, EXAMPLE).items():
         owner, dot, name = path.partition(".")

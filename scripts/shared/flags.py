@@ -32,7 +32,7 @@ _SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400, "y": 365.2
 
 
 def read_span(text: str, flag: str) -> timedelta:
-    """A length of time as users write it, 90s, 10min, 1h, 30d; raises :class:`BadParameter` for another text."""
+    """Return a length of time as users write it, 90s, 10min, 1h, 30d; raises :class:`BadParameter` for another text."""
     match = _SPAN.fullmatch(text.strip())
     if match is None:
         raise BadParameter(f"{flag} {text}: write a number and s, min, h, d, w or y, for example 30d")

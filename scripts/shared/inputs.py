@@ -22,7 +22,7 @@ Thing = TypeVar("Thing")
 
 
 def kind_of(path: Path) -> str:
-    """``"recording"``, ``"reference"`` or ``"estimate"``, by the name of an MCAP file."""
+    """Return ``"recording"``, ``"reference"`` or ``"estimate"``, by the name of an MCAP file."""
     return next((kind for kind, suffix in KINDS.items() if path.name.endswith(suffix)), RECORDING)
 
 
@@ -37,22 +37,22 @@ def is_of_spin(path: Path) -> bool:
 
 
 def recordings(paths: Iterable[str | Path]) -> list[Path]:
-    """MCAP files that are neither a reference nor an estimate; raises :class:`BadParameter` when there is none."""
+    """Return MCAP files that are no reference and no estimate; raises :class:`BadParameter` when there is none."""
     return _of_kind(paths, RECORDING)
 
 
 def references(paths: Iterable[str | Path]) -> list[Path]:
-    """Files ``*.reference.mcap``; raises :class:`BadParameter` when there is none."""
+    """Return files ``*.reference.mcap``; raises :class:`BadParameter` when there is none."""
     return _of_kind(paths, "reference")
 
 
 def estimates(paths: Iterable[str | Path]) -> list[Path]:
-    """Files ``*.estimate.mcap``; raises :class:`BadParameter` when there is none."""
+    """Return files ``*.estimate.mcap``; raises :class:`BadParameter` when there is none."""
     return _of_kind(paths, "estimate")
 
 
 def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
-    """MCAP files of every kind, each once, in the order of ``paths`` and sorted within a folder or glob.
+    """Return MCAP files of every kind, each once, in the order of ``paths`` and sorted within a folder or glob.
 
     A folder stands for all MCAP files in it and below. Raises :class:`BadParameter` for a path that is not there,
     names another format, or holds no MCAP file.
@@ -61,7 +61,7 @@ def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def output_dir(path: str | Path) -> Path:
-    """The folder to write into, made when it is not there; raises :class:`BadParameter` when that cannot be."""
+    """Return the folder to write into, made when it is not there; raises :class:`BadParameter` when that cannot be."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -118,5 +118,5 @@ def _expand(path: Path) -> list[Path]:
 
 
 def _hidden(file: Path, below: Path) -> bool:
-    """Temporary and hidden files are nobody's input."""
+    """Return whether a file is temporary or hidden, and so nobody's input."""
     return any(part.startswith(".") for part in file.relative_to(below).parts)

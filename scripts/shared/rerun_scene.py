@@ -31,7 +31,7 @@ AXES = ("x", "y", "z")
 
 
 def open_scene(save: Path | None, things: Sequence[Kept]) -> rr.RecordingStream:
-    """A stream into a file, or into a window of its own, laid out for these things.
+    """Return a stream into a file, or into a window of its own, laid out for these things.
 
     Raises :class:`BadParameter` when neither can be had.
     """
@@ -99,7 +99,7 @@ def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) 
 
 
 def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinReference | Estimate) -> None:
-    """Angle and rate about the spin axis, which is x of the body, with their standard deviations."""
+    """Show angle and rate about the spin axis, which is x of the body, with their standard deviations."""
     columns = {
         SPIN_ANGLE: None if thing.angle_rad is None else wrap(thing.angle_rad),
         SPIN_RATE: thing.rate_radps,
@@ -115,13 +115,13 @@ def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinRefere
 
 
 def _attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
-    """The body, and its angles."""
+    """Show the body, and its angles."""
     _body(scene, name, t_ns, q_nb)
     _lines(scene, ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
 
 
 def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
-    """The body as three axes that turn."""
+    """Show the body as three axes that turn."""
     entity = _entity("body", name)
     rr.log(entity, rr.TransformAxes3D(AXIS_LENGTH), static=True, recording=scene)
     columns = rr.Transform3D.columns(quaternion=to_xyzw(q_nb))
@@ -129,7 +129,7 @@ def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> No
 
 
 def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov_b_rad2: Floats) -> None:
-    """Standard deviations about east, north and up, and of the whole."""
+    """Show standard deviations about east, north and up, and of the whole."""
     turn = rotation(q_nb).as_matrix()
     variance = np.einsum("nij,njk,nik->ni", turn, cov_b_rad2, turn)
     _lines(scene, SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
@@ -177,7 +177,7 @@ def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
 
 
 def _layout(quantities: Sequence[str]) -> rrb.Blueprint:
-    """Bodies and returns on the left, then one plot per quantity over the same time."""
+    """Return bodies and returns on the left, then one plot per quantity over the same time."""
     plots = [rrb.TimeSeriesView(name=one, origin=rr.new_entity_path([one])) for one in quantities]
     left = rrb.Vertical(
         rrb.Spatial3DView(name="bodies", origin="/body"),

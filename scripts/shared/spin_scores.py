@@ -65,7 +65,7 @@ def zero_of(align: AlignKind, where: str) -> AngleZero | None:
 
 
 def find_spin_judge(path: Path) -> SpinJudge:
-    """The roll reference in a file, or the truth, else the encoder, of a recording; raises :class:`BadParameter`."""
+    """Find the roll reference in a file, or the truth, else the encoder, of a recording, else raise BadParameter."""
     thing = read(path)
     if isinstance(thing, SpinReference):
         return SpinJudge(path, thing, "", thing.made_from)
@@ -81,7 +81,7 @@ def find_spin_judge(path: Path) -> SpinJudge:
 
 
 def print_spin_scores(scores: Sequence[SpinScore]) -> None:
-    """A table per judge and per what is taken off, a section per recording, best rate first; then what was left out."""
+    """Print a table per judge and alignment, a section per recording, best rate first; then what was left out."""
     ordered = sorted(scores, key=lambda s: (s.against, s.recording, s.rate_rmse_degps))
     ordered.sort(key=lambda s: (s.against, s.zero))
     for (against, taken_off), same in groupby(ordered, key=lambda s: (s.against, s.zero)):

@@ -302,7 +302,7 @@ def _split_all(all_imported: Iterable[tuple[Path, Imported]], span_s: float | No
 
 
 def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
-    """The importer and its options; an option that the kind does not take is refused."""
+    """Return the importer and its options; an option that the kind does not take is refused."""
     require_known(kind, IMPORTERS, "kind")
     importer = IMPORTERS[kind]
     known = {field.name: field.type for field in fields(importer.options)}
@@ -318,7 +318,7 @@ def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
 
 
 def _choices(annotation: Any) -> tuple[str, ...]:
-    """The words of a Literal, alone or in a union with None."""
+    """Return the words of a Literal, alone or in a union with None."""
     for part in (annotation, *get_args(annotation)):
         if get_origin(part) is Literal:
             return tuple(str(word) for word in get_args(part))
@@ -372,7 +372,7 @@ def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unc
 
 
 def _show(kept: list[_Kept]) -> None:
-    """One table of the recordings; below it what was converted, once where it holds for all, and the notes."""
+    """Print one table of the recordings; below it what was converted, once where it holds for all, and notes."""
     present = [name for name in STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
     rows = []
     for one in kept:

@@ -172,7 +172,7 @@ def _turn_cells(s: Score) -> list[str]:
 
 
 def _judge_of(path: Path) -> Judge:
-    """The reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
+    """Return the reference in a file, or the truth of a recording; raises :class:`BadParameter` when it has neither."""
     if _is_trajectory(path):
         return Judge(path, read_poses(path), {})
     thing = read(path)

@@ -124,7 +124,7 @@ def find_unobservable_constants(linear: "Linear", prior: Prior, name: str) -> ND
 
 
 def fix_constants(prior: Prior, held: NDArray[np.bool_]) -> Prior:
-    """The prior with some constants held at their means."""
+    """Return the prior with some constants held at their means."""
 
     def hold(cov: Floats) -> Floats:
         small = np.where(held, CONSTANT, 1.0)

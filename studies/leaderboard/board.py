@@ -183,7 +183,7 @@ class Leaderboard:
         return make_frame(self)
 
     def to_json(self) -> dict[str, Any]:
-        """The layout of ``leaderboard.json``; numbers that are not finite become null."""
+        """Return the layout of ``leaderboard.json``; numbers that are not finite become null."""
         content = {
             "against": self.against,
             "align": self.align,
@@ -203,7 +203,7 @@ class Leaderboard:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Leaderboard":
-        """The leaderboard that :meth:`to_json` wrote."""
+        """Return the leaderboard that :meth:`to_json` wrote."""
         rows = iter([_row(row) for row in content["rows"]])
         pairs = iter([_pair(pair) for pair in content["pairs"]])
         tables = []

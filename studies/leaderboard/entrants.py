@@ -58,7 +58,7 @@ class Entrant:
         return self.spelled or self.target
 
     def identity(self) -> dict[str, Any]:
-        """Everything that decides what the estimator computes, for the key of its results."""
+        """Return everything that decides what the estimator computes, for the key of its results."""
         return {"kind": self.kind, "target": self.target, "params": dict(self.params), "version": self.version}
 
 

@@ -203,6 +203,6 @@ def _of_known(function: Any, values: Sequence[float | None]) -> float | None:
 
 
 def _order(row: Row, figure: RankedBy) -> tuple[bool, tuple[int, int], float]:
-    """Ranked rows first, by rank, then by the typical error."""
+    """Return ranked rows first, by rank, then by the typical error."""
     summary: Summary | None = getattr(row, f"{figure}_rmse_deg")
     return row.rank is None, row.rank or (0, 0), float("inf") if summary is None else summary.typical

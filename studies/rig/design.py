@@ -125,6 +125,6 @@ def find_longest_arms(rig: Rig) -> Placement:
 
 
 def limits_m(rig: Rig) -> tuple[float, float]:
-    """The arms d1 and d2 at which F4 and F5 read the whole range."""
+    """Return the arms d1 and d2 at which F4 and F5 read the whole range."""
     used = _compute_range_shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
     return float(1 / used[0]), float(1 / used[1])

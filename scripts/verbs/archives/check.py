@@ -161,7 +161,7 @@ def rebuild(*, archive: ArchiveDir = None) -> int:
 
 
 def _print_faults(faults: Sequence[Fault]) -> None:
-    """Two lines per fault: what is wrong where, and how to repair it."""
+    """Print two lines per fault: what is wrong where, and how to repair it."""
     for fault in faults:
         print_line(f"{fault.level}: {fault.where}: {fault.what}")
         print_line(f"    {fault.repair}")

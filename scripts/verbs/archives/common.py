@@ -24,7 +24,7 @@ def open_named(place: str | None) -> Archive:
 
 
 def read_ids(words: Sequence[str]) -> list[str]:
-    """IDs as they were given; ``-`` stands for the lines of the standard input, of which the first word counts."""
+    """Return IDs as they were given; ``-`` stands for the first words of the lines of the standard input."""
     found: list[str] = []
     for word in words:
         found += [line.split()[0] for line in sys.stdin if line.strip()] if word == "-" else [word]
@@ -34,7 +34,7 @@ def read_ids(words: Sequence[str]) -> list[str]:
 
 
 def entry_row(archive: Archive, entry: Entry) -> dict[str, Any]:
-    """The facts of one object for machines."""
+    """Return the facts of one object for machines."""
     tags, metadata = archive.labels(entry.sha256)
     return {
         "id": entry.sha256,

@@ -145,7 +145,7 @@ def _figure(value: float | None) -> str:
 
 
 def _draw_parents(archive: Archive, entry: Entry) -> Tree:
-    """The chain from an object back to what it was made from."""
+    """Return the chain from an object back to what it was made from."""
     tree = Tree(Text("made from"))
     _add_parents(archive, tree, entry.sha256, DEEPEST)
     return tree
@@ -161,7 +161,7 @@ def _add_parents(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
 
 
 def _draw_children(archive: Archive, entry: Entry) -> Tree:
-    """Everything that was made from an object."""
+    """Return everything that was made from an object."""
     tree = Tree(Text("derived"))
     _add_children(archive, tree, entry.sha256, DEEPEST)
     return tree

@@ -170,7 +170,7 @@ def gc(
 
 
 def _expand(paths: Sequence[Path]) -> Iterator[Path]:
-    """Files as given, and all files of folders, hidden ones aside."""
+    """Yield files as given, and all files of folders, hidden ones aside."""
     for path in paths:
         if is_url(path) or path.is_file():
             yield path

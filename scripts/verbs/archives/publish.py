@@ -186,7 +186,7 @@ def bundle(
 
 
 def _recording_of(archive: Archive, entry: Entry) -> Entry:
-    """The recording that an object is, or was made from."""
+    """Return the recording that an object is, or was made from."""
     if entry.kind == "recording":
         return entry
     kept = [archive.entry(parent) for _, parent in archive.parents(entry.sha256)]

@@ -95,7 +95,7 @@ def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> 
 
 
 def _finish(ax: Axes, series: Series, span: Span, label: str) -> None:
-    """Limits, label, and the time under water in grey."""
+    """Set limits and label, and shade the time under water in grey."""
     when = series.phases_s
     first, last = max(when["dive_s"], span[0]), min(when["surfaced_s"], span[1])
     if first < last:

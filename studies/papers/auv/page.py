@@ -51,7 +51,7 @@ COLUMNS = (
 
 
 def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: str) -> str:
-    """The page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
+    """Return the page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
     first = next(iter(trials.values()))
     kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]
     return load_template("stillpoint.studies.papers.auv", "page.html.j2").render(

@@ -54,7 +54,7 @@ def _line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> Non
 
 
 def _finish(ax: Axes, series: Series, span: Span) -> None:
-    """Limits, and the rests in grey."""
+    """Set limits, and shade the rests in grey."""
     for first, last in series.rests_s:
         if last > span[0] and first < span[1]:
             ax.axvspan(max(first, span[0]), min(last, span[1]), color=REST_GREY, alpha=0.16, lw=0, zorder=0)

@@ -72,7 +72,7 @@ def phone_page(
     minutes: float,
     command: str,
 ) -> str:
-    """The page as text; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``."""
+    """Return the page; ``trials`` by how the phone is moved, each with at least one; ``long_runs`` of ``minutes``."""
     first = next(iter(trials.values()))
     return load_template("stillpoint.studies.papers.phone", "page.html.j2").render(
         colours=COLOURS,

@@ -30,7 +30,7 @@ def _median_over(trials: Sequence[Trial], key: str) -> float:
 
 
 def servo_page(trials: Sequence[Trial], command: str) -> str:
-    """The page as text; the same trials give the same bytes."""
+    """Return the page as text; the same trials give the same bytes."""
     return load_template("stillpoint.studies.papers.servo", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,

@@ -15,7 +15,7 @@ LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
 
 
 def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[str, int], unit: str) -> None:
-    """One group of bars per trial, one bar per method in its colour; logarithmic where the sizes differ too much."""
+    """Draw one group of bars per trial, a bar per method in its colour; logarithmic where the sizes differ much."""
     values = np.array([[_figure(one, method, metric) for method in methods] for one in trials])
     width = GROUP / len(methods)
     low, high = np.nanmin(values), np.nanmax(values)

@@ -44,7 +44,7 @@ assert tuple(metric.key for metric in NAMED) == METRICS
 
 
 def spin_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, command: str) -> str:
-    """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
+    """Return the page; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
     methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
     first = next(iter(trials.values()))
     return load_template("stillpoint.studies.papers.spin", "page.html.j2").render(

@@ -61,6 +61,7 @@ CONVENTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONVENTIONS)
 @pytest.mark.parametrize("place", [True, False])
 def test_a_truth_in_another_convention_is_mended_and_no_sensor_is_touched(phone, name, place):
