@@ -250,7 +250,7 @@ SAMPLES = st.lists(
 @pytest.mark.parametrize("heading", ["mag", "gps-course"])
 @settings(max_examples=30)
 @given(samples=SAMPLES)
-def test_no_samples_whatever_make_an_output_that_is_no_attitude(name: str, heading: str, samples: list) -> None:
+def test_any_samples_give_a_unit_quaternion(name: str, heading: str, samples: list) -> None:
     stream = Stream(name, heading=heading)
     t_ns = 10**13
     for step_ns, gyro, accel, mag, course in samples:

@@ -161,7 +161,7 @@ def test_zero_field_is_dropped_and_counted_before_a_package_sees_it() -> None:
     assert 1 in [count for name, count in found.diagnostics.items() if name.startswith("n_")]
 
 
-def test_what_a_package_refuses_is_one_line(monkeypatch) -> None:
+def test_what_a_package_refuses_gives_one_line_error(monkeypatch) -> None:
     def refuse(*args: object, **settings: object) -> None:
         raise ValueError("a reason\nof two lines")
 
@@ -193,7 +193,7 @@ def test_a_peer_takes_whole_recordings_in_its_own_precision(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PEERS)
-def test_a_missing_package_is_one_line_with_the_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_gives_one_line_error_with_the_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("vqf", "ahrs", "imufusion", "riann.riann"):
         monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(BadParameter, match=r"pip install 'stillpoint\[peers\]'"):

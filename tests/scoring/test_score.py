@@ -132,7 +132,7 @@ def test_coverage_counts_up_to_the_95_percent_point_of_chi_square():
     assert pytest.approx(chi2.ppf(0.95, 3), rel=1e-14) == CHI2_3_95
 
 
-def test_a_covariance_that_is_none_is_said_and_not_judged():
+def test_an_invalid_covariance_is_reported_and_not_judged():
     """Correlated by more than 1: d' C^-1 d could be negative, and would count as covered."""
     t_ns, q_nb = swing(100)
     cov = np.tile(np.eye(3), (100, 1, 1))

@@ -203,7 +203,7 @@ def test_the_verb_takes_the_encoder_where_there_is_no_truth(folder, call):
         (["--against", "run.roll-guarded.estimate.mcap"], "holds no angle about a spin axis"),
     ],
 )
-def test_what_an_angle_does_not_have_is_one_line(folder, call, capsys, words, says):
+def test_what_an_angle_does_not_have_gives_one_line_error(folder, call, capsys, words, says):
     assert call("score", "run.roll-guarded.estimate.mcap", *words) == 2
     err = capsys.readouterr().err
     assert says in err

@@ -46,7 +46,7 @@ def test_only_moving_ends_count_and_no_stamp_is_far_from_where_it_should_be():
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_time_that_is_none_is_named(seconds):
+def test_an_invalid_time_is_named(seconds):
     t_ns, q_true = swing(100)
     with pytest.raises(BadParameter, match="give seconds above 0"):
         score(Estimate(t_ns, "exact", q_nb=q_true), as_truth(t_ns, q_true), over_s=(seconds,))

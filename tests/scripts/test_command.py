@@ -37,7 +37,7 @@ HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
         (["simulate", "phone-1", "--json", "."], "It is a folder"),
     ],
 )
-def test_a_wrong_call_is_one_line_and_exit_code_2(
+def test_a_wrong_call_gives_one_line_error_and_exit_code_2(
     call,
     words: list[str],
     says: str,
@@ -94,7 +94,7 @@ def test_what_is_no_source_is_named_in_one_line(call, oddities, capsys, kind: st
 
 @pytest.mark.parametrize("verb", ["reference", "estimate", "report"])
 @pytest.mark.parametrize("out", ["notes.txt", "notes.txt/below", "/proc/nowhere"])
-def test_a_folder_that_cannot_be_written_is_one_line(call, oddities, capsys, verb: str, out: str) -> None:
+def test_a_folder_that_cannot_be_written_gives_one_line_error(call, oddities, capsys, verb: str, out: str) -> None:
     write(oddities / "good.mcap", simulate("phone-1", minutes=0.6))
     assert call(verb, "good.mcap", "-o", out) == 2
     printed = capsys.readouterr()
@@ -214,7 +214,7 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_standard_output_is_one_line_and_no_success(small: Path) -> None:
+def test_a_full_standard_output_gives_one_line_error_and_no_success(small: Path) -> None:
     with open("/dev/full", "w") as full:
         done = run_stillpoint("info", str(small), "--json", "-", stdout=full)
     assert done.returncode == 2

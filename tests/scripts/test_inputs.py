@@ -49,7 +49,7 @@ def test_a_file_whose_name_holds_glob_signs_is_taken_as_it_is(folder):
         ("deep", "holds no reference"),
     ],
 )
-def test_each_wrong_input_is_one_line_that_names_it(folder, argument, said):
+def test_each_wrong_input_gives_one_line_error_that_names_it(folder, argument, said):
     wanted = inputs.references if argument == "deep" else inputs.recordings
     with pytest.raises(BadParameter, match=said) as caught:
         wanted([folder / argument])

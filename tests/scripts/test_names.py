@@ -30,7 +30,7 @@ def test_a_hostile_name_is_shown_escaped(call, recording, tmp_path, capsys, verb
     assert all(letter.isprintable() or letter in "\n\t" for letter in out)
 
 
-def test_an_error_about_a_hostile_name_is_one_line(call, tmp_path, capsys):
+def test_an_error_about_a_hostile_name_gives_one_line_error(call, tmp_path, capsys):
     assert call("info", tmp_path / "no\x1b[31m\nfile.mcap") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.isprintable()

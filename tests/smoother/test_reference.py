@@ -148,7 +148,7 @@ def test_errors_of_the_verb_are_one_line(call, folder, capsys, tokens, said):
     assert "\n" not in message
 
 
-def test_one_refused_recording_is_one_line(call, tmp_path, capsys):
+def test_one_refused_recording_gives_one_line_error(call, tmp_path, capsys):
     write(tmp_path / "restless.mcap", restless())
     assert call("reference", tmp_path / "restless.mcap", "-o", tmp_path, "--method", "redistribution") == 2
     printed = capsys.readouterr()

@@ -95,7 +95,7 @@ def test_deleting_the_catalogue_loses_nothing(archive, family):
         assert [entry.name for entry in again.find("tag:extra and meta.subject = anna")] == ["run"]
 
 
-def test_a_catalogue_that_is_no_database_is_one_line(archive, family):
+def test_a_catalogue_that_is_no_database_gives_one_line_error(archive, family):
     list(archive.add(family))
     archive.close()
     (archive.home / "catalogue.sqlite").write_bytes(b"no database at all" * 100)

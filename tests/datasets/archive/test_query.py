@@ -64,7 +64,7 @@ def test_a_query_finds_what_it_says(archive, query, found):
         ("rate > 3; DROP TABLE objects", "cannot be understood"),
     ],
 )
-def test_a_query_that_makes_no_sense_is_one_line(archive, query, says):
+def test_a_query_that_makes_no_sense_gives_one_line_error(archive, query, says):
     with pytest.raises(BadParameter, match=says) as caught:
         archive.find(query)
     assert "\n" not in str(caught.value)

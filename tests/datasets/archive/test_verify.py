@@ -300,7 +300,7 @@ def test_plain_files_serve_as_a_copy(home):
         assert left == []
 
 
-def test_a_deleted_mark_is_one_line(home):
+def test_a_deleted_mark_gives_one_line_error(home):
     delete_mark(home)
     with pytest.raises(Exception, match="is no archive") as caught:
         open_archive(home)

@@ -216,7 +216,7 @@ def test_a_log_of_px4(known, tmp_path):
     assert any("North-East-Down" in line for line in imported.recording.info.conversions)
 
 
-def test_a_log_of_px4_that_is_none(tmp_path):
+def test_other_bytes_are_refused_as_px4_log(tmp_path):
     pytest.importorskip("pyulog")
     (tmp_path / "x.ulg").write_bytes(b"nothing of the kind")
     with pytest.raises(BadSource, match=r"x\.ulg.*ULog"):

@@ -147,7 +147,7 @@ def test_an_hdf5_array_that_claims_terabytes_is_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("text", ['{"trials":' * 50_000, "[" * 100_000, "\xff\xfe", '{"trials": 3}'])
-def test_a_list_of_trials_that_is_none(tmp_path, text):
+def test_an_invalid_list_of_trials_is_refused(tmp_path, text):
     arrays = {name: np.ones(shape) for name, shape in FIELDS.items()}
     scipy.io.savemat(tmp_path / "x.mat", {**arrays, "movement": np.ones(50), "sampling_rate": 100.0})
     (tmp_path / "trials.json").write_bytes(text.encode("latin-1"))

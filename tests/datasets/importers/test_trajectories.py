@@ -123,7 +123,7 @@ def test_poses_in_two_fixed_frames_are_not_mixed(known, tmp_path):
         ("", "is empty"),
     ],
 )
-def test_what_is_no_trajectory_is_one_line(tmp_path, text, says):
+def test_what_is_no_trajectory_gives_one_line_error(tmp_path, text, says):
     (tmp_path / "x.txt").write_text(text)
     with pytest.raises(BadSource) as caught:
         read_poses(tmp_path / "x.txt")

@@ -55,7 +55,7 @@ def test_a_window_without_messages_is_empty(path):
 
 
 @pytest.mark.parametrize("place", [0.5, 0.97, -5])
-def test_damage_where_it_reads_is_one_line(path, tmp_path, place):
+def test_damage_where_it_reads_gives_one_line_error(path, tmp_path, place):
     data = bytearray(path.read_bytes())
     data[place if place < 0 else int(len(data) * place)] ^= 1
     broken = tmp_path / "broken.mcap"

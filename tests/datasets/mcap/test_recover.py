@@ -100,7 +100,7 @@ def test_a_reference_says_in_its_diagnostics_what_it_lacks(tmp_path):
     assert "lost" in back.diagnostics["recovered"]
 
 
-def test_nothing_to_rescue_is_one_line(tmp_path):
+def test_nothing_to_rescue_gives_one_line_error(tmp_path):
     for content in (b"", b"no MCAP at all", b"\x89MCAP0\r\n" + b"\x06" + b"\xff" * 300):
         with pytest.raises(BadFile) as caught:
             recover_file(damage(tmp_path, content), tmp_path / "back.mcap")

@@ -260,7 +260,7 @@ def test_one_wrong_field_hardly_moves_the_calibration(from_s: float, field_ut: t
     assert np.abs(moved_ut).max() < 0.2
 
 
-def test_what_cannot_be_done_is_one_line() -> None:
+def test_what_cannot_be_done_gives_one_line_error() -> None:
     recording = sail(straight, seconds=5.0)
     with pytest.raises(BadRecording, match="no satellite fixes"):
         estimate(replace(recording, gps=None), "cf", heading="gps-course")

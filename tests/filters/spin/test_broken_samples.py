@@ -57,7 +57,7 @@ def broken(draw) -> Recording:
 @pytest.mark.parametrize(("name", "params"), HARSH)
 @given(broken())
 @settings(max_examples=40)
-def test_whatever_comes_rate_and_variance_stay_numbers(name, params, precision, recording):
+def test_any_samples_give_finite_rates_and_positive_variances(name, params, precision, recording):
     """Also with the hardest settings: finite angles and rates, variances above 0, and no sample that is not counted."""
     found = estimate(recording, name, params, precision)  # refuses columns that are not finite
     assert (found.rate_sd_radps[found.ready] > 0).all()
@@ -73,7 +73,7 @@ def test_whatever_comes_rate_and_variance_stay_numbers(name, params, precision, 
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", ROLLS)
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e300, 9e8, -9e8])
-def test_no_value_whatever_poisons_a_stream(name, precision, value):
+def test_any_value_leaves_a_spin_stream_finite(name, precision, value):
     stream = SpinStream(name, replace(BENCH, accel_range_mps2=None), CONSTANT, precision)
     for k in range(200):
         good = (-0.1 * 35**2, 0.0)

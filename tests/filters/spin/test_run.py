@@ -131,7 +131,7 @@ def test_an_estimate_of_roll_goes_to_a_file_and_back(tmp_path):
     assert dict(back.diagnostics) == dict(found.diagnostics)
 
 
-def test_what_does_not_fit_is_one_line():
+def test_what_does_not_fit_gives_one_line_error():
     imu = Imu(np.arange(3), np.zeros((3, 3)), np.tile([0, 0, 9.8], (3, 1)))
     with pytest.raises(BadRecording, match="no accelerometers on a spinning body"):
         estimate(Recording("x", imu, info=Info(units_unchecked=True)), "roll-ekf")

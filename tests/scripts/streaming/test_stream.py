@@ -278,7 +278,7 @@ def test_a_closed_output_ends_it() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no disk that is always full")
-def test_a_full_disk_is_one_line_and_the_state_is_kept(tmp_path: Path) -> None:
+def test_a_full_disk_gives_one_line_error_and_the_state_is_kept(tmp_path: Path) -> None:
     state = tmp_path / "state.json"
     with Path("/dev/full").open("w") as full:
         command, text = [*COMMAND, "-e", "cf", "--save", str(state)], f"{HEADER}\n0,{AT_REST}\n"
@@ -361,7 +361,9 @@ def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
         (["--foxglove", "0", "--resume", "state.json", "run.mcap"], "--resume: is for samples from the standard input"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_done_gives_one_line_error(
+    options: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     from stillpoint.scripts.main import main
 
     with pytest.raises(SystemExit) as ended:
@@ -408,7 +410,7 @@ def subscribed(socket) -> dict[int, str]:
     raise AssertionError("nothing was advertised")
 
 
-def test_a_port_that_is_taken_is_one_line(tmp_path: Path) -> None:
+def test_a_port_that_is_taken_gives_one_line_error(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     import socket
 

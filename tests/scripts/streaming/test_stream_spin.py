@@ -116,7 +116,7 @@ def test_the_command_with_a_geometry_of_ones_own_saves_and_goes_on(tmp_path: Pat
         (["-e", "roll-ekf", "--geometry", "six"], "no preset 'six'"),
     ],
 )
-def test_what_does_not_go_together_is_one_line(
+def test_what_does_not_go_together_gives_one_line_error(
     options: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from stillpoint.scripts.main import main

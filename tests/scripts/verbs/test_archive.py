@@ -87,7 +87,7 @@ def test_verify_ends_with_0_when_clean_and_with_1_when_not(lab, call, capsys):
     assert call("archive", "verify") == 0
 
 
-def test_a_refused_file_is_one_line_and_exit_code_2(lab, call, capsys, tmp_path):
+def test_a_refused_file_gives_one_line_error_and_exit_code_2(lab, call, capsys, tmp_path):
     broken = write_recording(tmp_path / "broken.mcap", 5)
     broken.write_bytes(broken.read_bytes()[:-9] + b"x" * 9)
     assert call("archive", "add", broken) == 2
@@ -141,7 +141,7 @@ def test_one_file_for_viewers(lab, call, tmp_path):
         (["tag", "walk"], "nothing to change"),
     ],
 )
-def test_a_mistake_is_one_line(lab, call, capsys, words, says):
+def test_a_mistake_gives_one_line_error(lab, call, capsys, words, says):
     assert call("archive", *words) == 2
     error = capsys.readouterr().err
     assert says in error

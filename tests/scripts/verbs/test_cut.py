@@ -44,7 +44,7 @@ def test_every_stretch_between_gaps_becomes_a_file(call, file, tmp_path, capsys)
         (("--from", "31", "--to", "32"), "no sample of imu"),
     ],
 )
-def test_what_cannot_be_cut_is_one_line(call, file, capsys, flags, says):
+def test_what_cannot_be_cut_gives_one_line_error(call, file, capsys, flags, says):
     assert call("cut", file, *flags) == 2
     err = capsys.readouterr().err
     assert says in err

@@ -88,7 +88,7 @@ def test_the_place_decides_whether_a_field_that_points_up_is_wrong(files, tmp_pa
 
 
 @pytest.mark.parametrize("flags", [["--place", "91,0"], ["--place", "here"], ["--date", "yesterday"]])
-def test_a_place_or_date_that_is_none_is_one_line(files, flags, capsys):
+def test_an_invalid_place_or_date_gives_one_line_error(files, flags, capsys):
     assert call(files / "clean.mcap", *flags) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 

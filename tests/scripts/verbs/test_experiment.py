@@ -65,7 +65,7 @@ def test_a_page_has_the_figures_of_the_paper_and_ours(name, online, call, tmp_pa
     assert "the worst of 2 trials" in capsys.readouterr().out
 
 
-def test_a_wrong_number_is_one_line(call, capsys):
+def test_a_wrong_number_gives_one_line_error(call, capsys):
     assert call("experiment", "spin-constant", "--trials", "0") == 2
     assert "give 1 trial or more" in capsys.readouterr().err
 

@@ -35,7 +35,7 @@ def test_all_six_filters_are_written_with_their_settings(tmp_path: Path) -> None
         (("-e", "cf", "--set", "cf.zeta=-1"), "zeta"),
     ],
 )
-def test_a_mistake_is_one_line_and_nothing_is_written(words, says, tmp_path: Path, capsys) -> None:
+def test_a_mistake_gives_one_line_error_and_nothing_is_written(words, says, tmp_path: Path, capsys) -> None:
     assert call(*words, "-o", str(tmp_path / "c")) == 2
     said = capsys.readouterr().err
     assert says in said

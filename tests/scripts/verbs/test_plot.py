@@ -66,7 +66,7 @@ def test_a_leaderboard_is_drawn_from_its_folder_or_its_file(call, folder, tmp_pa
         (["run.mcap", "leaderboard.json", "--kind", "map", "-o", "x.pdf"], "--kind ranking and map take one"),
     ],
 )
-def test_a_wrong_call_is_one_line(call, folder, monkeypatch, capsys, words, says) -> None:
+def test_a_wrong_call_gives_one_line_error(call, folder, monkeypatch, capsys, words, says) -> None:
     monkeypatch.chdir(folder)
     assert call("plot", *words) == 2
     printed = capsys.readouterr().err.strip()

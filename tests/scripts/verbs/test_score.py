@@ -93,12 +93,12 @@ def test_turns_are_compared_over_the_times_asked_for(call, made, capsys):
 
 
 @pytest.mark.parametrize("over", ["0", "1,x", "-1", "inf", ""])
-def test_a_time_that_is_none_is_one_line(call, made, capsys, over):
+def test_a_time_that_is_none_gives_one_line_error(call, made, capsys, over):
     assert call("score", made, f"--over={over}") == 2
     assert "give seconds above 0 with commas between" in capsys.readouterr().err
 
 
-def test_unknown_alignment_is_one_line(call, made, capsys):
+def test_unknown_alignment_gives_one_line_error(call, made, capsys):
     assert call("score", made, "--align", "yaw") == 2
     assert "heading+mounting+time" in capsys.readouterr().err
 

@@ -96,7 +96,7 @@ def test_alone_leaves_out_what_lies_beside(call, folder):
 
 
 @needs_rerun
-def test_a_place_that_is_not_there_is_one_line(call, folder, capsys):
+def test_a_place_that_is_not_there_gives_one_line_error(call, folder, capsys):
     assert call("view", folder / f"{NAME}.mcap", "--save", folder / "nowhere" / "x.rrd") == 2
     message = capsys.readouterr().err.strip()
     assert "the folder is not there" in message
