@@ -10,8 +10,8 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.atomic import write_atomically
 
 FACTS = "facts"
-DECIDING = ("datasets", "filters", "smoother", "scoring")  # packages whose code decides a result
+DECIDING = ("datasets", "filters", "smoother", "scoring", "studies")  # packages whose code decides a result
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +81,19 @@ def key_of(**deciding: Any) -> str:
 @cache
 def product_version() -> str:
     """Return the version of stillpoint with a hash of the code that decides results."""
+    return f"{version('stillpoint')}+{hash_code(DECIDING)[:12]}"
+
+
+@cache
+def hash_code(packages: tuple[str, ...]) -> str:
+    """Return the SHA-256 of the Python files of these packages of stillpoint."""
     digest = hashlib.sha256()
-    for package in DECIDING:
-        for folder in import_module(f"stillpoint.{package}").__path__:
+    for package in packages:
+        found = find_spec(f"stillpoint.{package}")  # found, not imported: a worker may never need it itself
+        for folder in found.submodule_search_locations or () if found is not None else ():
             for file in sorted(Path(folder).rglob("*.py")):
                 digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
-    return f"{version('stillpoint')}+{digest.hexdigest()[:12]}"
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -16,6 +16,17 @@ settings.load_profile(os.environ.get("STILLPOINT_HYPOTHESIS", "stillpoint"))
 
 
 @pytest.fixture(scope="session")
+def _results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("results")
+
+
+@pytest.fixture(autouse=True)
+def _own_results(_results: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the results of verbs in a folder of each test, so that none sees those of another."""
+    monkeypatch.setenv("STILLPOINT_RESULTS", str(_results / str(abs(hash(request.node.nodeid)))))
+
+
+@pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder named by STILLPOINT_DATA (with broad/, tyrex/, bench/, disc/); the test is skipped without it."""
     folder = os.environ.get("STILLPOINT_DATA")

@@ -37,6 +37,7 @@ from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, Spin
 Made = TypeVar("Made")
 OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
+ORIGIN = "stillpoint-made"  # of the record that says what made a file
 FORMAT = "1"
 OWN_COLUMNS = {
     topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
@@ -47,14 +48,21 @@ _STREAMS: dict[str, type[Any]] = {
 }  # fmt: skip
 
 
-def write(path: Path | str, thing: Kept, attachments: Mapping[str, bytes] | None = None) -> None:
+def write(
+    path: Path | str,
+    thing: Kept,
+    attachments: Mapping[str, bytes] | None = None,
+    origin: Mapping[str, str] | None = None,
+) -> None:
     """Write a recording, reference or estimate to an MCAP file, whole or not at all; an old file is replaced.
 
-    ``attachments`` are kept beside it, byte for byte, under their names. Raises :class:`BadFile` when the file cannot
+    ``attachments`` are kept beside it, byte for byte, under their names. ``origin`` says what made the file, in a
+    record of its own, which :func:`read_origin` returns. Raises :class:`BadFile` when the file cannot
     be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
     streams, record = contents_of(thing)
-    write_mcap(Path(path), streams, {RECORD: record}, attachments or {}, library=f"stillpoint {version('stillpoint')}")
+    metadata = {RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}
+    write_mcap(Path(path), streams, metadata, attachments or {}, library=f"stillpoint {version('stillpoint')}")
 
 
 @contextmanager
@@ -86,14 +94,15 @@ class TrajectoryWriter:
             self._samples[stream.topic] = self._samples.get(stream.topic, 0) + len(stream.t_ns)
         self._out.add(streams, int(piece.t_ns[-1]) + 1)
 
-    def close(self, last: Reference | SpinReference | Estimate) -> None:
-        """Write the facts of the whole, which the last piece carries.
+    def close(self, last: Reference | SpinReference | Estimate, origin: Mapping[str, str] | None = None) -> None:
+        """Write the facts of the whole, which the last piece carries, and what made the file.
 
         Raises :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
         """
         kind = kind_of(last)
         _, absent = _streams(kind, last)
-        self._out.describe({RECORD: _record(kind, facts_of(last), self._samples, absent)}, {})
+        record = _record(kind, facts_of(last), self._samples, absent)
+        self._out.describe({RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}, {})
 
 
 @contextmanager
@@ -235,6 +244,15 @@ class Provenance:
     topics: Mapping[str, tuple[str, int]]  # name -> type, number of messages
     attachments: Mapping[str, bytes]
     lost: str  # "" or what is missing of a file that was cut
+
+
+def read_origin(path: Path | str) -> dict[str, str]:
+    """Return what a file says made it, after testing all its checksums; empty where it does not say.
+
+    Raises :class:`BadFile` when the file is damaged.
+    """
+    log = survey(path)
+    return {} if log.lost else dict(log.metadata.get(ORIGIN, {}))
 
 
 def is_own_file(path: Path | str) -> bool:

@@ -17,6 +17,7 @@ class Timing:
     against: "Timing | None" = None
     ratio_is: Literal["times as fast", "times as long"] = "times as fast"  # as the other: what a reader asks for
     extra: Mapping[str, Any] = field(default_factory=dict)  # further figures, which take the place of these
+    note: str = ""  # the further figures in words, for the table
 
     @property
     def median_s(self) -> float:
@@ -43,6 +44,7 @@ class Timing:
             "against": None if self.against is None else self.against.name,
             "ratio": self.ratio,
             "ratio_is": None if self.against is None else self.ratio_is,
+            "note": self.note,
             **self.extra,
         }
 

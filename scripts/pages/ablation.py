@@ -17,6 +17,7 @@ from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, score
 from stillpoint.scoring.score import Score
+from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.inputs import recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother.attitude.evidence import gather_evidence
@@ -87,7 +88,7 @@ def main(*folders: Path) -> None:
 
 def _score_variant(variant: Variant, sources: Sequence[Path]) -> list[dict[AlignKind, Score] | None]:
     """Return one score per recording, None where the variant was refused."""
-    outcomes = run_jobs(partial(_score_recording, variant=variant), sources, None, variant.name)
+    outcomes = run_jobs(partial(_score_recording, variant=variant), sources, LOCAL, variant.name)
     return [outcome.value for outcome in outcomes]
 
 

@@ -11,6 +11,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
+from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import reference
 
@@ -22,7 +23,7 @@ def main(seeds: int = 30) -> None:
     """Print a Markdown table, one row per kind of phone."""
     print(f"{HEAD}\n|{'---|' * HEAD.count('| ')}")
     for kind in MINUTES:
-        outcomes = run_jobs(partial(_score_seed, kind), list(range(seeds)), None, kind)
+        outcomes = run_jobs(partial(_score_seed, kind), list(range(seeds)), LOCAL, kind)
         scores = [outcome.value for outcome in outcomes if outcome.value is not None]
         print(f"| {kind} | {seeds} | {' | '.join(_format_cells(scores))} | {seeds - len(scores)} |", flush=True)
 

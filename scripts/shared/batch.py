@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.scripts.shared.jobs import Outcome
+from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.output import STDOUT, write_json
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 
@@ -33,7 +33,7 @@ def made_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, 
     """Return the row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
     if outcome.value is None:
         return {**named, "file": None, "error": outcome.error, "defect": outcome.defect}
-    return {**named, "file": str(target), **outcome.value, "error": None}
+    return {**named, "file": str(target), **outcome.value, "error": None, "kept": outcome.kept}
 
 
 def report_made(

@@ -8,7 +8,7 @@ from cyclopts.validators import Number
 
 from stillpoint.datasets.errors import require_known
 from stillpoint.scripts.shared.flags import Columns, parse_whole_number
-from stillpoint.scripts.shared.output import STDOUT, JsonFile, write_json
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
 # name -> a function from the number of runs to a list of Timing
@@ -17,6 +17,7 @@ BENCHES = {
     "mcap": "stillpoint.scripts.bench.mcap:bench_mcap",
     "roll": "stillpoint.scripts.bench.spin:bench_spin",
     "roll-filters": "stillpoint.scripts.bench.spin:bench_spin_filters",
+    "scale": "stillpoint.scripts.bench.scale:bench_scale",
     "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
     "start": "stillpoint.scripts.bench.start:bench_start",
 }
@@ -41,8 +42,9 @@ def bench(
     name
         What to time: filters (every estimator over 720 000 samples, and sample by sample), mcap (writing and reading an
         hour of a phone's sensors), roll (the graph of a spinning body over 15 000 samples), roll-filters (the
-        estimators of roll over 300 000 samples), smoother (200 s beside offlineVQF, then an hour and four hours, once
-        each), start (the help page, and the first estimate after an installation, once each).
+        estimators of roll over 300 000 samples), scale (reference, estimate and score of eight recordings by local
+        processes and by a Dask cluster, once each; needs the extra cluster), smoother (200 s beside offlineVQF, then an
+        hour and four hours, once each), start (the help page, and the first estimate after an installation, once each).
     runs
         Runs of each row; the table gives their median, least and most.
     columns
@@ -56,6 +58,9 @@ def bench(
     rows = [timing.row() for timing in timings]
     if json != STDOUT:
         print_table(f"bench {name}", COLUMNS, [[_cells(row) for row in rows]], wanted=columns)
+        for row in rows:
+            if row["note"]:
+                print_line(f"{row['name']}: {row['note']}")
     write_json(json, rows)
 
 

@@ -14,7 +14,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.names import make_drawable
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Inputs, Jobs
+from stillpoint.scripts.shared.flags import Inputs, Jobs, Workers
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
@@ -55,7 +55,7 @@ def calibrate(
     if not out.name.endswith(".toml"):
         raise BadParameter(f"--out {out}: give a name that ends in {SUFFIX}")
     files = inputs.mcap_files(paths)
-    outcomes = run_jobs(_reference_of, files, jobs, "calibrate")
+    outcomes = run_jobs(_reference_of, files, Workers(jobs), "calibrate")
     refused = [(outcome.error, file.name) for file, outcome in zip(files, outcomes, strict=True) if outcome.error]
     made = [outcome.value for outcome in outcomes if outcome.value is not None]
     print_refusals("not used", refused)

@@ -14,8 +14,8 @@ from stillpoint.datasets.errors import BadFile, BadParameter, BadRecording, Stil
 from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Inputs, Jobs
-from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
+from stillpoint.scripts.shared.flags import Inputs, Jobs, Workers
+from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line
 
 
@@ -58,7 +58,7 @@ def cut(
         raise BadParameter(f"--to {to:g}: is not after --from {from_:g}")
     files = inputs.recordings(paths)
     asked = _Asked(None if out is None else inputs.output_dir(out), from_, to, shortest if drop_gap else None)
-    outcomes = run_short_jobs(partial(_cut_file, asked=asked), files, jobs, "cut")
+    outcomes = run_jobs(partial(_cut_file, asked=asked), files, Workers(jobs), "cut", here_up_to=SHORT)
     for outcome in outcomes:
         if outcome.error is not None and len(files) == 1 and not outcome.defect:
             raise StillpointError(outcome.error)

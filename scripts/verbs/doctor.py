@@ -21,9 +21,10 @@ from stillpoint.datasets.mcap.store import read_recording, write
 from stillpoint.datasets.names import make_printable
 from stillpoint.datasets.recording import Recording
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.flags import Inputs, Jobs
+from stillpoint.scripts.shared.flags import LOCAL, Inputs, Workers
 from stillpoint.scripts.shared.inputs import output_dir, recordings
-from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.jobs import exit_code
+from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
@@ -63,7 +64,8 @@ def doctor(
     date: str | None = None,
     errors: Annotated[bool, Parameter(negative="")] = False,
     strict: Annotated[bool, Parameter(negative="")] = False,
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
+    keeping: Keeping = REUSE,
     json: JsonFile = None,
 ) -> int:
     """Test recordings by physics and say what to do.
@@ -93,8 +95,6 @@ def doctor(
         Print errors only.
     strict
         Exit with 2 when a recording has an error or a warning.
-    jobs
-        Processes; by default one per core, fewer for few recordings.
     json
         Also write the findings as JSON to this file; - is the standard output.
     """
@@ -107,7 +107,7 @@ def doctor(
     work = [_Job(source, where, when, targets.get(source), skip) for source in sources]
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
     shown = _shown_severities(errors, single=len(sources) == 1)
-    outcomes = run_jobs(_examine_file, work, jobs, "doctor")
+    outcomes = run_kept(_examine_file, work, _decide, workers, keeping, "doctor", _Examined)
     made: list[Diagnosis] = []
     for job, outcome in zip(work, outcomes, strict=True):
         if outcome.value is None:
@@ -141,8 +141,15 @@ def _shown_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
     return SEVERITIES if single else ("error", "warning")
 
 
-def _examine_file(job: _Job) -> _Examined:
+def _decide(job: _Job) -> Deciding:
+    """Return what decides a diagnosis: the recording, what else is known of it, and the repair that is asked for."""
+    repair = {"repair": job.target is not None, "skip": list(job.skip) if job.target is not None else []}
+    return Deciding((job.source,), {"place": job.place, "date": job.date, **repair}, job.target)
+
+
+def _examine_file(task: Task[_Job]) -> _Examined:
     """Diagnose one file and write the repaired recording where that is asked for."""
+    job = task.item
     stretches = choose_stretches(job.source) if job.target is None else []
     if stretches:
         return _Examined(_examine_stretches(job, stretches), 0)
@@ -151,7 +158,7 @@ def _examine_file(job: _Job) -> _Examined:
     if job.target is None:
         return _Examined(diagnosis, 0)
     remedies = select_remedies(diagnosis, job.skip)
-    write(job.target, apply(recording, remedies))
+    write(job.target, apply(recording, remedies), origin=task.origin)
     return _Examined(diagnosis, len(remedies))
 
 

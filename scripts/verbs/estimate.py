@@ -21,8 +21,8 @@ from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
-from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
-from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers
+from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import JsonFile
 from stillpoint.scripts.shared.recordings import open_recording, print_losses
 
@@ -48,7 +48,8 @@ def estimate(
     precision: Precision = "double",
     heading: Heading = "mag",
     calibration: str = "none",
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
+    keeping: Keeping = REUSE,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -79,8 +80,6 @@ def estimate(
         none: samples as recorded. reference: first corrected by what the reference found about the sensor (hard iron,
         matrices, biases); NAME.reference.mcap beside the recording or in the output folder, made where there is none.
         Or a file with a calibration.
-    jobs
-        Processes; by default one per core.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
@@ -89,7 +88,7 @@ def estimate(
     sources = inputs.recordings(paths)
     runs = _runs_by_source(sources, estimators, partial(choose_runs, set_=set_, precision=precision, heading=heading))
     work = _jobs(runs, None if out is None else inputs.output_dir(out), calibration)
-    outcomes = run_jobs(_make, work, jobs, "estimate")
+    outcomes = run_kept(_make, work, _decide, workers, keeping, "estimate", dict)
     rows = [
         made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
@@ -119,23 +118,29 @@ def _jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str
     return work
 
 
-def _make(job: _Job) -> dict[str, Any]:
+def _decide(job: _Job) -> Deciding:
+    """Return what decides an estimate: recording, calibration, estimator and settings."""
+    files = [job.source]
+    if job.calibration == "reference":
+        files += [file for file in _list_references(job) if file.is_file()]
+    elif job.calibration != "none":
+        files.append(Path(job.calibration))
+    return Deciding(tuple(files), {"run": job.run, "calibration": job.calibration}, job.target)
+
+
+def _make(task: Task[_Job]) -> dict[str, Any]:
     """Read, run, write; the facts of the table."""
-    made = _run_whole(job) if _takes_whole(job) else _run_in_pieces(job)
+    return _run_whole(task) if _takes_whole(task.item) else _run_in_pieces(task)
+
+
+def _make_row(samples: int, last: Estimate) -> dict[str, Any]:
+    """Return the facts of the table; the last piece of an estimate carries those of the whole."""
     return {
-        "samples": made.samples,
-        "ns_per_sample": made.last.ns_per_sample,
-        "params": dict(made.last.params),
-        "diagnostics": dict(made.last.diagnostics),
+        "samples": samples,
+        "ns_per_sample": last.ns_per_sample,
+        "params": dict(last.params),
+        "diagnostics": dict(last.diagnostics),
     }
-
-
-@dataclass(frozen=True)
-class _Made:
-    """An estimate that was written."""
-
-    samples: int
-    last: Estimate  # its last piece, with the facts of the whole
 
 
 def _takes_whole(job: _Job) -> bool:
@@ -143,8 +148,9 @@ def _takes_whole(job: _Job) -> bool:
     return job.calibration != "none" or isinstance(find_estimator(job.run.estimator), Peer)
 
 
-def _run_in_pieces(job: _Job) -> _Made:
+def _run_in_pieces(task: Task[_Job]) -> dict[str, Any]:
     """Run an estimator over a recording of any length: read, estimated and written piece by piece."""
+    job = task.item
     chosen, reader = job.run, PieceReader(job.source)
     run = start_run(
         reader.head,
@@ -165,14 +171,19 @@ def _run_in_pieces(job: _Job) -> _Made:
         print_losses(job.source, reader.info)
         if last is None:
             raise BadRecording(f"{job.source}: holds no sample for {chosen.estimator}; restore it from a copy")
-        last = replace(run.close(last), made_from={job.source.name: sha256(job.source)})
-        out.close(last)
-    return _Made(samples, last)
+        digest = sha256(job.source)
+        task.require_unchanged(job.source.name, digest)
+        last = replace(run.close(last), made_from={job.source.name: digest})
+        row = _make_row(samples, last)
+        out.close(last, task.origin_with(row))
+    return row
 
 
-def _run_whole(job: _Job) -> _Made:
+def _run_whole(task: Task[_Job]) -> dict[str, Any]:
     """Run an estimator over a recording that is read whole, corrected by a calibration where one is asked for."""
+    job = task.item
     recording, digest = open_recording(job.source), sha256(job.source)
+    task.require_unchanged(job.source.name, digest)
     known = _find_calibration(job, recording, digest)
     if known is not None:
         recording = apply_calibration(recording, known, digest)
@@ -190,10 +201,17 @@ def _run_whole(job: _Job) -> _Made:
         made = replace(made, diagnostics={**made.diagnostics, "calibrated_by": known.name})
         made_from |= {known.name: known.sha256} if known.sha256 else {}
     made = replace(made, made_from=made_from)
+    row = _make_row(len(made.t_ns), made)
     with open_trajectory(job.target) as out:
         out.add(made)
-        out.close(made)
-    return _Made(len(made.t_ns), made)
+        out.close(made, task.origin_with(row))
+    return row
+
+
+def _list_references(job: _Job) -> list[Path]:
+    """Return where the reference of the recording may be: beside it, and in the output folder."""
+    name = f"{job.source.stem}.reference.mcap"
+    return list(dict.fromkeys((job.source.with_name(name), job.target.with_name(name))))
 
 
 def _find_calibration(job: _Job, recording: Recording, digest: str) -> SensorCalibration | None:
@@ -202,8 +220,7 @@ def _find_calibration(job: _Job, recording: Recording, digest: str) -> SensorCal
         return None
     if job.calibration != "reference":
         return load_calibration(Path(job.calibration))
-    name = f"{job.source.stem}.reference.mcap"
-    for file in (job.source.with_name(name), job.target.with_name(name)):
+    for file in _list_references(job):
         if file.is_file() and digest in read_reference(file).made_from.values():
             return load_calibration(file)
     from stillpoint.smoother import attitude_reference

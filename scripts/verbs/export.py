@@ -19,7 +19,7 @@ from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.filters.front.sources import plan_heading
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import open_text, print_line
 from stillpoint.scripts.shared.recordings import print_losses
@@ -64,7 +64,7 @@ def export(
         raise BadParameter("no input: name recordings, references or estimates as files, folders or globs")
     folder = None if out is None else inputs.output_dir(out)
     require_distinct(inputs.folder_for(file, folder) / file.name for file in files)
-    outcomes = run_jobs(partial(_export_file, folder=folder, format=format), files, jobs, "export")
+    outcomes = run_jobs(partial(_export_file, folder=folder, format=format), files, Workers(jobs), "export")
     if len(files) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
         raise StillpointError(outcomes[0].error)
     for outcome in outcomes:

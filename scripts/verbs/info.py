@@ -22,9 +22,9 @@ from stillpoint.datasets.running import ClockFacts, RunningClock, ThinnedValues
 from stillpoint.datasets.spin import find_saturated
 from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
-from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs
+from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, Workers
 from stillpoint.scripts.shared.inputs import mcap_files
-from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
+from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
@@ -67,7 +67,7 @@ def info(
         Also write the facts as JSON to this file; - is the standard output.
     """
     files = mcap_files(paths)
-    outcomes = run_short_jobs(partial(_read_facts, full, units_unchecked), files, jobs, "info")
+    outcomes = run_jobs(partial(_read_facts, full, units_unchecked), files, Workers(jobs), "info", here_up_to=SHORT)
     rows: list[dict[str, Any]] = []
     for path, outcome in zip(files, outcomes, strict=True):
         if outcome.value is None:

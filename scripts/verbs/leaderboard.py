@@ -15,8 +15,9 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
-from stillpoint.scripts.shared.flags import Columns, Jobs, SetFlag
-from stillpoint.scripts.shared.jobs import Outcome, run_jobs
+from stillpoint.scripts.shared.children import Outcome
+from stillpoint.scripts.shared.flags import LOCAL, Columns, SetFlag, Workers
+from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
@@ -44,7 +45,7 @@ def leaderboard(
     set_: SetFlag = None,
     study: Annotated[Path | None, Parameter(name=["--study", "-c"])] = None,
     archive: Annotated[str | None, Parameter(name="--archive")] = None,
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
     paper: Annotated[Path | None, Parameter(negative=())] = None,
     columns: Columns = None,
     json: JsonFile = None,
@@ -84,8 +85,6 @@ def leaderboard(
     archive
         The archive whose objects the paths name, by ID or file name, as the lines of archive find do; of these, the
         recordings take part.
-    jobs
-        Processes; by default one per core.
     paper
         Also write the table as LaTeX, CSV and Markdown, and figures as PDF and SVG, to this folder.
     columns
@@ -96,7 +95,7 @@ def leaderboard(
     asked = _study(paths, estimators, against, align, calibration, groups, set_, study, archive)
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
-        return run_jobs(function, items, jobs, what)
+        return run_jobs(function, items, workers, what)
 
     folder = inputs.output_dir(out)
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))

@@ -8,9 +8,9 @@ from typing import Any
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.recover import Recovered, recover_file
 from stillpoint.scripts.shared.batch import require_distinct
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutDir, Workers
 from stillpoint.scripts.shared.inputs import output_dir
-from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
+from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
 
@@ -36,7 +36,7 @@ def recover(paths: Inputs, /, *, out: OutDir, jobs: Jobs = None, json: JsonFile 
         if (folder / path.name).resolve() == path.resolve():
             raise BadParameter(f"--out {out}: is the folder of {path.name} itself; name another one")
     require_distinct(folder / path.name for path in paths)
-    outcomes = run_short_jobs(partial(_recover_into, folder), paths, jobs, "recover")
+    outcomes = run_jobs(partial(_recover_into, folder), paths, Workers(jobs), "recover", here_up_to=SHORT)
     rows: list[dict[str, Any]] = []
     for path, outcome in zip(paths, outcomes, strict=True):
         found, target = outcome.value, folder / path.name

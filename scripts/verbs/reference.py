@@ -17,8 +17,8 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
-from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutBeside, SetFlag
-from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers
+from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
@@ -82,7 +82,8 @@ def reference(
     preset: str | None = None,
     set_: SetFlag = None,
     calibration: Path | None = None,
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
+    keeping: Keeping = REUSE,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -110,8 +111,6 @@ def reference(
     calibration
         A reference of the same sensor, NAME.reference.mcap, or a calibration of the device, NAME.calibration.toml:
         readings are corrected first by the calibration in it.
-    jobs
-        Processes; by default one per core, fewer for few recordings.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
@@ -131,7 +130,15 @@ def reference(
     known = None
     if calibration is not None:
         known = _Known(calibration.name, calibration=_read_calibration(calibration), sha256=sha256(calibration))
-    outcomes = run_jobs(partial(_make_one, settings=settings, known=known), work, jobs, "reference")
+    outcomes = run_kept(
+        partial(_make_one, settings=settings, known=known),
+        work,
+        partial(_decide, settings=settings, known=known),
+        workers,
+        keeping,
+        "reference",
+        dict,
+    )
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
@@ -191,16 +198,32 @@ def _read_calibration(path: Path) -> Calibration:
     return load_calibration(path).calibration
 
 
-def _make_one(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None) -> dict[str, Any]:
+def _decide(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None) -> Deciding:
+    """Return what decides a reference: recording, method, settings and calibration."""
+    calibrated_by = None if known is None else [known.name, known.sha256]
+    deciding = {"method": job.method, "settings": settings[job.method], "calibration": calibrated_by}
+    return Deciding((job.source,), deciding, job.target)
+
+
+def _make_one(
+    task: Task[_Job], settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None
+) -> dict[str, Any]:
     """Read a recording, make its reference, write it, and return the facts of the table."""
-    recording = open_recording(job.source)
+    job = task.item
+    recording, digest = open_recording(job.source), sha256(job.source)
+    task.require_unchanged(job.source.name, digest)
     begun = perf_counter()
     made = make_reference(recording, job.method, settings[job.method], known.calibration if known else None)
     seconds = perf_counter() - begun
-    made_from = {job.source.name: sha256(job.source)} | ({known.name: known.sha256} if known else {})
+    made_from = {job.source.name: digest} | ({known.name: known.sha256} if known else {})
     made = replace(made, made_from=made_from)
-    write(job.target, made)
-    return {**(_list_facts(made) if isinstance(made, Reference) else _list_spin_facts(made)), "seconds": seconds}
+    facts = _list_facts(made) if isinstance(made, Reference) else _list_spin_facts(made)
+    write(job.target, made, origin=task.origin_with({**facts, "seconds": None}))  # the same input, the same bytes
+    return {**facts, "seconds": seconds}
+
+
+def _format_seconds(row: Mapping[str, Any]) -> str:
+    return "kept" if row["seconds"] is None else f"{row['seconds']:.1f}"
 
 
 def _describe_preset(diagnostics: Mapping[str, Any]) -> str:
@@ -274,7 +297,7 @@ def _format_cells(row: dict[str, Any]) -> list[str]:
         ", ".join(f"{error:.1f}" for error in closing) or "-",
         f"{row['sd_max_deg']:.2f}",
         str(row["diagnostics"].get("iterations", "-")),
-        f"{row['seconds']:.1f}",
+        _format_seconds(row),
     ]
 
 
@@ -283,7 +306,7 @@ def _format_spin_among_attitudes(row: dict[str, Any]) -> list[str]:
     sd = f"{row['angle_sd_median_deg']:.2f}"
     last = f"{row['angle_sd_last_deg']:.2f}"
     iterations = str(row["diagnostics"]["iterations"])
-    return [row["recording"], row["method"], sd, "-", "-", "-", "-", last, iterations, f"{row['seconds']:.1f}"]
+    return [row["recording"], row["method"], sd, "-", "-", "-", "-", last, iterations, _format_seconds(row)]
 
 
 def _format_spin_cells(row: dict[str, Any]) -> list[str]:
@@ -299,6 +322,6 @@ def _format_spin_cells(row: dict[str, Any]) -> list[str]:
         str(found["n_squared_missing"] + found["n_accel_missing"]),
         str(found["n_squared_glitches"] + found["n_accel_glitches"]),
         str(found["iterations"]),
-        f"{row['seconds']:.1f}",
+        _format_seconds(row),
         found["angle"],
     ]

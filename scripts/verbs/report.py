@@ -17,7 +17,7 @@ from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_s
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside
+from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
 from stillpoint.scripts.shared.inputs import KINDS
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
@@ -60,7 +60,7 @@ def report(
     recordings = inputs.recordings(paths)
     targets = _choose_targets(recordings, out)
     pages = [_Page(*pair) for pair in zip(recordings, targets, strict=True)]
-    outcomes = run_jobs(partial(_write_page, align=align, frame=frame), pages, jobs, "report")
+    outcomes = run_jobs(partial(_write_page, align=align, frame=frame), pages, Workers(jobs), "report")
     if len(pages) == 1 and outcomes[0].error is not None and not outcomes[0].defect:
         raise StillpointError(outcomes[0].error)
     for page, outcome in zip(pages, outcomes, strict=True):

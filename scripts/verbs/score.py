@@ -1,8 +1,8 @@
 """``stillpoint score``: score estimates against a reference or a truth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,33 @@ from stillpoint.scoring import score as score_against
 from stillpoint.scoring.spin import SpinScore, spin_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
-from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs
-from stillpoint.scripts.shared.jobs import exit_code, run_short_jobs
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, Workers
+from stillpoint.scripts.shared.jobs import SHORT, exit_code
+from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
 
 COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A file to score, and what judges it: a file, the word for a kind of judge, or None for the usual one."""
+
+    file: Path
+    judge: Path | str | None
+
+    def __str__(self) -> str:
+        return str(self.file)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """The score of one file, and the SHA-256 of what it was made from, by file name."""
+
+    score: Score | SpinScore
+    made_from: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -35,17 +55,6 @@ class _Asked:
     align: AlignKind
     frame: EulerFrame
     over_s: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class _Work:
-    """One file to be scored, and what is to judge it: a file, a kind of file beside it, or the default beside it."""
-
-    file: Path
-    against: Path | str | None
-
-    def __str__(self) -> str:
-        return str(self.file)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +74,8 @@ def score(
     align: AlignKind = "heading",
     frame: EulerFrame = "nwu",
     over: str | None = None,
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
+    keeping: Keeping = REUSE,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -92,8 +102,6 @@ def score(
     over
         Also compare turns over these times in seconds, with commas between: how fast an estimate drifts, whatever its
         heading was to begin with (the relative pose error of other tools).
-    jobs
-        Processes; by default one per core for many files, else this one alone.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
@@ -106,21 +114,29 @@ def score(
             f"--against {against}: there is no such file; give truth, reference or both, or name a reference or a "
             "recording with a truth"
         )
-    work = [_Work(file, kind or against) for file in files for kind in kinds or (None,)]
+    work = [_Job(file, kind or against) for file in files for kind in kinds or (None,)]
     rows: list[dict[str, Any]] = []
     scores: list[Score | SpinScore] = []
-    outcomes = run_short_jobs(partial(_score_one, asked=asked), work, jobs, "score")
-    for one, outcome in zip(work, outcomes, strict=True):
-        file, found = one.file, outcome.value
-        if found is None:
+    outcomes = run_kept(
+        partial(_score_job, asked=asked),
+        work,
+        partial(_decide, asked=asked, beside=cache(neighbours)),
+        workers,
+        keeping,
+        "score",
+        _Scored,
+        here_up_to=SHORT,
+    )
+    for job, outcome in zip(work, outcomes, strict=True):
+        if outcome.value is None:
             if len(work) == 1 and not outcome.defect:
                 raise StillpointError(str(outcome.error))
-            rows.append({"recording": recording_name(file), "file": str(file), "error": outcome.error})
+            rows.append({"recording": recording_name(job.file), "file": str(job.file), "error": outcome.error})
             continue
+        found = outcome.value.score
         scores.append(found)
         row = spin_score_row(found) if isinstance(found, SpinScore) else score_row(found)
-        made_from = {path.name: sha256(path) for path in (file, one.against) if isinstance(path, Path)}
-        rows.append({**row, "file": str(file), "made_from": made_from})
+        rows.append({**row, "file": str(job.file), "made_from": dict(outcome.value.made_from)})
     if json != STDOUT:
         attitudes = [s for s in scores if isinstance(s, Score)]
         print_scores(attitudes, columns)
@@ -211,8 +227,26 @@ def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
     return () if against is None or inputs.file_exists(against) else words.get(str(against), ())
 
 
-def _score_one(work: _Work, asked: _Asked) -> Score | SpinScore:
-    return _score_file(work.file, work.against, asked)
+def _decide(job: _Job, asked: _Asked, beside: Callable[[Path], list[Path]]) -> Deciding:
+    """Return what decides a score: the file, and its judge, or all that lies beside it and might judge it."""
+    settings = {"asked": asked, "judge": None if isinstance(job.judge, Path) else job.judge}
+    if isinstance(job.judge, Path):
+        return Deciding((job.file, job.judge), settings)
+    near = beside(job.file.parent / "*")
+    judges = files_of(recording_name(job.file), "reference", near)
+    judges += [path for path in near if inputs.kind_of(path) == inputs.RECORDING and _may_be_of(job.file, path)]
+    return Deciding((job.file, *(path for path in judges if path.name != job.file.name)), settings)
+
+
+def _may_be_of(file: Path, recording: Path) -> bool:
+    return file.name.startswith(recording.name.removesuffix(inputs.SUFFIX) + ".")
+
+
+def _score_job(task: Task[_Job], asked: _Asked) -> _Scored:
+    """Score one file."""
+    job = task.item
+    named = [one for one in (job.file, job.judge) if isinstance(one, Path)]
+    return _Scored(_score_file(job.file, job.judge, asked), {one.name: sha256(one) for one in named})
 
 
 def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | SpinScore:

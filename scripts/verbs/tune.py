@@ -10,8 +10,9 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Inputs, Jobs, Whole
-from stillpoint.scripts.shared.jobs import Outcome, run_jobs
+from stillpoint.scripts.shared.children import Outcome
+from stillpoint.scripts.shared.flags import LOCAL, Inputs, Whole, Workers
+from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.leaderboard.study import Against
@@ -37,7 +38,7 @@ def tune(
     against: Against = "auto",
     align: AlignKind = "heading",
     calibration: str = "none",
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
     json: JsonFile = None,
 ) -> int:
     """Find the parameters with which an estimator errs least over many recordings.
@@ -62,7 +63,7 @@ def tune(
     sampler
         How settings are chosen: tpe (learns from those before), random, or grid.
     trials
-        How many settings are tried; a grid has its own number.
+        How many settings are tried; a grid has its own number. Without --jobs one process tries them all.
     steps
         Values per parameter of a grid.
     seed
@@ -73,8 +74,6 @@ def tune(
         What may differ without being an error, as for score.
     calibration
         Input of the estimator: none, reference or a file, as for leaderboard.
-    jobs
-        Processes that share the trials; by default 1.
     json
         Also write all trials as JSON to this file; - is the standard output.
     """
@@ -83,7 +82,7 @@ def tune(
     ranges = [ParamRange.parse(text) for text in param]
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
-        return run_jobs(function, items, jobs, what)
+        return run_jobs(function, items, workers, what)
 
     folder = inputs.output_dir(out)
     tuning = tune_estimator(
@@ -98,7 +97,7 @@ def tune(
         against=against,
         align=align,
         calibration=calibration,
-        workers=jobs or 1,
+        workers=workers.jobs or 1,
         run_jobs=run,
     )
     write_document(str(folder / f"{estimator}.tune.json"), tuning.to_json())

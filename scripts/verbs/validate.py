@@ -15,8 +15,10 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.flags import Columns, Inputs, Jobs, OutDir
-from stillpoint.scripts.shared.jobs import Outcome, exit_code, run_jobs
+from stillpoint.scripts.shared.children import Outcome
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutDir, Workers
+from stillpoint.scripts.shared.jobs import exit_code, run_jobs
+from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_json
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.spin_scores import find_spin_judge, print_spin_scores, zero_of
@@ -55,7 +57,8 @@ def validate(
     fidelity: Annotated[bool, Parameter(negative=())] = False,
     estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
     out: OutDir = FIDELITY_OUT,
-    jobs: Jobs = None,
+    workers: Workers = LOCAL,
+    keeping: Keeping = REUSE,
     columns: Columns = None,
     json: JsonFile = None,
 ) -> int:
@@ -83,8 +86,6 @@ def validate(
         With --fidelity: names with commas between; by default all of attitude whose packages are installed.
     out
         With --fidelity: folder for results.
-    jobs
-        Processes; by default one per core, fewer for few recordings.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json
@@ -94,13 +95,21 @@ def validate(
     sources = inputs.recordings(paths)
     if fidelity:
         chosen_estimators = [] if estimators is None else [name.strip() for name in estimators.split(",")]
-        return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), jobs, json)
+        return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), workers, json)
     if estimators is not None:
         raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --method")
     if all(inputs.is_of_spin(source) for source in sources):
-        return _validate_spins(sources, named, align, jobs, json)
+        return _validate_spins(sources, named, align, workers, keeping, json)
     chosen = default_methods() if named is None else check_methods(named)
-    outcomes = run_jobs(partial(_validate, methods=chosen, align=align), sources, jobs, "validate")
+    outcomes = run_kept(
+        partial(_validate, methods=chosen, align=align),
+        sources,
+        partial(_decide, methods=chosen, align=align),
+        workers,
+        keeping,
+        "validate",
+        list[ValidationRow],
+    )
     rows: list[ValidationRow] = []
     for source, outcome in zip(sources, outcomes, strict=True):
         lost = [ValidationRow(source.stem, method, align, error=outcome.error) for method in chosen]
@@ -116,12 +125,22 @@ def validate(
     return 0 if None in reasons else 2
 
 
-def _validate(source: Path, methods: list[str], align: AlignKind) -> list[ValidationRow]:
+def _decide(source: Path, methods: list[str], align: AlignKind) -> Deciding:
+    return Deciding((source,), {"methods": methods, "align": align})
+
+
+def _validate(task: Task[Path], methods: list[str], align: AlignKind) -> list[ValidationRow]:
+    source = task.item
     return validate_recording(source.stem, partial(open_recording, source), methods, align)
 
 
 def _validate_spins(
-    sources: Sequence[Path], methods: Sequence[str] | None, align: AlignKind, jobs: int | None, json: JsonFile
+    sources: Sequence[Path],
+    methods: Sequence[str] | None,
+    align: AlignKind,
+    workers: Workers,
+    keeping: Keeping,
+    json: JsonFile,
 ) -> int:
     """Score angle and rate by each method against the truth, else the encoder, of each recording."""
     zero_of(align, "validate")
@@ -129,7 +148,8 @@ def _validate_spins(
     for name in chosen:
         require_known(name, [*ROLL_METHODS, *ROLLS], "roll reference method or estimator")
     work = [(source, name) for source in sources for name in chosen]
-    outcomes = run_jobs(partial(_score_spin, align=align), work, jobs, "validate")
+    decide = partial(_decide_spin, align=align)
+    outcomes = run_kept(partial(_score_spin, align=align), work, decide, workers, keeping, "validate", SpinScore)
     refused = [(str(o.error), name) for (_, name), o in zip(work, outcomes, strict=True) if o.value is None]
     rows: list[dict[str, Any]] = [
         {"recording": source.stem, "method": name, "error": outcome.error}
@@ -146,9 +166,14 @@ def _validate_spins(
     return exit_code(outcomes)
 
 
-def _score_spin(job: tuple[Path, str], align: AlignKind) -> SpinScore:
-    """Score one recording by one method or estimator."""
+def _decide_spin(job: tuple[Path, str], align: AlignKind) -> Deciding:
     source, name = job
+    return Deciding((source,), {"spin": name, "align": align})
+
+
+def _score_spin(task: Task[tuple[Path, str]], align: AlignKind) -> SpinScore:
+    """Score one recording by one method or estimator."""
+    source, name = task.item
     judge = find_spin_judge(source)
     recording = open_recording(source)
     made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
@@ -163,13 +188,13 @@ def _validate_fidelity(
     judges: Sequence[str],
     align: AlignKind,
     out: Path,
-    jobs: int | None,
+    workers: Workers,
     json: str | None,
 ) -> int:
     """Measure, print and write how well each judge replaces truth."""
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
-        return run_jobs(function, items, jobs, what)
+        return run_jobs(function, items, workers, what)
 
     check_methods(judges)
     found = measure_fidelity(sources, estimators, out, judges=judges, align=align, run_jobs=run)

@@ -9,6 +9,7 @@ import pytest
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.earth import decimal_year
+from stillpoint.scripts.shared.flags import LOCAL, Workers
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 
 
@@ -26,7 +27,7 @@ def fail_by(how: str) -> str:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
-    outcomes = run_jobs(decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], jobs, "years")
+    outcomes = run_jobs(decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], Workers(jobs), "years")
     assert [one.value for one in outcomes] == [2020.0, None, 2022.0]
     assert [one.error is None for one in outcomes] == [True, False, True]
     assert "'yesterday'" in outcomes[1].error
@@ -37,7 +38,7 @@ def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
 def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
     """Five of seven inputs fail, each in its way; the other two get their results from the same pool."""
     inputs = ["a", "SIGSEGV", "SIGABRT", "SIGKILL", "defect", "no pickle", "b"]
-    outcomes = dict(zip(inputs, run_jobs(fail_by, inputs, jobs, "tests"), strict=True))
+    outcomes = dict(zip(inputs, run_jobs(fail_by, inputs, Workers(jobs), "tests"), strict=True))
     assert [name for name, one in outcomes.items() if one.error is None] == ["a", "b"]
     assert [name for name, one in outcomes.items() if one.defect] == ["SIGSEGV", "SIGABRT", "defect", "no pickle"]
     assert "SIGSEGV" in outcomes["SIGSEGV"].error
@@ -49,15 +50,15 @@ def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
 
 
 def test_a_single_input_runs_here_and_its_defect_is_an_outcome_too(capfd):
-    (outcome,) = run_jobs(math.sqrt, [-1.0], 1, "roots")
+    (outcome,) = run_jobs(math.sqrt, [-1.0], LOCAL, "roots")
     assert outcome.defect
     assert "ValueError" in capfd.readouterr().err
 
 
 def test_no_input_gives_no_outcome():
-    assert run_jobs(math.sqrt, [], None, "roots") == []
+    assert run_jobs(math.sqrt, [], LOCAL, "roots") == []
 
 
 def test_no_process_is_refused():
     with pytest.raises(BadParameter, match="give 1 or more"):
-        run_jobs(math.sqrt, [1.0], 0, "roots")
+        run_jobs(math.sqrt, [1.0], Workers(0), "roots")

@@ -12,7 +12,7 @@ from stillpoint.datasets.archive import Archive
 from stillpoint.datasets.archive.repair import Copies, repair_archive
 from stillpoint.datasets.archive.verify import Fault, verify_archive
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.scripts.shared.flags import Jobs, Whole
+from stillpoint.scripts.shared.flags import Jobs, Whole, Workers
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
@@ -93,7 +93,7 @@ def _remake(
     from stillpoint.studies.remake import draw_jobs, remake
 
     drawn, reasons = draw_jobs(archive, count, seed)
-    outcomes = run_jobs(remake, drawn, jobs, "remake") if drawn else []
+    outcomes = run_jobs(remake, drawn, Workers(jobs), "remake") if drawn else []
     here = version("stillpoint")
     faults = []
     for job, outcome in zip(drawn, outcomes, strict=True):

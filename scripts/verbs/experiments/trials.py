@@ -8,7 +8,7 @@ from typing import TypeVar
 from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
-from stillpoint.scripts.shared.flags import Jobs, OutDir, Whole
+from stillpoint.scripts.shared.flags import Jobs, OutDir, Whole, Workers
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import JsonFile
 
@@ -55,7 +55,7 @@ class Trials:
 
     def run(self, trial: Callable[[Job], Trial], work: Sequence[Job], what: str) -> list[Trial]:
         """Run every trial, in order. Raises the :class:`StillpointError` of the first that fails."""
-        outcomes = run_jobs(trial, work, self.jobs, what)
+        outcomes = run_jobs(trial, work, Workers(self.jobs), what)
         failed = next((outcome.error for outcome in outcomes if outcome.value is None), None)
         if failed is not None:
             raise StillpointError(failed)

@@ -16,6 +16,7 @@ from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
+from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.verbs.estimate import estimate
 
 ALL_OF_THEM = """
@@ -55,7 +56,12 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_file_per_recording_and_estimator_that_names_its_source(recordings: Path, tmp_path: Path) -> None:
     facts = tmp_path / "facts.json"
     code = estimate(
-        [recordings], estimators="acc,cf", out=tmp_path, set_=["cf.omega0_radps=0.3"], jobs=1, json=str(facts)
+        [recordings],
+        estimators="acc,cf",
+        out=tmp_path,
+        set_=["cf.omega0_radps=0.3"],
+        workers=Workers(jobs=1),
+        json=str(facts),
     )
     assert code == 0
     rows = json.loads(facts.read_text())["rows"]

@@ -1,0 +1,169 @@
+"""Throughput over many recordings: local processes beside the workers of a Dask cluster on this machine."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numba.core import event
+
+from stillpoint.datasets import read, write
+from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.mcap.store import read_recording
+from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import estimate
+from stillpoint.scoring import score
+from stillpoint.scripts.bench.timing import Timing
+from stillpoint.scripts.shared.flags import Workers
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.smoother import reference
+
+RECORDINGS = 8
+MINUTES, RATE_HZ = 5.0, 100.0
+EMPTY_TASKS = 200
+COUNTS = (1, 2)  # of workers
+
+
+@dataclass(frozen=True)
+class _Used:
+    """The cost of one recording: in which process, how long, of that compiling, and the peak of the process."""
+
+    pid: int
+    seconds: float
+    cpu_s: float
+    compiling_s: float
+    peak_bytes: int
+
+
+def bench_scale(_runs: int) -> list[Timing]:
+    """Return the rows of reference, estimate and score of eight recordings of 5 minutes, and of empty tasks.
+
+    Each is done once: by 1 and 2 processes, by 1 and 2 workers of a cluster, and by 1 process with nothing compiled.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        files = [_write_recording(Path(folder), seed) for seed in range(RECORDINGS)]
+        run_jobs(_process, files[:1], Workers(1), "compile")
+        rows = []
+        for count in COUNTS:
+            pool = _time_batch(files, Workers(count), f"{count} local", rows[0] if rows else None)
+            with _start_cluster(count) as address:
+                cluster = _time_batch(files, Workers(scheduler=address), f"{count} on Dask", pool)
+            rows += [pool, cluster]
+        for count in COUNTS:
+            pool = _time_empty(Workers(count), f"{count} local", None)
+            with _start_cluster(count) as address:
+                rows += [pool, _time_empty(Workers(scheduler=address), f"{count} on Dask", pool)]
+        with _set_environment("NUMBA_CACHE_DIR", str(Path(folder) / "empty")):
+            rows.append(_time_batch(files, Workers(1), "1 local, nothing compiled", rows[0]))
+    return rows
+
+
+def _time_batch(files: Sequence[Path], workers: Workers, name: str, against: Timing | None) -> Timing:
+    """Return the row of all recordings; its note holds the rate, the memory and the share of compiling."""
+    begun = time.perf_counter()
+    used: list[_Used] = _run(_process, files, workers)
+    seconds = time.perf_counter() - begun
+    peak_bytes = max(one.peak_bytes for one in used)
+    compiling = sum(one.compiling_s for one in used) / sum(one.seconds for one in used)
+    figures = {
+        "recordings_per_minute": 60 * len(files) / seconds,
+        "cpu_s_per_recording": sum(one.cpu_s for one in used) / len(used),
+        "peak_bytes_per_process": peak_bytes,
+        "compiling_share": compiling,
+        "start_s": seconds - max(_sum_by_process(used).values()),
+    }
+    note = (
+        f"{figures['recordings_per_minute']:.1f} recordings/min, {figures['cpu_s_per_recording']:.1f} s of CPU each, "
+        f"{peak_bytes / 1e6:.0f} MB per process, {compiling:.0%} compiling, {figures['start_s']:.1f} s to start"
+    )
+    title = f"{len(files)} recordings of {MINUTES:g} min, {name}"
+    return Timing(title, [seconds], None, against, "times as long", figures, note)
+
+
+def _time_empty(workers: Workers, name: str, against: Timing | None) -> Timing:
+    """Return the row of tasks that do nothing, from the second outcome on: the cost of passing them round."""
+    arrived: list[float] = []
+    _run(_do_nothing, range(EMPTY_TASKS), workers, lambda *_: arrived.append(time.perf_counter()))
+    seconds = arrived[-1] - arrived[0]
+    each_ms = 1e3 * seconds / (EMPTY_TASKS - 1)
+    extra = {"per_task_ms": each_ms}
+    title = f"{EMPTY_TASKS} empty tasks, {name}"
+    return Timing(title, [seconds], None, against, "times as long", extra, f"{each_ms:.2f} ms per task")
+
+
+def _run(
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    workers: Workers,
+    on_done: Callable[[int, Any], None] | None = None,
+) -> list[Any]:
+    outcomes = run_jobs(function, items, workers, "scale", on_done=on_done)
+    for outcome in outcomes:
+        if outcome.error is not None:
+            raise StillpointError(f"bench scale: {outcome.error}")
+    return [outcome.value for outcome in outcomes]
+
+
+def _process(file: Path) -> _Used:
+    """Make reference and estimate of a recording, write both, and score the estimate."""
+    import resource
+
+    spent_s: list[float] = []
+    begun, begun_cpu = time.perf_counter(), time.process_time()
+    with event.install_timer("numba:compile", spent_s.append):
+        recording = read_recording(file)
+        write(file.with_suffix(f".{os.getpid()}.reference.mcap"), reference(recording))
+        made = estimate(recording, "ekf")
+        write(file.with_suffix(f".{os.getpid()}.estimate.mcap"), made)
+        judge = read(file.with_suffix(f".{os.getpid()}.reference.mcap"))
+        score(made, judge)
+    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    cpu_s = time.process_time() - begun_cpu
+    return _Used(os.getpid(), time.perf_counter() - begun, cpu_s, sum(spent_s), 1024 * peak_kib)
+
+
+def _do_nothing(number: int) -> int:
+    return number
+
+
+def _sum_by_process(used: Sequence[_Used]) -> dict[int, float]:
+    """Return the seconds of work of each process."""
+    seconds: dict[int, float] = {}
+    for one in used:
+        seconds[one.pid] = seconds.get(one.pid, 0.0) + one.seconds
+    return seconds
+
+
+def _write_recording(folder: Path, seed: int) -> Path:
+    file = folder / f"{seed}.mcap"
+    write(file, simulate("phone-3", seed, minutes=MINUTES, rate_hz=RATE_HZ))
+    return file
+
+
+@contextmanager
+def _start_cluster(count: int) -> Iterator[str]:
+    """Start a scheduler and workers of one thread on this machine; yields the address."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@contextmanager
+def _set_environment(name: str, value: str) -> Iterator[None]:
+    """Set a variable for processes started meanwhile."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before

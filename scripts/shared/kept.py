@@ -1,0 +1,271 @@
+"""Results kept by the content of what they were made from, so that a batch that was stopped goes on where it was.
+
+The key of a result is the hash of the verb, the names and SHA-256 of the files that decide it, the settings, and the
+version of stillpoint with its code. A file that a verb writes carries the key in its record ``stillpoint-made``: the
+file itself is what is kept. Results that are no file, and refusals, lie in a folder of results.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, is_dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated, Any, Generic
+
+import cattrs
+import numpy as np
+from cyclopts import Parameter
+
+from stillpoint.datasets.errors import BadFile, StillpointError
+from stillpoint.datasets.mcap.facts import from_json, to_json
+from stillpoint.datasets.mcap.store import read_origin, sha256
+from stillpoint.scripts.shared.children import Item, Outcome, Result
+from stillpoint.scripts.shared.flags import Workers
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.output import print_line
+from stillpoint.studies.result_store import ResultStore, hash_code, key_of, product_version
+
+FOLDER = "STILLPOINT_RESULTS"  # the variable that names the folder of results
+ROW = "row"  # of the record in a file that was made: the facts that the verb prints, as JSON
+PEERS = ("vqf", "ahrs", "imufusion", "riann")  # packages outside stillpoint whose code gives results
+FEW = 64  # files whose records this process reads itself
+
+_FORCE = "Compute all anew, also what an earlier run has computed from the same files with the same settings."
+_RESULTS = (
+    "Folder of kept results; by default STILLPOINT_RESULTS, else stillpoint/results in the user's folder of caches."
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Keeping:
+    """The use that is made of earlier results."""
+
+    force: Annotated[bool, Parameter(negative=(), help=_FORCE)] = False
+    results: Annotated[Path | None, Parameter(help=_RESULTS)] = None
+
+
+REUSE = Keeping()
+
+
+@dataclass(frozen=True)
+class Deciding:
+    """Everything that decides a result beside the code, and the file that the work writes."""
+
+    inputs: tuple[Path, ...]
+    settings: Mapping[str, Any]  # plain JSON, or settings of stillpoint
+    target: Path | None = None
+
+
+@dataclass(frozen=True)
+class Task(Generic[Item]):
+    """One item to work on, and what a file that is made of it says about its origin."""
+
+    item: Item
+    origin: Mapping[str, str]
+
+    def __str__(self) -> str:
+        return str(self.item)
+
+    def require_unchanged(self, name: str, digest: str) -> None:
+        """Raise :class:`BadFile` when an input is another one than when the work was planned."""
+        planned = from_json(self.origin["inputs"]).get(name, digest) if self.origin else digest
+        if planned != digest:
+            raise BadFile(f"{name}: was replaced while it was worked on; run the command again")
+
+    def origin_with(self, row: Mapping[str, Any]) -> Mapping[str, str]:
+        """Return the record of a file with the facts that the verb prints; empty where it has no key."""
+        return {**self.origin, ROW: to_json(row)} if self.origin else {}
+
+
+def run_kept(
+    function: Callable[[Task[Item]], Result],
+    items: Sequence[Item],
+    decide: Callable[[Item], Deciding],
+    workers: Workers,
+    keeping: Keeping,
+    what: str,
+    result: Any,
+    *,
+    here_up_to: int = 1,
+) -> list[Outcome[Result]]:
+    """Return the outcome of each item: kept ones of earlier runs, all others by :func:`run_jobs`.
+
+    Results are kept as they arrive, so that a run that is killed loses what is under way only. What was kept and what
+    is to do is printed to stderr. Errors that follow from the inputs are kept too; those of files that cannot be read,
+    of missing packages, of defects and of processes that died are not.
+
+    Parameters
+    ----------
+    function
+        Makes the result of a task; one that writes a file gives it ``task.origin_with(result)``.
+    items, workers, what, here_up_to
+        As for :func:`run_jobs`; ``what`` is the verb.
+    decide
+        Returns what decides the result of an item.
+    keeping
+        Whether earlier results are used, and where they are.
+    result
+        The type of a result: dataclasses, numbers, text, arrays and mappings of these.
+    """
+    plans = [decide(item) for item in items]
+    store = _Store(_find_folder(keeping.results), result)
+    origins = _describe_origins(function, plans, workers, what)
+    outcomes: list[Outcome[Result] | None] = [None] * len(items)
+    if not keeping.force:
+        made = _read_targets(plans, origins, workers, what)
+        outcomes = [store.find(*of_one) for of_one in zip(plans, origins, made, strict=True)]
+    missing = [place for place, outcome in enumerate(outcomes) if outcome is None]
+    _say(what, len(items), len(missing))
+    tasks = [Task(items[place], origins[place]) for place in missing]
+
+    def keep(number: int, outcome: Outcome[Result]) -> None:
+        place = missing[number]
+        outcomes[place] = outcome
+        store.keep(plans[place], origins[place], outcome)
+
+    if tasks:
+        run_jobs(function, tasks, workers, what, here_up_to=here_up_to, on_done=keep)
+    return [outcome for outcome in outcomes if outcome is not None]
+
+
+class _Store:
+    """Results of one type as plain JSON in a folder."""
+
+    def __init__(self, folder: Path | None, result: Any) -> None:
+        self._store = None if folder is None else ResultStore(folder)
+        self._type = result
+        self._converter = cattrs.Converter()
+        self._converter.register_unstructure_hook_func(_is_array, lambda array: array.tolist())
+        self._converter.register_structure_hook_func(_is_array, lambda value, _: np.array(value, np.float64))
+
+    def find(self, plan: Deciding, origin: Mapping[str, str], made: Mapping[str, str]) -> Outcome[Any] | None:
+        """Return the kept outcome of an item; None where there is none, or where its file is another one."""
+        if not origin:
+            return None
+        same_file = made.get("key") == origin["key"]
+        if same_file and ROW in made:
+            return Outcome(from_json(made[ROW]), kept=True)
+        facts = None if self._store is None else self._store.facts(origin["key"])
+        if facts is None:
+            return None
+        if facts["error"] is not None:  # it names the files as they were called then
+            same_names = facts["inputs"] == [str(path) for path in plan.inputs]
+            return Outcome(error=facts["error"], refused=True, kept=True) if same_names else None
+        if facts["value"] is None or (plan.target is not None and not same_file):
+            return None
+        try:
+            return Outcome(self._converter.structure(facts["value"], self._type), kept=True)
+        except (cattrs.BaseValidationError, KeyError, TypeError, ValueError):
+            return None
+
+    def keep(self, plan: Deciding, origin: Mapping[str, str], outcome: Outcome[Any]) -> None:
+        """Keep a result, unless its file does, and an error that follows from the input."""
+        if not origin or self._store is None or (outcome.error is not None and not outcome.refused):
+            return
+        if outcome.error is None and plan.target is not None and self._type is dict:
+            return  # the file has it all
+        value = None if outcome.error is not None else self._converter.unstructure(outcome.value, self._type)
+        facts = {"error": outcome.error, "inputs": [str(path) for path in plan.inputs], "value": value}
+        try:
+            self._store.put(origin["key"], facts)
+        except StillpointError as error:
+            self._store = None
+            print_line(f"stillpoint: results are not kept for another run: {error} (--results DIR)", sys.stderr)
+
+
+def _is_array(kind: Any) -> bool:
+    return getattr(kind, "__origin__", None) is np.ndarray
+
+
+def _find_folder(asked: Path | None) -> Path | None:
+    """Return the folder of kept results, which need not exist; None for a user without a home."""
+    if asked is not None:
+        return asked
+    named = os.environ.get(FOLDER)
+    if named:
+        return Path(named)
+    caches = os.environ.get("XDG_CACHE_HOME")
+    if caches:
+        return Path(caches) / "stillpoint" / "results"
+    try:
+        return Path.home() / ".cache" / "stillpoint" / "results"
+    except RuntimeError:
+        return None
+
+
+def _describe_origins(
+    function: Callable[..., Any], plans: Sequence[Deciding], workers: Workers, what: str
+) -> list[Mapping[str, str]]:
+    """Return the record of each result: its key and what the key was made of. Empty where an input cannot be read."""
+    paths = list(dict.fromkeys(path for plan in plans for path in plan.inputs))
+    digests = dict(zip(paths, _hash_files(paths, workers, what), strict=True))
+    code, peers = hash_code(("scripts",))[:12], {name: _find_version(name) for name in PEERS}
+    origins: list[Mapping[str, str]] = []
+    for plan in plans:
+        inputs = [(path.name, digests[path]) for path in plan.inputs]
+        if any(digest is None for _, digest in inputs):
+            origins.append({})
+            continue
+        settings = {name: asdict(one) if _is_settings(one) else one for name, one in plan.settings.items()}
+        key = key_of(verb=what, inputs=inputs, settings=settings, code=code, peers=peers)
+        record = {"verb": what, "key": key, "version": product_version()}
+        origins.append({**record, "inputs": to_json(dict(inputs)), "settings": to_json(settings)})
+    return origins
+
+
+def _find_version(package: str) -> str | None:
+    """Return the version of a package; None where it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _is_settings(value: Any) -> bool:
+    return is_dataclass(value) and not isinstance(value, type)
+
+
+def _hash_files(paths: Sequence[Path], workers: Workers, what: str) -> list[str | None]:
+    """Return the SHA-256 of each file, None where it cannot be read: the work on it will say why."""
+    if workers.scheduler is not None:
+        return [outcome.value for outcome in run_jobs(sha256, paths, workers, f"{what}: hash")]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # hashing lets other threads run
+        return list(threads.map(_hash_file, paths))
+
+
+def _hash_file(path: Path) -> str | None:
+    try:
+        return sha256(path)
+    except StillpointError:
+        return None
+
+
+def _read_targets(
+    plans: Sequence[Deciding], origins: Sequence[Mapping[str, str]], workers: Workers, what: str
+) -> list[Mapping[str, str]]:
+    """Return what the files that are there already say about their origin; empty where there is none."""
+    found: list[Mapping[str, str]] = [{} for _ in plans]
+    targets = [
+        (place, plan.target)
+        for place, (plan, origin) in enumerate(zip(plans, origins, strict=True))
+        if origin and plan.target is not None and plan.target.is_file()
+    ]
+    if targets:
+        read = run_jobs(read_origin, [path for _, path in targets], workers, f"{what}: kept", here_up_to=FEW)
+        for (place, _), outcome in zip(targets, read, strict=True):
+            found[place] = outcome.value or {}  # a damaged file is made anew
+    return found
+
+
+def _say(what: str, all_: int, missing: int) -> None:
+    """Print how much of a batch earlier runs have done; nothing where they have done nothing."""
+    if missing == all_:
+        return
+    if missing == 0:
+        which = "the result is" if all_ == 1 else f"all {all_} results are"
+        print_line(f"{what}: {which} kept from an earlier run, nothing to compute (--force computes anew)", sys.stderr)
+        return
+    print_line(f"{what}: {all_ - missing} of {all_} kept from an earlier run, {missing} to compute", sys.stderr)
