@@ -68,6 +68,14 @@ class ResultStore:
         except OSError as error:
             raise BadParameter(f"{place.parent}: cannot be written ({error.strerror}); name another folder") from None
 
+    def clear(self) -> None:
+        """Forget all results; raises :class:`BadParameter` when the folder cannot be changed."""
+        try:
+            for file in self.folder.glob("*.npz"):
+                file.unlink(missing_ok=True)
+        except OSError as error:
+            raise BadParameter(f"{self.folder}: cannot be changed ({error.strerror}); name another folder") from None
+
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}.npz"
 

@@ -133,6 +133,7 @@ class Tuning:
     best_per_recording: tuple[TunedTrial, ...]  # for each recording the trial that suits it best
     left_out_deg: tuple[float, ...]  # each recording with the setting that was chosen on the others
     settings: Mapping[str, Any] = field(default_factory=dict)  # sampler, alignment, judge, calibration
+    new_trials: int = 0  # of this call; the others were kept
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
@@ -193,20 +194,29 @@ def tune(
     errors = [outcome.error for outcome in outcomes if outcome.error]
     if len(errors) == len(outcomes):
         raise StillpointError(errors[0])
-    return _summarise(spec)
+    return replace(_summarise(spec), new_trials=sum(outcome.value or 0 for outcome in outcomes))
 
 
-def _run_trials(spec: TuneSpec) -> None:
-    """Run trials until the journal holds as many as were asked for."""
+def forget_trials(out: Path, estimator: str) -> None:
+    """Remove the trials of an estimator and all results that :func:`tune` kept in a folder."""
+    ResultStore(out / RESULTS).clear()
+    (out / f"{estimator}.journal").unlink(missing_ok=True)
+
+
+def _run_trials(spec: TuneSpec) -> int:
+    """Run trials until the journal holds as many as were asked for; return how many were run here."""
     study = _open_study(spec)
     if _is_done(study, spec):
-        return
+        return 0
+    run = 0
     bench = _Bench(spec)
 
     def score(trial: Any) -> float:
         params = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in spec.ranges}
         rmse = bench.evaluate(params)
+        nonlocal run
         trial.set_user_attr(RMSE_ATTRIBUTE, rmse)
+        run += 1
         return _typical(rmse, bench.row_of)
 
     def stop_when_done(study: Any, trial: Any) -> None:
@@ -214,6 +224,7 @@ def _run_trials(spec: TuneSpec) -> None:
             study.stop()
 
     study.optimize(score, callbacks=[stop_when_done])
+    return run
 
 
 class _Bench:

@@ -21,11 +21,13 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.study import Against, map_own_file
 from stillpoint.studies.publish.curves import read_entries
 from stillpoint.studies.publish.page import make_page_html
 from stillpoint.studies.publish.paper import write_paper
 from stillpoint.studies.publish.run_pages import write_run_pages
+from stillpoint.studies.result_store import ResultStore
 
 DEFAULT_OUT = Path("leaderboard")
 COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
@@ -46,6 +48,7 @@ def leaderboard(
     study: Annotated[Path | None, Parameter(name=["--study", "-c"])] = None,
     archive: Annotated[str | None, Parameter(name="--archive")] = None,
     workers: Workers = LOCAL,
+    force: Annotated[bool, Parameter(negative=())] = False,
     paper: Annotated[Path | None, Parameter(negative=())] = None,
     columns: Columns = None,
     json: JsonFile = None,
@@ -85,6 +88,8 @@ def leaderboard(
     archive
         The archive whose objects the paths name, by ID or file name, as the lines of archive find do; of these, the
         recordings take part.
+    force
+        Forget the results in the output folder and compute all anew.
     paper
         Also write the table as LaTeX, CSV and Markdown, and figures as PDF and SVG, to this folder.
     columns
@@ -94,11 +99,19 @@ def leaderboard(
     """
     asked = _study(paths, estimators, against, align, calibration, groups, set_, study, archive)
 
+    computed: list[int] = []
+
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
+        computed.append(len(items))
         return run_jobs(function, items, workers, what)
 
     folder = inputs.output_dir(out)
+    if force:
+        ResultStore(folder / RESULTS).clear()
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
+    if sum(computed) == 0:
+        kept = "all results are kept from an earlier run, nothing to compute (--force computes anew)"
+        print_line(f"leaderboard: {kept}", file=sys.stderr)
     _write(board, folder)
     pages = write_run_pages(folder, board, run)
     _write(board, folder, pages.links)

@@ -1,5 +1,6 @@
 """``stillpoint tune``: find the parameters with which an estimator errs least over many recordings."""
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +17,7 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.leaderboard.study import Against
-from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tuning_toml
+from stillpoint.studies.tune import ParamRange, Sampler, Tuning, forget_trials, tuning_toml
 from stillpoint.studies.tune import tune as tune_estimator
 from stillpoint.studies.tune_figure import draw_tuning
 
@@ -39,6 +40,7 @@ def tune(
     align: AlignKind = "heading",
     calibration: str = "none",
     workers: Workers = LOCAL,
+    force: Annotated[bool, Parameter(negative=())] = False,
     json: JsonFile = None,
 ) -> int:
     """Find the parameters with which an estimator errs least over many recordings.
@@ -74,6 +76,8 @@ def tune(
         What may differ without being an error, as for score.
     calibration
         Input of the estimator: none, reference or a file, as for leaderboard.
+    force
+        Forget the trials and results in the output folder and begin anew.
     json
         Also write all trials as JSON to this file; - is the standard output.
     """
@@ -85,6 +89,8 @@ def tune(
         return run_jobs(function, items, workers, what)
 
     folder = inputs.output_dir(out)
+    if force:
+        forget_trials(folder, estimator)
     tuning = tune_estimator(
         inputs.recordings(paths),
         estimator,
@@ -100,6 +106,9 @@ def tune(
         workers=workers.jobs or 1,
         run_jobs=run,
     )
+    if tuning.new_trials == 0:
+        kept = "all trials are kept from an earlier run, nothing to try (--force begins anew)"
+        print_line(f"tune: {kept}", file=sys.stderr)
     write_document(str(folder / f"{estimator}.tune.json"), tuning.to_json())
     draw_tuning(tuning).savefig(folder / f"{estimator}.map.png", dpi=150, metadata={"Software": None})
     if save is not None:
