@@ -1,5 +1,6 @@
 """Check that the sizes of a recording fit its units: one second of rest tells m/s^2 from g, and uT from gauss."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at 
 STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
 WINDOW_S = 1.0
+ROWS_AT_ONCE = 1 << 16
 WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its specific force; 0.4 g is none
 
 
@@ -45,12 +47,14 @@ class UnitCheck:
 
     def add(self, imu: "Imu | None", mag: "Mag | None") -> None:
         """Take the next samples of gyro and accelerometer, and of the magnetometer."""
-        if imu is not None:
-            self._fastest_radps = max(self._fastest_radps, float(np.abs(imu.gyro_b_radps).max()))
-            self._seconds.add(imu.t_ns, imu.accel_b_mps2, imu.gyro_b_radps)
-            self._forces_mps2.add(np.linalg.norm(imu.accel_b_mps2, axis=1))
+        for rows in () if imu is None else _iterate_rows(len(imu.t_ns)):
+            gyro, accel = imu.gyro_b_radps[rows], imu.accel_b_mps2[rows]
+            self._fastest_radps = max(self._fastest_radps, float(np.abs(gyro).max()))
+            self._seconds.add(imu.t_ns[rows], accel, gyro)
+            self._forces_mps2.add(np.linalg.norm(accel, axis=1))
         if mag is not None and not self._mag_uncalibrated:
-            self._fields_ut.add(np.linalg.norm(mag.mag_b_ut, axis=1))
+            for rows in _iterate_rows(len(mag.t_ns)):
+                self._fields_ut.add(np.linalg.norm(mag.mag_b_ut[rows], axis=1))
 
     def raise_doubt(self) -> None:
         """Raise :class:`BadRecording` with the likely unit when a size does not fit."""
@@ -98,6 +102,11 @@ def describe_field_size(median_ut: float) -> str:
         f"; it looks like {MISTAKEN_FOR_TESLA[f]} that was read as tesla: multiply by {f:g}" for f in mistaken
     )
     return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
+
+
+def _iterate_rows(count: int) -> Iterator[slice]:
+    """Yield ranges of rows; what is computed of one takes little memory beside the columns themselves."""
+    return (slice(first, first + ROWS_AT_ONCE) for first in range(0, count, ROWS_AT_ONCE))
 
 
 class _Seconds:

@@ -34,7 +34,7 @@ def check_times(owner: str, t_ns: ArrayLike) -> Times:
         raise BadRecording(f"{owner}: has no sample; leave the stream out instead")
     if t.min() < 0 or t.max() > LAST_T_NS:  # first: differences of stamps that far apart overflow
         raise BadRecording(f"{owner}: times lie outside 0 .. 2^31 s; shift them so that they start at 0")
-    t = t.astype(np.int64)
+    t = t.astype(np.int64, copy=False)
     falls = np.flatnonzero(np.diff(t) <= 0)
     if len(falls):
         k = int(falls[0]) + 1

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.cut import slice_stream
 from stillpoint.datasets.errors import BadFile, BadRecording
 from stillpoint.datasets.files.remote import hash_file
 from stillpoint.datasets.mcap.facts import (
@@ -29,8 +30,17 @@ from stillpoint.datasets.mcap.facts import (
     to_json,
 )
 from stillpoint.datasets.mcap.reader import Log, read_log, survey
-from stillpoint.datasets.mcap.topics import EXTRA, MAG_REMAINDER, TOPICS, Topic, extra_topic, microtesla, tesla
-from stillpoint.datasets.mcap.writer import MessageWriter, Stream, open_mcap, write_mcap
+from stillpoint.datasets.mcap.topics import (
+    EXTRA,
+    MAG_FIELD,
+    MAG_REMAINDER,
+    TOPICS,
+    Topic,
+    extra_topic,
+    microtesla,
+    tesla,
+)
+from stillpoint.datasets.mcap.writer import MessageWriter, Stream, open_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Head, Imu, Info, Mag, Piece, Recording, Series, Spin, Truth
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, SpinReference
 
@@ -39,6 +49,7 @@ OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
 ORIGIN = "stillpoint-made"  # of the record that says what made a file
 FORMAT = "1"
+ROWS_AT_ONCE = 1 << 17  # of a stream that are laid out as messages together
 OWN_COLUMNS = {
     topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
 }
@@ -60,9 +71,91 @@ def write(
     record of its own, which :func:`read_origin` returns. Raises :class:`BadFile` when the file cannot
     be written, :class:`BadRecording` when a parameter or diagnostic is no number, string, list or mapping.
     """
-    streams, record = contents_of(thing)
-    metadata = {RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}
-    write_mcap(Path(path), streams, metadata, attachments or {}, library=f"stillpoint {version('stillpoint')}")
+    kind = kind_of(thing)
+    streams, absent = _templates(kind, thing)
+    samples = _count_samples(kind, thing, [stream.topic for stream in streams])
+    streams = [stream for stream in streams if samples.get(stream.topic)]
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+        out.declare(streams)
+        record = _record(kind, facts_of(thing), samples, absent)
+        out.describe({RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}, attachments or {})
+        for piece, until_ns in _cut_pieces(thing):
+            out.add(_streams(kind, piece)[0], until_ns)
+
+
+def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
+    """Return one message of each topic, in the order of the file, and which fields are None.
+
+    The exact remainder of the magnetometer has its topic, whether a row needs it or not.
+    """
+    streams, absent = _streams(kind, _first_rows(thing))
+    mag = thing.mag if isinstance(thing, Recording | Piece) else None
+    if mag is not None:
+        topic = next(topic for topic in TOPICS if topic.name == MAG_REMAINDER)
+        remainder = _stream(topic, mag.t_ns[:1], {"remainder_b_ut": mag.mag_b_ut[:1]})
+        streams = [stream for stream in streams if stream.topic != MAG_REMAINDER]
+        streams.insert([stream.topic for stream in streams].index(MAG_FIELD), remainder)
+    return streams, absent
+
+
+def _first_rows(thing: Kept | Piece) -> Kept | Piece:
+    """Return the first sample of every stream."""
+    if not isinstance(thing, Recording | Piece):
+        return thing if len(thing.t_ns) <= ROWS_AT_ONCE else slice_stream(thing, 0, 1)
+    streams = {name: slice_stream(getattr(thing, name), 0, 1) for name in _STREAMS if getattr(thing, name) is not None}
+    return Piece(**streams, extra={name: slice_stream(series, 0, 1) for name, series in thing.extra.items()})
+
+
+def _count_samples(kind: str, thing: Kept, topics: Sequence[str]) -> dict[str, int]:
+    """Return the number of messages of each of some topics that has any."""
+    held = dict(thing.streams()) if isinstance(thing, Recording) else {}
+    names = {topic.name: topic.stream for topic in TOPICS if topic.kind == kind}
+    samples: dict[str, int] = {}
+    for name in topics:
+        if name == MAG_REMAINDER:
+            assert isinstance(thing, Recording)
+            assert thing.mag is not None
+            count = sum(
+                int((tesla(thing.mag.mag_b_ut[first : first + ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
+                for first in range(0, len(thing.mag.t_ns), ROWS_AT_ONCE)
+            )
+        elif isinstance(thing, Recording):
+            count = len(held[names.get(name) or f"extra {name.removeprefix(EXTRA)}"])
+        else:
+            count = len(thing.t_ns)
+        if count:
+            samples[name] = count
+    return samples
+
+
+def _cut_pieces(thing: Kept) -> Iterator[tuple[Kept | Piece, int | None]]:
+    """Yield pieces of bounded size, each with the time before which no later piece has a sample (None: the last).
+
+    A file is laid out from one piece at a time: a covariance takes four times the memory in its message.
+    """
+    if isinstance(thing, Recording):
+        longest = max((t_ns for _, t_ns in thing.streams()), key=len)
+        edges = [*longest[ROWS_AT_ONCE::ROWS_AT_ONCE].tolist(), None]
+    else:
+        edges = [*thing.t_ns[ROWS_AT_ONCE::ROWS_AT_ONCE].tolist(), None]
+    start_ns = 0
+    for end_ns in edges:
+        yield (thing if len(edges) == 1 else _cut_time(thing, start_ns, end_ns)), end_ns
+        start_ns = end_ns or 0
+
+
+def _cut_time(thing: Kept, start_ns: int, end_ns: int | None) -> Kept | Piece:
+    """Return the samples of all streams from one time to before another."""
+
+    def cut(stream: Any) -> Any:
+        last = len(stream.t_ns) if end_ns is None else int(np.searchsorted(stream.t_ns, end_ns))
+        return slice_stream(stream, int(np.searchsorted(stream.t_ns, start_ns)), last)
+
+    if not isinstance(thing, Recording):
+        return cut(thing)
+    streams = {name: cut(getattr(thing, name)) for name in _STREAMS if getattr(thing, name) is not None}
+    extra = {name: part for name, series in thing.extra.items() if (part := cut(series)) is not None}
+    return Piece(**streams, extra=extra)
 
 
 @contextmanager
@@ -122,10 +215,7 @@ class RecordingWriter:
 
     def __init__(self, out: MessageWriter, head: Head, first: Piece) -> None:
         self._out, self._first = out, first
-        streams, self._absent = _streams("recording", first)
-        if first.mag is not None and all(stream.topic != MAG_REMAINDER for stream in streams):
-            topic = next(topic for topic in TOPICS if topic.name == MAG_REMAINDER)
-            streams.insert(1, _stream(topic, first.mag.t_ns, {"remainder_b_ut": first.mag.mag_b_ut}))
+        streams, self._absent = _templates("recording", first)
         self._samples: dict[str, int] = {}
         out.declare(streams)
         out.describe({RECORD: self._make_record(head)}, {})

@@ -77,7 +77,7 @@ IMU, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 POSE, VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
 JOINTS, ARRAY, BOOL = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Bool"
 _ATTITUDE_ONLY = {"angular_velocity_covariance": NO_ESTIMATE, "linear_acceleration_covariance": NO_ESTIMATE}
-MAG_REMAINDER = "/imu/mag_remainder"
+MAG_FIELD, MAG_REMAINDER = "/imu/mag", "/imu/mag_remainder"
 EXTRA = "/extra/"  # before the name of a series of Recording.extra; their columns are in the facts
 
 
@@ -107,7 +107,7 @@ TOPICS: tuple[Topic, ...] = (
         BODY_FRAME,
     ),
     Topic(
-        "recording", "mag", "/imu/mag", MAG, "magnetic field", (Column("mag_b_ut", _xyz("magnetic_field"), "T", (3,)),),
+        "recording", "mag", MAG_FIELD, MAG, "magnetic field", (Column("mag_b_ut", _xyz("magnetic_field"), "T", (3,)),),
         BODY_FRAME,
     ),
     Topic(

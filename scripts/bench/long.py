@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.output import print_line
 START_NS = 1_700_000_000_000_000_000
 PIECE_S = 600
 MAG_EVERY, GPS_HZ = 4, 1  # a field with every fourth sample of the IMU
-REST_S, TURN_S = 60, 240  # at rest, then turning, in turn: what a reference and the doctor look for
+REST_S, TURN_S, SWING_S = 60, 240, 8  # at rest, then swinging, in turn: what a reference and the doctor look for
 
 # The peak of a process of its own and of those that it starts.
 _MEASURE = """
@@ -64,10 +64,10 @@ def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
         n = PIECE_S * rate_hz
         t_ns = START_NS + begin_s * 1_000_000_000 + np.arange(n, dtype=np.int64) * (1_000_000_000 // rate_hz)
         t_s = begin_s + np.arange(n) / rate_hz
-        # The heading swings by 60 deg in each turn and comes back; the body stays level.
-        phase = np.maximum((t_s % (REST_S + TURN_S)) - REST_S, 0) / TURN_S * 2 * np.pi
+        # The heading swings by 60 deg and comes back; the body stays level.
+        phase = np.maximum((t_s % (REST_S + TURN_S)) - REST_S, 0) / SWING_S * 2 * np.pi
         yaw = np.pi / 6 * (1 - np.cos(phase))
-        rate = np.pi / 6 * np.sin(phase) * 2 * np.pi / TURN_S
+        rate = np.pi / 6 * np.sin(phase) * 2 * np.pi / SWING_S
         gyro = rng.normal(size=(n, 3)) * 0.005 + rate[:, None] * np.array([0, 0, 1.0])
         accel = rng.normal(size=(n, 3)) * 0.02 + np.array([0, 0, 9.81])
         of_mag, of_gps = slice(None, None, MAG_EVERY), slice(None, None, rate_hz // GPS_HZ)

@@ -269,33 +269,25 @@ def gps(n=9):
         ("/imu/mag_remainder", False, "/imu/mag_remainder should have"),
     ],
 )
-def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, monkeypatch, lacks, known, says):
+def test_a_whole_file_that_lacks_messages_is_refused(tmp_path, lacks, known, says):
     """As when a tool filtered it; the facts say how many there were, and topics of one stream share their times."""
-
-    def without_last(path, streams, metadata, *rest, **more):
-        for k, stream in enumerate(streams):
-            if stream.topic == lacks:
-                columns = {leaf: values[:-1] for leaf, values in stream.columns.items()}
-                streams[k] = replace(stream, t_ns=stream.t_ns[:-1], columns=columns)
-        if known:
-            facts = metadata["stillpoint"]
-            facts["facts"] = facts["facts"].replace('"/gps/course": 9', '"/gps/course": 8')
-        write_mcap(path, streams, metadata, *rest, **more)
-
-    monkeypatch.setattr(store, "write_mcap", without_last)
-    write(tmp_path / "x.mcap", phone(gps=gps()))
+    streams, record = store.contents_of(phone(gps=gps()))
+    for k, stream in enumerate(streams):
+        if stream.topic == lacks:
+            columns = {leaf: values[:-1] for leaf, values in stream.columns.items()}
+            streams[k] = replace(stream, t_ns=stream.t_ns[:-1], columns=columns)
+    if known:
+        record["facts"] = record["facts"].replace('"/gps/course": 9', '"/gps/course": 8')
+    write_mcap(tmp_path / "x.mcap", streams, {"stillpoint": record}, {})
     with pytest.raises(BadFile, match=says):
         read(tmp_path / "x.mcap")
 
 
-def test_a_remainder_of_another_time_than_its_field_is_refused(tmp_path, monkeypatch):
-    def later(path, streams, *rest, **more):
-        remainder = next(k for k, stream in enumerate(streams) if stream.topic == "/imu/mag_remainder")
-        streams[remainder] = replace(streams[remainder], t_ns=streams[remainder].t_ns + 1)
-        write_mcap(path, streams, *rest, **more)
-
-    monkeypatch.setattr(store, "write_mcap", later)
-    write(tmp_path / "x.mcap", phone())
+def test_a_remainder_of_another_time_than_its_field_is_refused(tmp_path):
+    streams, record = store.contents_of(phone())
+    remainder = next(k for k, stream in enumerate(streams) if stream.topic == "/imu/mag_remainder")
+    streams[remainder] = replace(streams[remainder], t_ns=streams[remainder].t_ns + 1)
+    write_mcap(tmp_path / "x.mcap", streams, {"stillpoint": record}, {})
     with pytest.raises(BadFile, match="/imu/mag_remainder has times that the magnetometer has not"):
         read(tmp_path / "x.mcap")
 
