@@ -101,8 +101,9 @@ def drift_matrices(path: Swing) -> Iterator[tuple[slice, Floats]]:
 
 def last_drift_matrix(path: Swing) -> Floats:
     """Return A at the end, (3, 12)."""
-    *_, (_, chunk) = drift_matrices(path)
-    return chunk[-1]
+    turn = rotation(path.q_nb).as_matrix() * path.dt_s[:, None, None]
+    by_rate = np.tensordot(turn, path.rate_b_radps, axes=(0, 0)).transpose(0, 2, 1)  # as in drift_matrices
+    return np.concatenate([by_rate.reshape(3, 9), turn.sum(axis=0)], axis=1)
 
 
 def unknowns_variance(errors: GyroErrors) -> Floats:

@@ -25,12 +25,12 @@ def find_range_ends(values: Floats, smallest_range: float) -> Floats:
     Both ends are found separately: they differ where the maker subtracts an offset.
     """
     limits = np.zeros_like(values)
-    for sign in (1.0, -1.0):
-        outward = sign * values
-        largest = outward.max(axis=0)
-        at_end = outward >= largest - 1e-9 * np.abs(largest)
-        stuck = (at_end.sum(axis=0) >= CLIP_COUNT) & (largest >= smallest_range)
-        limits[at_end & stuck] = values[at_end & stuck]
+    for axis, column in enumerate(np.ascontiguousarray(values.T)):
+        for sign, largest in ((1.0, column.max()), (-1.0, -column.min())):
+            if largest >= smallest_range:
+                at_end = sign * column >= largest * (1 - 1e-9)
+                if at_end.sum() >= CLIP_COUNT:
+                    limits[at_end, axis] = column[at_end]
     return limits
 
 

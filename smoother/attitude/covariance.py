@@ -7,6 +7,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, M, V, X
 from numpy.typing import NDArray
 
+from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.marginals import compute_covariances, eliminate, multiply_covariance
@@ -126,9 +127,26 @@ def choose_factors(closing_squares: Sequence[float], has_rest: bool, has_gap: bo
 def scale_covariances(cov_b_rad2: Floats, q_nb: Floats, factors: Factors) -> Floats:
     """Return covariances (N, 3, 3) in body axes at attitudes (N, 4), with tilt and heading scaled by their factors."""
     up_b = rotation(q_nb).as_matrix()[:, 2]
-    along = up_b[:, :, None] * up_b[:, None, :]
-    root = np.sqrt(factors.tilt) * (np.eye(3) - along) + np.sqrt(factors.heading) * along
-    return np.asarray(root @ cov_b_rad2 @ root)
+    return _scale_along(cov_b_rad2, up_b, np.sqrt(factors.tilt), np.sqrt(factors.heading) - np.sqrt(factors.tilt))
+
+
+@compiled
+def _scale_along(covariance: Floats, along: Floats, root: float, more: float) -> Floats:
+    """Return S C S (N, 3, 3) with S = root 1 + more a a', for directions ``along`` (N, 3) of length 1."""
+    scaled, product = np.empty_like(covariance), np.empty(3)
+    for k in range(len(along)):
+        twice = 0.0
+        for i in range(3):
+            product[i] = 0.0
+            for j in range(3):
+                product[i] += covariance[k, i, j] * along[k, j]
+            twice += along[k, i] * product[i]
+        for i in range(3):
+            for j in range(3):
+                both = along[k, i] * product[j] + product[i] * along[k, j]
+                scaled[k, i, j] = root * root * covariance[k, i, j] + root * more * both
+                scaled[k, i, j] += more * more * twice * along[k, i] * along[k, j]
+    return scaled
 
 
 def _shared_errors(rotations: Floats) -> Floats:

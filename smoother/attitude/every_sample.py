@@ -251,9 +251,26 @@ def _interpolate_covariances(
     right = np.clip(np.searchsorted(key_t_s, t_s, side="right"), 1, len(key_t_s) - 1)
     left = right - 1
     share = (t_s - key_t_s[left]) / (key_t_s[right] - key_t_s[left])
-    covariance_n = (1 - share)[:, None, None] * key_cov_n[left] + share[:, None, None] * key_cov_n[right]
-    turn = rotation(q_nb).as_matrix()
-    return np.asarray(turn.transpose(0, 2, 1) @ covariance_n @ turn)
+    return _mix_covariances(left, share, key_cov_n, rotation(q_nb).as_matrix())
+
+
+@compiled
+def _mix_covariances(left: Times, share: Floats, key_cov_n: Floats, turn: Floats) -> Floats:
+    """Return R' C R (N, 3, 3) with C between ``key_cov_n`` (m, 3, 3) at ``left`` (N,) and the next, and R (N, 3, 3)."""
+    cov_b = np.zeros_like(turn)
+    mixed, half = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(len(left)):
+        for i in range(3):
+            for j in range(3):
+                before, after = key_cov_n[left[k], i, j], key_cov_n[left[k] + 1, i, j]
+                mixed[i, j] = (1.0 - share[k]) * before + share[k] * after
+        for i in range(3):
+            for j in range(3):
+                half[i, j] = mixed[i, 0] * turn[k, 0, j] + mixed[i, 1] * turn[k, 1, j] + mixed[i, 2] * turn[k, 2, j]
+        for i in range(3):
+            for j in range(3):
+                cov_b[k, i, j] = turn[k, 0, i] * half[0, j] + turn[k, 1, i] * half[1, j] + turn[k, 2, i] * half[2, j]
+    return cov_b
 
 
 def _read_common_pose(values: gtsam.Values) -> Floats | None:
