@@ -178,8 +178,9 @@ def _how_to_reproduce(items: Sequence[Item]) -> str:
 
 The script takes this bundle into a new archive, checks every hash, and makes every reference and estimate anew from
 the raw recordings with the recorded settings; each is compared with the one in this bundle to 1e-9 rad (docs/archive.md
-says what is known about other machines). Leaderboards are made anew into the folder `remade`. The files were made
-by stillpoint {", ".join(made) or "(no version is recorded)"}.
+says what is known about other machines). Leaderboards are made anew into the folder `remade`. The script ends with 1
+where something differs, after all is done. The files were made by stillpoint
+{", ".join(made) or "(no version is recorded)"}.
 """
 
 
@@ -192,10 +193,11 @@ def _reproduce_script(items: Sequence[Item]) -> str:
         "work=${1:-reproduced}",
         'stillpoint archive init "$work"',
         'stillpoint archive import . --archive "$work"',
-        'stillpoint archive verify --archive "$work" --remake all',
+        "differs=0",
+        'stillpoint archive verify --archive "$work" --remake all || differs=$?',
     ]
     for item in items:
         if item.entry.kind == "leaderboard":
             stem = item.path.removesuffix(".json")
             lines.append(f'stillpoint leaderboard -c "{stem}{STUDY_SUFFIX}" -o "remade/{stem.rpartition("/")[2]}"')
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "exit $differs"]) + "\n"

@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.flags import Jobs, Whole, Workers
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
-TOLERANCE_RAD = 1e-9  # of two runs on one kind of machine; docs/archive.md says what is known about others
+TOLERANCE_RAD = 1e-9  # a hundred times what other processors were seen to change (docs/archive.md)
 
 
 def verify(
@@ -47,7 +47,7 @@ def verify(
     seed
         Of the draw.
     tolerance
-        Largest difference, in rad; the default holds on one kind of machine (docs/archive.md).
+        Largest difference, in rad; the default holds across kinds of processors (docs/archive.md).
     jobs
         Processes for --remake; by default one per core.
     json
@@ -63,7 +63,8 @@ def verify(
             state = f"{len(found.faults)} faults" if found.faults else "clean"
             speed = found.bytes / 1e6 / max(seconds, 1e-9)
             read = f"{found.bytes / 1e6:.1f} MB read in {seconds:.1f} s ({speed:.0f} MB/s)"
-            print_line(f"{found.objects} objects, {read}: {state}")
+            inside = "tested" if thorough else "as tested when added"
+            print_line(f"{found.objects} objects, {read}, checksums in MCAP files {inside}: {state}")
         faults = list(found.faults)
         if remake is not None:
             differing, lines = _remake(opened, count, seed, tolerance, jobs)

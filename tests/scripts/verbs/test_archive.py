@@ -2,9 +2,18 @@
 
 import io
 import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 from shelf import write_family, write_recording
+
+from stillpoint.datasets import read, write
+from stillpoint.datasets.simulate import simulate
 
 
 @pytest.fixture
@@ -164,3 +173,28 @@ def test_recover_writes_what_is_left_into_another_folder(call, capsys, tmp_path)
     assert "lost: the chunk at byte" in capsys.readouterr().out
     assert call("info", tmp_path / "back" / "run.mcap") == 0
     assert call("recover", run, "-o", tmp_path) == 2
+
+
+@pytest.mark.slow
+def test_the_script_of_a_bundle_makes_everything_anew(call, tmp_path, monkeypatch):
+    """As a reader of the dataset would: a changed estimate is found, and the leaderboard is made all the same."""
+    recordings = tmp_path / "recordings"
+    recordings.mkdir()
+    write(recordings / "run.mcap", simulate("phone-1", minutes=0.6))
+    assert call("estimate", recordings, "-e", "cf,gyro") == 0
+    assert call("leaderboard", recordings, "-e", "cf,gyro", "-o", tmp_path / "board") == 0
+    kept = read(recordings / "run.gyro.estimate.mcap")
+    write(recordings / "run.gyro.estimate.mcap", replace(kept, q_nb=np.roll(kept.q_nb, 1, axis=0)))
+    home, bundle = tmp_path / "lab", tmp_path / "bundle"
+    assert call("archive", "init", home) == 0
+    assert call("archive", "add", "--archive", home, recordings, tmp_path / "board" / "leaderboard.json") == 0
+    assert call("archive", "export", "all", "--archive", home, "-o", bundle, "--allow-unlicensed") == 0
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    ended = subprocess.run(["sh", "reproduce.sh"], cwd=bundle, capture_output=True, text=True)
+    assert ended.returncode == 1
+    assert "2 made anew, 1 differ" in ended.stdout
+    assert "run.gyro.estimate.mcap differs" in ended.stdout
+    (remade,) = bundle.glob("remade/*/leaderboard.json")
+    boards = [json.loads(file.read_text()) for file in (tmp_path / "board" / "leaderboard.json", remade)]
+    figures = [[row["total_rmse_deg"] for row in board["recordings"]] for board in boards]
+    assert figures[0] == pytest.approx(figures[1], rel=1e-9)
