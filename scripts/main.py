@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
 # verb -> (function, what it does); the order is the order of the data and of the help page.
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo:demo", "Simulate a phone in the hand and follow it the whole way to a report."),
+    "fetch": ("fetch:fetch", "Fetch published datasets with optical truth, checked by SHA-256."),
     "import": ("import_:app", "Turn recordings of other formats into MCAP files."),
     "join": ("join:join", "Make one recording of the parts that import --split wrote."),
     "cut": ("cut:cut", "Write a part of a recording as a recording of its own."),

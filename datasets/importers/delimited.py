@@ -70,23 +70,27 @@ class Table:
         return ", ".join(name[:40] for name in self.columns[:20])[:300] + more
 
     @cached_property
-    def index(self) -> dict[str, int]:
-        """Return a mapping from column name to place; raises :class:`BadSource` for a name that stands twice."""
-        places: dict[str, int] = {}
+    def _places(self) -> dict[str, list[int]]:
+        """Where the columns of each name stand."""
+        places: dict[str, list[int]] = {}
         for place, name in enumerate(self.columns):
-            if name in places:
-                raise BadSource(
-                    f"{self.where}: two columns are called {name!r} ({places[name] + 1} and {place + 1}); rename one"
-                )
-            places[name] = place
+            places.setdefault(name, []).append(place)
         return places
 
     def place(self, column: str) -> int:
-        """Return where a column stands, by its name or by its number; raises :class:`BadSource`."""
-        if column in self.index:
-            return self.index[column]
-        if column.lstrip("# ") in self.index:  # as the comment line writes it
-            return self.index[column.lstrip("# ")]
+        """Return where a column stands, by its name or by its number.
+
+        Raises :class:`BadSource` for a name that no column has, or that two have.
+        """
+        for name in (column, column.lstrip("# ")):  # the second as a comment line writes it
+            found = self._places.get(name, [])
+            if len(found) > 1:
+                first, second = found[0] + 1, found[1] + 1
+                raise BadSource(
+                    f"{self.where}: two columns are called {name!r} ({first} and {second}); rename one or give numbers"
+                )
+            if found:
+                return found[0]
         if column.isdecimal() and 1 <= int(column[:6]) <= len(self.columns):
             return int(column) - 1
         raise BadSource(f"{self.where}: no column {column!r}; it has {self.listed}")
