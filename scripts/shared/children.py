@@ -99,6 +99,7 @@ def end_children(children: Iterable[Child]) -> None:
         child.process.join(END_WAIT_S)
         if child.process.is_alive():
             child.process.kill()
+            child.process.join()
 
 
 def run_item(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:

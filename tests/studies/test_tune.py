@@ -52,9 +52,10 @@ def test_common_setting_is_the_least_geometric_mean(tuning):
 
 def test_second_call_runs_no_trial(files, out, tuning, monkeypatch):
     monkeypatch.setattr("stillpoint.studies.tune.compare", None)
-    monkeypatch.setattr("stillpoint.studies.tune.Bench.evaluate", lambda self, params: list(tuning.defaults.rmse_deg))
+    monkeypatch.setattr("stillpoint.studies.tune._Bench.evaluate", lambda self, params: list(tuning.defaults.rmse_deg))
     again = tune(files, "cf", [RANGE], out, sampler="grid", steps=4)
     assert again.trials == tuning.trials
+    assert (tuning.new_trials, again.new_trials) == (4, 0)
 
 
 def test_tpe_goes_on_to_the_number_asked_for(files, tmp_path):
