@@ -195,7 +195,11 @@ def _print_summary(made: Sequence[Diagnosis], severities: tuple[Severity, ...]) 
         [severity, code, str(len(names)), ", ".join(names[:MOST_NAMED]) + (" …" if len(names) > MOST_NAMED else "")]
         for (severity, code), names in ordered
     ]
-    print_table(f"{len(made)} recordings, {clean} clean", ["severity", "finding", "recordings", "of them"], [rows])
+    title = f"{len(made)} recordings, {clean} clean"
+    if rows:
+        print_table(title, ["severity", "finding", "recordings", "of them"], [rows])
+    else:
+        print_line(f"{title}, no {' or '.join(severities)}")
 
 
 def examine(recording: Recording) -> Diagnosis:
