@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.flags import Jobs, Whole, Workers
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
-TOLERANCE_RAD = 1e-9  # a hundred times what other processors were seen to change (docs/archive.md)
+TOLERANCE_RAD = 1e-9  # on one kind of processor, where the same bits come out; docs/archive.md has what others change
 
 
 def verify(
@@ -47,7 +47,7 @@ def verify(
     seed
         Of the draw.
     tolerance
-        Largest difference, in rad; the default holds across kinds of processors (docs/archive.md).
+        Largest difference, in rad; the default is for one kind of processor, 1e-7 for others (docs/archive.md).
     jobs
         Processes for --remake; by default one per core.
     json
