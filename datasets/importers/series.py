@@ -10,6 +10,7 @@ from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.recording import LAST_T_NS, Floats, Gps, Imu, Times
 
 BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its steps, are bridged by interpolation
+FASTER = 0.75  # an accelerometer with a step below this share of the gyro's is averaged over the gyro's intervals
 
 
 @dataclass
@@ -88,11 +89,12 @@ def drop_incomplete_rows(series: Series, what: str, log: Log) -> Series:
 
 
 def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
-    """Interpolate the accelerometer linearly onto the stamps of the gyro.
+    """Bring the accelerometer to the stamps of the gyro, which keeps its samples because it is integrated.
 
-    The gyro keeps its samples because it is integrated, whereas the accelerometer is averaged. Gyro samples without
-    an accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. Raises :class:`BadSource` when
-    no sample is left.
+    A faster accelerometer is averaged over the intervals that end at the gyro's stamps: of single readings between
+    others, vibration above half of the gyro's rate would remain as an error. Another one is interpolated linearly.
+    Gyro samples without an accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. Raises
+    :class:`BadSource` when no sample is left.
     """
     if len(gyro.t_ns) == len(accel.t_ns) and (gyro.t_ns == accel.t_ns).all():
         return Imu(gyro.t_ns, gyro.values, accel.values)
@@ -106,17 +108,40 @@ def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
     keep = inside & ((span_ns <= bridge_ns) | exact)
     if not keep.any():
         raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
-    t_ns, right = gyro.t_ns[keep], right[keep]
-    left = right - 1
-    share = ((t_ns - accel.t_ns[left]) / (accel.t_ns[right] - accel.t_ns[left]))[:, None]
-    force = accel.values[left] * (1 - share) + accel.values[right] * share
-    log.converted(
-        f"accelerometer ({len(accel.t_ns)} samples on its own stamps) interpolated linearly onto the gyro's stamps"
-    )
+    t_ns = gyro.t_ns[keep]
+    step_ns = float(np.median(np.diff(gyro.t_ns))) if len(gyro.t_ns) > 1 else 0.0
+    if float(np.median(np.diff(accel.t_ns))) < FASTER * step_ns:
+        force, how = _average_before(accel, t_ns, step_ns), "averaged over the intervals that end at the gyro's stamps"
+    else:
+        force, how = _interpolate(accel, t_ns), "interpolated linearly onto the gyro's stamps"
+    log.converted(f"accelerometer ({len(accel.t_ns)} samples on its own stamps) {how}")
     lost = int((~keep).sum())
     if lost:
         log.noted(f"gyro: {lost} samples without accelerometer samples around them dropped")
     return Imu(t_ns, gyro.values[keep], force)
+
+
+def _interpolate(series: Series, t_ns: Times) -> Floats:
+    """Return the readings (K, k) at stamps (K,), linear between samples."""
+    return np.stack([np.interp(t_ns, series.t_ns, column) for column in series.values.T], axis=1)
+
+
+def _average_before(series: Series, t_ns: Times, step_ns: float) -> Floats:
+    """Return the means (K, k) over the intervals that end at stamps (K,), of readings that are linear in between.
+
+    An interval begins at the stamp before, but is no longer than ``step_ns`` (behind a gap) and begins no earlier than
+    the series.
+    """
+    before = np.concatenate([[0], t_ns[:-1]])
+    begin_ns = np.maximum(np.maximum(before, t_ns - round(step_ns)), series.t_ns[0])
+    edges_ns = np.unique(np.concatenate([series.t_ns, begin_ns, t_ns]))
+    values = _interpolate(series, edges_ns)
+    areas = (values[1:] + values[:-1]) / 2 * np.diff(edges_ns)[:, None]
+    integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(areas, axis=0)])
+    first, last = np.searchsorted(edges_ns, begin_ns), np.searchsorted(edges_ns, t_ns)
+    span_ns = (t_ns - begin_ns)[:, None]
+    means = (integral[last] - integral[first]) / np.maximum(span_ns, 1)
+    return np.asarray(np.where(span_ns > 0, means, values[last]))
 
 
 def fit_even_times(t_s: Floats, what: str, log: Log) -> Floats:

@@ -60,7 +60,10 @@ def test_an_empty_stamp_is_unknown(cell):
     st.floats(-5, 5),
 )
 def test_merging_is_exact_for_what_changes_evenly_and_drops_only_outside(gyro_steps, accel_steps, slope):
-    """Linear interpolation reproduces a straight line; no gyro sample outside the accelerometer's span is left."""
+    """A straight line is met at each stamp, or in the middle of the interval before it where the force is averaged.
+
+    No gyro sample outside the accelerometer's span is left.
+    """
     gyro_t, accel_t = np.cumsum(gyro_steps) * 1_000_000, np.cumsum(accel_steps) * 1_000_000
     inside = (gyro_t >= accel_t[0]) & (gyro_t <= accel_t[-1])
     gyro = series(gyro_t, np.zeros((len(gyro_t), 3)))
@@ -72,10 +75,23 @@ def test_merging_is_exact_for_what_changes_evenly_and_drops_only_outside(gyro_st
         return
     imu = merge_imu(gyro, accel, "f", log)
     assert (imu.t_ns == gyro_t[inside]).all()
-    expected = np.outer(imu.t_ns * 1e-9, [slope, 1.0, 0.0]) + GRAVITY
+    step_ns = round(float(np.median(np.diff(gyro_t))))
+    begin_ns = np.maximum(np.concatenate([[0], imu.t_ns[:-1]]), np.maximum(imu.t_ns - step_ns, accel_t[0]))
+    averaged = any("averaged over" in line for line in log.conversions)
+    assert averaged == (np.median(np.diff(accel_t)) < 0.75 * np.median(np.diff(gyro_t)))
+    at_s = (imu.t_ns + begin_ns) / 2e9 if averaged else imu.t_ns * 1e-9
+    expected = np.outer(at_s, [slope, 1.0, 0.0]) + GRAVITY
     np.testing.assert_allclose(imu.accel_b_mps2, expected, atol=1e-12)
     lost = sum(int(note.split()[1]) for note in log.notes)
     assert lost == (~inside).sum()
+
+
+def test_vibration_above_the_rate_of_the_gyro_is_averaged_out():
+    """The mean of a sine of 90 Hz over 10 ms is sin(pi 0.9) / (pi 0.9) = 0.11 of it; a single reading keeps it whole."""
+    accel_t, gyro_t = np.arange(0, 2_000_000_000, 500_000), np.arange(10_000_000, 1_990_000_000, 10_000_000)
+    shaken = np.outer(5 * np.sin(2 * np.pi * 90 * accel_t * 1e-9), [1.0, 0.0, 0.0]) + GRAVITY
+    imu = merge_imu(series(gyro_t, np.zeros((len(gyro_t), 3))), series(accel_t, shaken), "f", Log())
+    assert np.abs(imu.accel_b_mps2 - GRAVITY).max() == pytest.approx(0.11 * 5, rel=0.05)
 
 
 def test_a_long_gap_of_the_accelerometer_is_not_bridged():
