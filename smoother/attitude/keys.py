@@ -10,14 +10,11 @@ from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.smoother.attitude.clipping import extend_clipped
 from stillpoint.smoother.attitude.params import KeyParams
+from stillpoint.smoother.attitude.slow_log import estimate_sampling_error, integrate_slow_log
 from stillpoint.smoother.missing import LONG_GAP_S, bridge_gaps
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
 SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
-SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
-SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
-SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
-GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +84,10 @@ class Keys:
 
 
 def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
-    """Return the IMU stream in seconds, with rests marked and clipped and missing readings replaced."""
+    """Return the IMU stream in seconds, with rests marked and clipped and missing readings replaced.
+
+    Slowly sampled readings are integrated in between (slow_log.py).
+    """
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for start, end in np.searchsorted(imu.t_ns, rests_ns):
@@ -99,25 +99,11 @@ def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     gyro, gyro_missed = bridge_gaps(dt_s, gyro, ~at_rest)
     accel, accel_missed = bridge_gaps(dt_s, accel, ~at_rest)
     beyond = np.maximum(gyro_beyond, gyro_missed), np.maximum(accel_beyond, accel_missed)
-    return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond, estimate_sampling_error(gyro, dt_s, at_rest))
-
-
-def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray[np.bool_]) -> Floats:
-    """Return by how much (N, 3) a rate may differ from the mean rate of its interval because it is sampled slowly.
-
-    Half of the curvature |w+ - 2 w + w-| / 12 and of the coning term |w- x w| dt / 12 (both vanish with the square of
-    the interval). Zero in the whole recording where the gyro's noise covers it.
-    """
-    before, after = np.vstack([gyro_b_radps[:1], gyro_b_radps[:-1]]), np.vstack([gyro_b_radps[1:], gyro_b_radps[-1:]])
-    curvature = np.abs(after - 2 * gyro_b_radps + before) / 12
-    coning = np.abs(np.cross(before, gyro_b_radps)) * dt_s[:, None] / 12
-    error = SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
-    if at_rest.all():
-        return np.zeros_like(error)
-    step_s = float(np.median(dt_s))
-    in_interval_rad = error[~at_rest] * step_s * max(1, round(SAMPLING_INTERVAL_S / step_s))
-    noticed_rad = SAMPLING_NOTICED * GYRO_DENSITY_RADPS_RTHZ * np.sqrt(SAMPLING_INTERVAL_S)
-    return error if np.sqrt(np.mean(in_interval_rad**2)) > noticed_rad else np.zeros_like(error)
+    sampling = estimate_sampling_error(gyro, dt_s, at_rest)
+    if sampling.any():
+        bias = gyro[at_rest].mean(axis=0) if at_rest.any() else np.zeros(3)
+        gyro, accel = integrate_slow_log(t_s, gyro, accel, bias)
+    return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond, sampling)
 
 
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:

@@ -129,6 +129,20 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "calibration_surprise_sd": measure_surprise(whole.calibration, solved.params),
         "field_inlier_share": solved.fit.field_inlier_share,
         "field_misfit_ut": solved.fit.field_misfit_ut,
+        "slow_log": _describe_slow_log(evidence),
         "convention": CONVENTION,
         **_describe_fixes(evidence, solved, whole.q_nb),
     }
+
+
+def _describe_slow_log(evidence: Evidence) -> str | None:
+    """Return what the covariance knows of rates that are sampled slowly; None where that is not noticed."""
+    motion = evidence.motion
+    if not motion.gyro_sampling_radps.any():
+        return None
+    rate_hz = 1 / float(np.median(motion.dt_s))
+    wrong_degps = np.rad2deg(np.sqrt(np.mean(motion.gyro_sampling_radps[~motion.at_rest] ** 2)))
+    return (
+        f"readings at {rate_hz:.0f} Hz are taken for means over their intervals; in case that they are of single "
+        f"moments, the covariance allows for rates that are wrong by {wrong_degps:.2f} deg/s (RMS)"
+    )

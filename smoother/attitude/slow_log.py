@@ -1,69 +1,77 @@
-"""Integrate slowly sampled readings: what rate and force did between two samples.
+"""Integrate slowly sampled readings: what rate and force did between two samples, and how wrong that may be.
 
-A graph takes rate and force as constant from sample to sample. At 24 Hz a hand turns by 20 deg in between, and the mean
-rate of an interval is not the rotation over it: the rotation also depends on the order of turns (coning; Bortz 1971),
-and the change of velocity on the attitude at which a force acts (sculling). Here both signals are splines, integrated
-in substeps. There are two kinds of slow logs, which only the data tell apart:
+A graph takes rate and force as constant from sample to sample. At 24 Hz a hand turns by 20 deg in between, and the
+mean rate of an interval is not the rotation over it: that depends on the order of turns (coning; Bortz 1971), and the
+change of velocity on the attitude at which a force acts (sculling). Splines through the sums of the readings show both.
 
-- ``mean``: a reading is the mean over the interval that ends at its stamp, as of a sensor that filters before it
-  decimates. The spline goes through the sums of the readings, and keeps them.
-- ``instant``: a reading is of the moment of its stamp, as in a log from which samples were dropped. The spline goes
-  through the readings. What happened above half of the sampling rate is lost.
+A reading is taken for the mean over the interval that ends at its stamp, as of a sensor that filters before it
+decimates. In a log from which samples were dropped it is of one moment, and what happened above half of the rate is
+lost. The data do not tell the two apart, so that the error that is stated is that of the second kind.
 """
 
-from typing import Literal
-
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.times import GAP_STEPS
 
-Sampling = Literal["mean", "instant"]
-DEGREE = 5  # of the spline of the integrals: an error per interval 40 times below that of constant rates, at 24 Hz
+SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
+SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
+SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
+GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
+DEGREE = 5  # of the spline: at 24 Hz its error of a rotation is a 40th of that of constant rates, cubic a 20th
 SUBSTEPS = 8  # in an interval
 SHORTEST = 12  # samples in a stretch without a gap; a shorter one is left as it is
 
 
+def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray[np.bool_]) -> Floats:
+    """Return by how much (N, 3) a rate may differ from the mean rate of its interval because it is sampled slowly.
+
+    Half of the curvature |w+ - 2 w + w-| / 12 and of the coning term |w- x w| dt / 12 (both vanish with the square of
+    the interval). Zero in the whole recording where the gyro's noise covers it.
+    """
+    before, after = np.vstack([gyro_b_radps[:1], gyro_b_radps[:-1]]), np.vstack([gyro_b_radps[1:], gyro_b_radps[-1:]])
+    curvature = np.abs(after - 2 * gyro_b_radps + before) / 12
+    coning = np.abs(np.cross(before, gyro_b_radps)) * dt_s[:, None] / 12
+    error = SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
+    if at_rest.all():
+        return np.zeros_like(error)
+    step_s = float(np.median(dt_s))
+    in_interval_rad = error[~at_rest] * step_s * max(1, round(SAMPLING_INTERVAL_S / step_s))
+    noticed_rad = SAMPLING_NOTICED * GYRO_DENSITY_RADPS_RTHZ * np.sqrt(SAMPLING_INTERVAL_S)
+    return error if np.sqrt(np.mean(in_interval_rad**2)) > noticed_rad else np.zeros_like(error)
+
+
 def integrate_slow_log(
-    t_s: Floats, gyro_b_radps: Floats, accel_b_mps2: Floats, bias_b_radps: Floats, sampling: Sampling
+    t_s: Floats, gyro_b_radps: Floats, accel_b_mps2: Floats, bias_b_radps: Floats
 ) -> tuple[Floats, Floats]:
     """Return constant rates and forces (N, 3) that turn and push a body in each interval as the real ones did.
 
-    ``t_s`` (N,) rises; readings (N, 3) in body axes; ``bias_b_radps`` (3,) is about that of the gyro. A rate acts over
-    the interval that ends at its stamp, a force with the attitude at the beginning of the interval. Readings around
-    gaps stay as they are.
+    ``t_s`` (N,) rises; readings (N, 3) in body axes, means over the interval that ends at the stamp; ``bias_b_radps``
+    (3,) is about that of the gyro. A returned force acts in the axes at the beginning of its interval. The first
+    reading behind a gap, and stretches of fewer than SHORTEST samples between gaps, stay as they are.
     """
     gyro, accel = gyro_b_radps.copy(), accel_b_mps2.copy()
     step_s = np.diff(t_s)
     breaks = np.flatnonzero(step_s > GAP_STEPS * np.median(step_s)) + 1
     for here in np.split(np.arange(len(t_s)), breaks):
         if len(here) >= SHORTEST:
-            inner = here[1:]
-            turned, pushed = _integrate_stretch(t_s[here], gyro[here] - bias_b_radps, accel[here], sampling)
-            gyro[inner], accel[inner] = turned + bias_b_radps, pushed
+            turned, pushed = _integrate_stretch(t_s[here], gyro[here] - bias_b_radps, accel[here])
+            gyro[here[1:]], accel[here[1:]] = turned + bias_b_radps, pushed
     return gyro, accel
 
 
-def _integrate_stretch(t_s: Floats, gyro: Floats, accel: Floats, sampling: Sampling) -> tuple[Floats, Floats]:
+def _integrate_stretch(t_s: Floats, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
     """Return constant rates and forces (n - 1, 3) of the intervals of a stretch without gaps."""
     dt_s = np.diff(t_s)[:, None]
+    sums = np.concatenate([np.zeros((1, 6)), np.cumsum(np.hstack([gyro, accel])[1:] * dt_s, axis=0)])
     edges_s = t_s[:-1, None] + dt_s * np.arange(SUBSTEPS + 1) / SUBSTEPS
-    turn = np.diff(_make_integral(t_s, gyro, sampling)(edges_s), axis=1)  # (n - 1, SUBSTEPS, 3)
-    push = np.diff(_make_integral(t_s, accel, sampling)(edges_s), axis=1)
-    attitude = np.broadcast_to(np.eye(3), (len(dt_s), 3, 3))
-    velocity = np.zeros((len(dt_s), 3))
+    steps = np.diff(make_interp_spline(t_s, sums, k=DEGREE)(edges_s), axis=1)  # (n - 1, SUBSTEPS, 6)
+    attitude, velocity = np.broadcast_to(np.eye(3), (len(dt_s), 3, 3)), np.zeros((len(dt_s), 3))
     for k in range(SUBSTEPS):
-        half = Rotation.from_rotvec(turn[:, k] / 2).as_matrix()
-        velocity += np.einsum("nij,njk,nk->ni", attitude, half, push[:, k])
+        half = Rotation.from_rotvec(steps[:, k, :3] / 2).as_matrix()
+        velocity += np.einsum("nij,nj->ni", attitude @ half, steps[:, k, 3:])
         attitude = attitude @ half @ half
     return Rotation.from_matrix(attitude).as_rotvec() / dt_s, velocity / dt_s
-
-
-def _make_integral(t_s: Floats, readings: Floats, sampling: Sampling) -> BSpline:
-    """Return the spline of the integral of readings (n, 3) from the first stamp on."""
-    if sampling == "instant":
-        return make_interp_spline(t_s, readings, k=DEGREE - 2, axis=0).antiderivative()
-    steps = readings[1:] * np.diff(t_s)[:, None]
-    return make_interp_spline(t_s, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]), k=DEGREE, axis=0)

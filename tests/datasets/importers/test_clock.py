@@ -87,7 +87,7 @@ def test_merging_is_exact_for_what_changes_evenly_and_drops_only_outside(gyro_st
 
 
 def test_vibration_above_the_rate_of_the_gyro_is_averaged_out():
-    """The mean of a sine of 90 Hz over 10 ms is sin(pi 0.9) / (pi 0.9) = 0.11 of it; a single reading keeps it whole."""
+    """The mean of a sine of 90 Hz over 10 ms is sin(pi 0.9) / (pi 0.9) = 0.11 of it; a single reading keeps it all."""
     accel_t, gyro_t = np.arange(0, 2_000_000_000, 500_000), np.arange(10_000_000, 1_990_000_000, 10_000_000)
     shaken = np.outer(5 * np.sin(2 * np.pi * 90 * accel_t * 1e-9), [1.0, 0.0, 0.0]) + GRAVITY
     imu = merge_imu(series(gyro_t, np.zeros((len(gyro_t), 3))), series(accel_t, shaken), "f", Log())
