@@ -25,6 +25,7 @@ from stillpoint.smoother.attitude.outside.satellite import (
 from stillpoint.smoother.attitude.outside.vehicle import calm_bias, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.returns import Votes
+from stillpoint.smoother.attitude.slow_log import RESTORED_SHARE
 from stillpoint.smoother.attitude.start import Start, find_start
 from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
 from stillpoint.smoother.rest import find_rests
@@ -53,6 +54,7 @@ class Evidence:
     velocity_n_mps: Floats  # (n, 3)
     field_start: Floats | None  # (16,) where field, hard iron, delay and matrix of the magnetometer begin
     added: tuple[Added, ...] = ()  # factors of the user and of the vehicle's options, of all states
+    restored: bool = False  # a slow log, between whose readings the splines restore the motion
 
     def within(self, first: int, end: int) -> "Evidence":
         """Return the evidence for the window of the states ``first`` to ``end - 1``."""
@@ -63,6 +65,12 @@ class Evidence:
             measured=self.measured and self.measured.at(keys.states),
             fixes=self.fixes and self.fixes.at(keys.states),
         )
+
+    def as_restored(self) -> "Evidence":
+        """Return the evidence of a slow log between whose readings the splines restore the motion."""
+        motion = replace(self.motion, gyro_sampling_radps=RESTORED_SHARE * self.motion.gyro_sampling_radps)
+        keys = replace(self.keys, gyro_sampling_rad=RESTORED_SHARE * self.keys.gyro_sampling_rad)
+        return replace(self, motion=motion, keys=keys, restored=True)
 
     def return_states(self) -> tuple[int | None, tuple[int, ...]]:
         """Return the states in the middle of the base rest and of each return in the window."""

@@ -29,7 +29,8 @@ def report_reference(
     if evidence.base is not None and evidence.returns is not None:
         verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, whole.common_q_nb, solved.params)
     closing = _select_closing_squares(evidence, verdicts, solved.pieces)
-    factors = choose_factors(closing, len(evidence.rests_ns) > 0, bool(evidence.keys.gap.any()), solved.params)
+    blind = bool(evidence.keys.gap.any()) or (bool(evidence.motion.gyro_sampling_radps.any()) and not evidence.restored)
+    factors = choose_factors(closing, len(evidence.rests_ns) > 0, blind, solved.params)
     diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {
         "closing_squares": closing,
         "variance_factors": asdict(factors),
@@ -142,7 +143,8 @@ def _describe_slow_log(evidence: Evidence) -> str | None:
         return None
     rate_hz = 1 / float(np.median(motion.dt_s))
     wrong_degps = np.rad2deg(np.sqrt(np.mean(motion.gyro_sampling_radps[~motion.at_rest] ** 2)))
+    restored = "restored" if evidence.restored else "not restored: samples were dropped"
     return (
-        f"readings at {rate_hz:.0f} Hz are taken for means over their intervals; in case that they are of single "
-        f"moments, the covariance allows for rates that are wrong by {wrong_degps:.2f} deg/s (RMS)"
+        f"readings at {rate_hz:.0f} Hz; the motion between them is {restored}; the covariance allows for rates "
+        f"that are wrong by {wrong_degps:.2f} deg/s (RMS)"
     )

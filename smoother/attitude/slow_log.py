@@ -6,7 +6,8 @@ change of velocity on the attitude at which a force acts (sculling). Splines thr
 
 A reading is taken for the mean over the interval that ends at its stamp, as of a sensor that filters before it
 decimates. In a log from which samples were dropped it is of one moment, and what happened above half of the rate is
-lost. The data do not tell the two apart, so that the error that is stated is that of the second kind.
+lost: the error that is stated is that of the second kind, as long as the graph's residuals do not show the first
+(graph.py).
 """
 
 import numpy as np
@@ -18,6 +19,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.times import GAP_STEPS
 
 SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
+RESTORED_SHARE = 0.1  # of that error: what remains of it where splines restore the motion
 SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
 SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
 GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise

@@ -1,9 +1,16 @@
 """What a slow log does not show between two samples: how well it is restored, and what is said of the rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stillpoint.datasets import Imu
+from stillpoint.datasets.importers import IMPORTERS
+from stillpoint.datasets.simulate import simulate
+from stillpoint.scoring import score
+from stillpoint.smoother import attitude_reference
 from stillpoint.smoother.attitude.slow_log import estimate_sampling_error, integrate_slow_log
 
 FINE_HZ, SLOW_HZ, SECONDS = 2400, 24, 20
@@ -92,3 +99,34 @@ def test_slow_sampling_of_a_cone_is_noticed_and_fast_sampling_is_not():
         if noticed:
             assert found[1:-1, 2] == pytest.approx(0.5 * np.sin(2 * np.pi * 3 / 24) * (3 * np.pi) ** 2 / 24 / 12)
     assert not estimate_sampling_error(gyro, np.full(len(t_s), 1 / 24), ~at_rest).any()
+
+
+def slowed(recording, averaged):
+    """Return the recording at about SLOW_HZ, with means of the readings or with one of each block."""
+    fine = recording.require_imu()
+    per = round(1e9 / SLOW_HZ / float(np.median(np.diff(fine.t_ns))))
+    n = len(fine.t_ns) // per * per
+    blocks = [each[:n].reshape(-1, per, 3) for each in (fine.gyro_b_radps, fine.accel_b_mps2)]
+    kept = [block.mean(axis=1) if averaged else block[:, -1] for block in blocks]
+    return replace(recording, imu=Imu(fine.t_ns[:n].reshape(-1, per)[:, -1], *kept))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("averaged", [True, False])
+def test_a_slow_log_of_a_smooth_hand_is_restored(averaged):
+    """The simulated hand has next to nothing above 12 Hz, so that dropped samples do not hide anything."""
+    hand = simulate("phone-3", seed=2, minutes=1.4)
+    made = attitude_reference(slowed(hand, averaged))
+    assert "is restored" in made.diagnostics["slow_log"]
+    assert score(made, hand.truth, "heading+mounting+time").coverage95 > 0.85
+
+
+@pytest.mark.slow
+def test_dropped_samples_of_a_violent_hand_are_not_restored_and_the_covariance_says_so(data_dir):
+    """At 24 Hz trial 08 turns by up to 20 deg from reading to reading: 0.5 deg as means, 1.6 with samples dropped."""
+    fast = next(iter(IMPORTERS["broad"](data_dir / "broad" / "08_undisturbed_fast_rotation_with_breaks_A.mat")))
+    means, moments = (attitude_reference(slowed(fast, averaged)) for averaged in (True, False))
+    assert "is restored" in means.diagnostics["slow_log"]
+    assert "not restored" in moments.diagnostics["slow_log"]
+    assert score(means, fast.truth, "heading+mounting+time").total_rmse_deg < 0.7
+    assert score(moments, fast.truth, "heading+mounting+time").coverage95 > 0.85
