@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
-from stillpoint.datasets.importers import IMPORTERS
+from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import attitude_reference
