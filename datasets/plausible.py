@@ -47,11 +47,12 @@ class UnitCheck:
 
     def add(self, imu: "Imu | None", mag: "Mag | None") -> None:
         """Take the next samples of gyro and accelerometer, and of the magnetometer."""
-        for rows in () if imu is None else _iterate_rows(len(imu.t_ns)):
-            gyro, accel = imu.gyro_b_radps[rows], imu.accel_b_mps2[rows]
-            self._fastest_radps = max(self._fastest_radps, float(np.abs(gyro).max()))
-            self._seconds.add(imu.t_ns[rows], accel, gyro)
-            self._forces_mps2.add(np.linalg.norm(accel, axis=1))
+        if imu is not None:
+            for rows in _iterate_rows(len(imu.t_ns)):
+                gyro, accel = imu.gyro_b_radps[rows], imu.accel_b_mps2[rows]
+                self._fastest_radps = max(self._fastest_radps, float(np.abs(gyro).max()))
+                self._seconds.add(imu.t_ns[rows], accel, gyro)
+                self._forces_mps2.add(np.linalg.norm(accel, axis=1))
         if mag is not None and not self._mag_uncalibrated:
             for rows in _iterate_rows(len(mag.t_ns)):
                 self._fields_ut.add(np.linalg.norm(mag.mag_b_ut[rows], axis=1))

@@ -152,7 +152,8 @@ def _cut_time(thing: Kept, start_ns: int, end_ns: int | None) -> Kept | Piece:
         return slice_stream(stream, int(np.searchsorted(stream.t_ns, start_ns)), last)
 
     if not isinstance(thing, Recording):
-        return cut(thing)
+        part: Kept = cut(thing)
+        return part
     streams = {name: cut(getattr(thing, name)) for name in _STREAMS if getattr(thing, name) is not None}
     extra = {name: part for name, series in thing.extra.items() if (part := cut(series)) is not None}
     return Piece(**streams, extra=extra)

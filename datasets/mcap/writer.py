@@ -228,8 +228,12 @@ class _OpenChunk:
 
     def close(self) -> "_Packed":
         """Return the bytes of the chunk, and its message indexes in the order of their channels."""
-        indexes = {channel: np.concatenate(self.entries[channel]) for channel in sorted(self.entries)}
-        return (self.parts[0] if len(self.parts) == 1 else np.concatenate(self.parts)), indexes
+        indexes = {channel: _join(self.entries[channel]) for channel in sorted(self.entries)}
+        return _join(self.parts), indexes
+
+
+def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 _Packed = tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]  # the bytes of a chunk, and its message indexes
@@ -267,7 +271,7 @@ class _Group:
         if not makers:
             return
         streams = [by_topic[maker.topic] for maker in makers]
-        times, which = _merge([np.asarray(stream.t_ns) for stream in streams])
+        times, which, in_turn = _merge([np.asarray(stream.t_ns) for stream in streams])
         if self.start_ns is None:
             self.start_ns = int(times[0])
         sizes = np.array([maker.dtype.itemsize for maker in makers], np.int64)[which]
@@ -282,7 +286,7 @@ class _Group:
             offsets, of_chunk = start[first:last] - start[first], which[first:last]
             indexes = {}
             for k, (maker, stream) in enumerate(zip(makers, streams, strict=True)):
-                own = offsets[of_chunk == k]
+                own = offsets[(k - first) % len(makers) :: len(makers)] if in_turn else offsets[of_chunk == k]
                 rows = slice(done[k], done[k] + len(own))
                 done[k] = rows.stop
                 if not len(own):
@@ -303,15 +307,18 @@ class _Group:
         self.open.add(buffer, indexes)
 
 
-def _merge(times: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return the stamps of all streams by time, and which stream each is of; at equal times by the order of streams."""
+def _merge(times: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int32], bool]:
+    """Return the stamps of all streams by time, which stream each is of, and whether each stream follows in its turn.
+
+    At equal times the order is that of the streams.
+    """
     count = len(times)
     if all(np.array_equal(own, times[0]) for own in times[1:]):  # as of most groups, and much faster
-        return np.repeat(times[0], count), np.tile(np.arange(count, dtype=np.int32), len(times[0]))
+        return np.repeat(times[0], count), np.tile(np.arange(count, dtype=np.int32), len(times[0])), True
     together = np.concatenate(times)
     which = np.repeat(np.arange(count, dtype=np.int32), [len(own) for own in times])
     order = np.argsort(together, kind="stable")
-    return together[order], which[order]
+    return together[order], which[order], False
 
 
 def _first_time(indexes: Mapping[int, NDArray[np.void]]) -> int:

@@ -78,7 +78,11 @@ def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
             mag=Mag(t_ns[of_mag], field + rng.normal(size=field.shape) * 0.3),
             gps=Gps(
                 t_ns[of_gps],
-                *(np.full(fixes, value) for value in (48.0, 11.0, 500.0, 0.0, 0.0)),
+                lat_deg=np.full(fixes, 48.0),
+                lon_deg=np.full(fixes, 11.0),
+                alt_m=np.full(fixes, 500.0),
+                course_rad=np.zeros(fixes),
+                speed_mps=np.zeros(fixes),
                 valid=np.ones(fixes, np.bool_),
             ),
         )
