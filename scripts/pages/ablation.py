@@ -1,6 +1,6 @@
 """``python -m stillpoint.scripts.pages.ablation DIR...``: print how much each ingredient of the graph improves it.
 
-Recordings with truth are solved with one ingredient off at a time; docs/method.md holds the tables.
+Recordings with truth are solved with one ingredient off at a time; docs/history.md holds the tables.
 """
 
 import sys

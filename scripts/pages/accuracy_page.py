@@ -19,7 +19,7 @@ from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring import score
 
-PAGE = Path("docs/estimators.md")
+PAGE = Path("docs/estimator-accuracy.md")
 BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

@@ -1,6 +1,6 @@
 """``python -m stillpoint.scripts.pages.consistency [SEEDS]``: check covariances where the truth is known exactly.
 
-Each simulated phone with as many seeds as asked for; docs/method.md holds the table.
+Each simulated phone with as many seeds as asked for; docs/accuracy.md holds the table.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.method_figures VALIDATED.json... RECORDING.mcap...``: draw docs/method.md.
+"""``python -m stillpoint.scripts.pages.method_figures VALIDATED.json... RECORDING.mcap...``: draw docs/history.md.
 
 The JSON files are those of ``stillpoint validate --json``. Of the recordings, which hold a truth, the error over time
 is drawn within the band that the graph states.
@@ -29,7 +29,7 @@ DPI = 80
 
 
 def main(*files: Path) -> None:
-    """Draw both figures of docs/method.md."""
+    """Draw both figures of docs/history.md."""
     tables = [file for file in files if file.suffix == ".json"]
     recordings = [file for file in files if file.suffix == ".mcap"]
     TRIALS.parent.mkdir(parents=True, exist_ok=True)

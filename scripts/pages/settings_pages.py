@@ -1,6 +1,7 @@
 """``python -m stillpoint.scripts.pages.settings_pages``: write the tables of settings in docs/ from the code.
 
-An estimator of the table without a section on its page gets one, from its module's docstring, to be put in order.
+An estimator of the table without a section on the page of its family gets one, from its module's docstring, to be put
+in order.
 """
 
 import re
@@ -13,10 +14,17 @@ from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import find_estimator
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
-PAGES = (Path("docs/estimators.md"), Path("docs/method.md"), Path("docs/roll.md"), Path("docs/streaming.md"))
+PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
+FAMILIES = ("complementary", "kalman", PEERS, "spin")
+PAGES = (
+    Path("docs/estimators.md"),
+    *(Path(f"docs/estimators-{family}.md") for family in FAMILIES),
+    Path("docs/reference-settings.md"),
+    Path("docs/roll.md"),
+    Path("docs/streaming.md"),
+)
 BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
-TABLE_OF_ALL = "<!-- estimators -->"
-LAST_SECTIONS = "## How accurate they are"  # new ones come before
+NEW_SECTIONS = re.compile(r"<!-- new sections of (\w+) -->")  # they come before
 
 
 def main(*pages: Path) -> None:
@@ -26,23 +34,32 @@ def main(*pages: Path) -> None:
 
 
 def refresh_tables(text: str) -> str:
-    """Return the text of a page with new tables, and on the page of estimators a section for each."""
+    """Return the text of a page with new tables, and on the page of a family a section for each estimator."""
 
     def make_table(match: re.Match[str]) -> str:
         made = _list_estimators() if match[2] == "estimators" else _list_settings(_find_defaults(match[3]))
         return f"{match[1]}{made}{match[4]}"
 
-    if TABLE_OF_ALL in text:
-        new = "".join(_make_section(name) for name in ESTIMATORS if f"\n## {name}\n" not in text)
-        text = text.replace(LAST_SECTIONS, new + LAST_SECTIONS)
+    family = NEW_SECTIONS.search(text)
+    if family is not None:
+        names = [name for name in ESTIMATORS if find_family(name) == family[1] and f"\n## {name}\n" not in text]
+        text = text.replace(family[0], "".join(map(_make_section, names)) + family[0])
     return BETWEEN_MARKS.sub(make_table, text)
+
+
+def find_family(name: str) -> str:
+    """Return the family of an estimator: its page is ``docs/estimators-FAMILY.md``."""
+    if ESTIMATORS[name].is_peer:
+        return PEERS
+    return find_estimator(name).params.__module__.split(".")[2]
 
 
 def _list_estimators() -> str:
     lines = ["| name | what | sees the future |", "|---|---|---|"]
     for name, entry in ESTIMATORS.items():
         peer = "peer: " if entry.is_peer else ""
-        lines.append(f"| [`{name}`](#{name}) | {peer}{entry.summary} | {'yes' if entry.offline else 'no'} |")
+        page, sees = f"estimators-{find_family(name)}.md", "yes" if entry.offline else "no"
+        lines.append(f"| [`{name}`]({page}#{name}) | {peer}{entry.summary} | {sees} |")
     return "\n".join(lines) + "\n"
 
 

@@ -106,8 +106,8 @@ def reference(
         How the sensor is moved, for the method graph: auto (the default: chosen by each recording's streams, with the
         reason printed), handheld, phone, vehicle or bench.
     set_
-        A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02 (docs/method.md lists them); on top
-        of the preset.
+        A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02, on top of the preset;
+        docs/reference-settings.md lists them.
     calibration
         A reference of the same sensor, NAME.reference.mcap, or a calibration of the device, NAME.calibration.toml:
         readings are corrected first by the calibration in it.

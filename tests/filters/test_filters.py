@@ -2,7 +2,6 @@
 
 import pickle
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
 from stillpoint.datasets.frames import heading_rotation, rotation
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.table import Estimator, SpinEstimator
-from stillpoint.scripts.pages.settings_pages import refresh_tables
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]
@@ -327,10 +325,3 @@ def test_quaternions_keep_length_1_over_a_million_samples() -> None:
     long = Recording("long", Imu(t_ns, gyro, np.tile(GRAVITY_N, (len(t_ns), 1))), info=Info(units_unchecked=True))
     found = estimate(long, "gyro")
     assert np.abs(np.linalg.norm(found.q_nb[::1000], axis=1) - 1).max() < 1e-12
-
-
-def test_the_page_about_estimators_is_up_to_date() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "estimators.md").read_text(encoding="utf-8")
-    assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
-    for name in ESTIMATORS:
-        assert f"\n## {name}\n" in text

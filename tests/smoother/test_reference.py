@@ -192,7 +192,7 @@ def test_two_recordings_of_one_name_do_not_overwrite_each_other(call, folder, re
 
 
 def test_the_document_is_up_to_date():
-    text = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference-settings.md").read_text(encoding="utf-8")
     assert refresh_tables(text) == text, "run python -m stillpoint.scripts.pages.settings_pages"
     assert names_of(RedistributionParams())[0] in text
     for method in METHODS:

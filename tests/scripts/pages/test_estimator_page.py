@@ -1,4 +1,4 @@
-"""docs/estimators.md: a section for every estimator, with what a reader needs."""
+"""The pages of estimators: a section for each, with what a reader needs."""
 
 import re
 from pathlib import Path
@@ -8,24 +8,28 @@ import pytest
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
 from stillpoint.scripts.pages.accuracy_page import replace_table
-from stillpoint.scripts.pages.settings_pages import refresh_tables
+from stillpoint.scripts.pages.settings_pages import FAMILIES, find_family, refresh_tables
 
-PAGE = (Path(__file__).parents[3] / "docs" / "estimators.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[3] / "docs"
+OVERVIEW = (DOCS / "estimators.md").read_text(encoding="utf-8")
+PAGES = {family: (DOCS / f"estimators-{family}.md").read_text(encoding="utf-8") for family in FAMILIES}
+ACCURACY = (DOCS / "estimator-accuracy.md").read_text(encoding="utf-8")
 
 
 def section(name: str) -> str:
-    found = re.search(rf"\n## {re.escape(name)}\n(.*?)(?=\n## )", PAGE, re.DOTALL)
+    found = re.search(rf"\n## {re.escape(name)}\n(.*?)(?=\n## |\n<!-- new)", PAGES[find_family(name)], re.DOTALL)
     assert found is not None, f"no section ## {name}; run python -m stillpoint.scripts.pages.settings_pages"
     return found[1]
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
-    assert refresh_tables(PAGE) == PAGE, "run python -m stillpoint.scripts.pages.settings_pages"
+    for page in (OVERVIEW, *PAGES.values()):
+        assert refresh_tables(page) == page, "run python -m stillpoint.scripts.pages.settings_pages"
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
 def test_every_entry_has_one_section_with_its_settings(name: str) -> None:
-    assert PAGE.count(f"\n## {name}\n") == 1
+    assert "".join(PAGES.values()).count(f"\n## {name}\n") == 1
     assert f"<!-- settings {name} -->" in section(name)
 
 
@@ -43,7 +47,7 @@ def test_a_section_of_a_peer_names_its_package_and_version(name: str) -> None:
 
 def test_equations_are_such_that_github_renders_them() -> None:
     """Outside of ```math, Markdown takes a backslash before punctuation for an escape and eats it."""
-    text = re.sub(r"```.*?```|`[^`]*`", "", PAGE, flags=re.DOTALL)
+    text = re.sub(r"```.*?```|`[^`]*`", "", "".join(PAGES.values()), flags=re.DOTALL)
     for paragraph in text.split("\n\n"):
         assert paragraph.count("$") % 2 == 0, paragraph
         for equation in re.findall(r"\$([^$]*)\$", paragraph):
@@ -52,12 +56,13 @@ def test_equations_are_such_that_github_renders_them() -> None:
 
 
 def test_an_entry_without_a_section_gets_one_from_its_module() -> None:
-    without = re.sub(r"\n## kf-axis\n.*?(?=\n## )", "", PAGE, flags=re.DOTALL)
+    page = PAGES["kalman"]
+    without = re.sub(r"\n## kf-axis\n.*?(?=\n## )", "", page, flags=re.DOTALL)
     again = refresh_tables(without)
     assert again.count("\n## kf-axis\n") == 1
     assert "A = [[1, -dt], [0, 1]]" in again
     assert "| `tilt_sd_rad` |" in again
-    assert again != PAGE
+    assert again != page
 
 
 def test_the_table_of_accuracy_has_every_estimator_of_attitude_the_best_first() -> None:
@@ -71,6 +76,6 @@ def test_the_table_of_accuracy_has_every_estimator_of_attitude_the_best_first() 
         "| `vqf` (peer) | 1.00 | 1.00 | 1.0 |",
         "| `cf` | 3.00 | 3.00 | 3.0 |",
     ]
-    rows = re.search(r"<!-- accuracy -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)[1]
+    rows = re.search(r"<!-- accuracy -->\n(.*?)<!-- end -->", ACCURACY, re.DOTALL)[1]
     attitudes = {name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator) or entry.is_peer}
     assert set(re.findall(r"^\| `([\w-]+)`", rows, re.MULTILINE)) == attitudes
