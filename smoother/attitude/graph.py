@@ -32,7 +32,7 @@ from stillpoint.smoother.attitude.report import report_reference
 from stillpoint.smoother.attitude.solve import NoOptimum
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 
-RESTORED_COST = 10.0  # of a window: a larger rise of the cost says that the motion is not restored
+RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
 
 
 def make_attitude_reference(
@@ -81,7 +81,7 @@ def _try_restored(recording: Recording, evidence: Evidence, solved: Solved) -> t
     """Return evidence and solution of a slow log with the motion between readings restored, if the data allow it.
 
     Readings of single moments in a violent motion contradict the smaller error: on copies of BROAD at 24 Hz the cost
-    rises by 0.5 to 2 where readings were averaged, and by 30 to 70 where they were dropped. Other recordings are
+    rises by 0.5 to 2 where readings were averaged, and by 6 to 120 where they were dropped. Other recordings are
     returned as they are.
     """
     if not evidence.motion.gyro_sampling_radps.any():
