@@ -29,8 +29,7 @@ def report_reference(
     if evidence.base is not None and evidence.returns is not None:
         verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, whole.common_q_nb, solved.params)
     closing = _select_closing_squares(evidence, verdicts, solved.pieces)
-    blind = bool(evidence.keys.gap.any()) or (bool(evidence.motion.gyro_sampling_radps.any()) and not evidence.restored)
-    factors = choose_factors(closing, len(evidence.rests_ns) > 0, blind, solved.params)
+    factors = choose_factors(closing, len(evidence.rests_ns) > 0, _misses_motion(recording, evidence), solved.params)
     diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {
         "closing_squares": closing,
         "variance_factors": asdict(factors),
@@ -134,6 +133,14 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "convention": CONVENTION,
         **_describe_fixes(evidence, solved, whole.q_nb),
     }
+
+
+def _misses_motion(recording: Recording, evidence: Evidence) -> bool:
+    """Return whether a gap, also a short one that is bridged, or dropped samples hide some of the motion."""
+    motion = evidence.motion
+    in_gap = find_gaps(recording.require_imu().t_ns) & ~motion.at_rest[1:]
+    dropped = motion.gyro_sampling_radps.any() and not evidence.restored
+    return bool(evidence.keys.gap.any() or in_gap.any() or dropped)
 
 
 def _describe_slow_log(evidence: Evidence) -> str | None:

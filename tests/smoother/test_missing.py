@@ -47,13 +47,14 @@ def test_how_wrong_a_bridge_may_be_is_read_off_the_motion(length_s):
 
 
 def test_covariance_of_a_violent_hand_with_a_short_gap_is_consistent():
-    """Over four hands, in the band that is asked of each kind of recording; single ones have coverage 0.70 and 0.78."""
+    """Over four hands, in the band that is asked of each kind of recording; no single one is below 0.75."""
     scores = []
     for seed in (1, 2, 3, 4):
         hand = simulate("phone-3", seed=seed, minutes=1.6)
         scores.append(score(reference(without(hand, 70.0, 70.2)), hand.truth, "heading"))
     assert 0.4 < np.mean([one.nees_per_dof for one in scores]) < 1.5
     assert np.mean([one.coverage95 for one in scores]) > 0.85
+    assert min(one.coverage95 for one in scores) > 0.75
 
 
 @pytest.mark.parametrize("length_s", [0.1, 0.2, 0.4])
