@@ -22,7 +22,7 @@ from stillpoint.smoother.attitude.outside.satellite import (
     select_fixes,
     standing,
 )
-from stillpoint.smoother.attitude.outside.vehicle import calm_bias, vehicle_generators
+from stillpoint.smoother.attitude.outside.vehicle import calm_bias, not_in_curves, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.returns import Votes
 from stillpoint.smoother.attitude.slow_log import RESTORED_SHARE
@@ -43,7 +43,7 @@ class Evidence:
     keys: Keys
     start: Start
     rests_ns: Times
-    n_rests_under_way: int  # not used as rests: the satellites saw the body move
+    n_rests_under_way: int  # not used as rests: satellites or a turn show that the body moved
     base: BasePose | None
     returns: Returns | None
     measured: FieldMeasurements | None
@@ -125,6 +125,8 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
     seconds = (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
     found_ns = find_rests(imu, params.rest)
     rests_ns = not_under_way(found_ns, recording.gps)
+    if recording.gps is None and allows_vehicle(params):
+        rests_ns = not_in_curves(rests_ns, imu, params.rest.bias_change_radps)
     least_s = SHORTEST_S if len(rests_ns) else SHORTEST_MOTION_S
     if seconds < least_s:
         raise Unobservable(
@@ -137,7 +139,7 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
     if bias is None and recording.gps is not None:
         bias = bias_by_satellites(recording.gps, motion, int(imu.t_ns[0]), params.gps)
     elif bias is None and allows_vehicle(params):
-        bias = calm_bias(motion)
+        bias = calm_bias(motion.t_s, motion.gyro_b_radps)
     # The start value takes accelerations of a vehicle for turns.
     trusted = bias is not None and (recording.gps is not None or allows_vehicle(params))
     start = find_start(motion, recording.mag, int(imu.t_ns[0]), bias, trusted)

@@ -9,8 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import V, X
 
-from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.smoother.attitude.keys import Motion
+from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 from stillpoint.smoother.attitude.outside.added import Generator, States
 from stillpoint.smoother.attitude.outside.satellite import OUTAGE_S, UNDER_WAY_MPS
 from stillpoint.smoother.attitude.params import GraphParams
@@ -70,17 +69,32 @@ def _stops(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFact
         yield gtsam.PriorFactorVector(V(int(i)), np.zeros(3), noise)
 
 
-def calm_bias(motion: Motion) -> Floats | None:
+def calm_bias(t_s: Floats, gyro_b_radps: Floats) -> Floats | None:
     """Return the gyro bias (3,) of a vehicle without satellites: its mean rate in the calmest CALM_SHARE of the time.
 
-    A car stands at lights, or at least drives straight. None where the recording is too short for CALM_WINDOWS windows.
+    A car stands at lights, or at least drives straight. ``t_s`` (N,), ``gyro_b_radps`` (N, 3). None where the recording
+    is too short for CALM_WINDOWS windows.
     """
-    first = np.flatnonzero(np.diff(np.floor(motion.t_s / CALM_S), prepend=-1.0))
-    counts = np.diff(first, append=len(motion.t_s))[:, None]
+    first = np.flatnonzero(np.diff(np.floor(t_s / CALM_S), prepend=-1.0))
+    counts = np.diff(first, append=len(t_s))[:, None]
     if len(first) < CALM_WINDOWS:
         return None
-    mean = np.add.reduceat(motion.gyro_b_radps, first, axis=0) / counts
-    square = np.add.reduceat(motion.gyro_b_radps**2, first, axis=0) / counts
+    mean = np.add.reduceat(gyro_b_radps, first, axis=0) / counts
+    square = np.add.reduceat(gyro_b_radps**2, first, axis=0) / counts
     scatter = (square - mean**2).sum(axis=1)
     calmest = np.argsort(scatter)[: max(3, int(CALM_SHARE * len(first)))]
     return np.asarray(np.median(mean[calmest], axis=0))
+
+
+def not_in_curves(rests_ns: Times, imu: Imu, change_radps: float) -> Times:
+    """Return the rests (R, 2) of a vehicle without satellites, less the curves that it drove evenly.
+
+    For seconds such a curve looks like a rest. Its mean rate differs from :func:`calm_bias` by more than
+    ``change_radps``. A straight drive at even speed still looks like a rest.
+    """
+    bias = calm_bias((imu.t_ns - imu.t_ns[0]) / 1e9, imu.gyro_b_radps)
+    if bias is None or not len(rests_ns):
+        return rests_ns
+    spans = np.searchsorted(imu.t_ns, rests_ns)
+    rates = np.array([imu.gyro_b_radps[start : end + 1].mean(axis=0) for start, end in spans])
+    return rests_ns[np.linalg.norm(rates - bias, axis=1) <= change_radps]

@@ -13,7 +13,9 @@ from stillpoint.datasets import BadParameter, Unobservable, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.attitude.params import PRESETS
+from stillpoint.smoother.attitude.outside.vehicle import not_in_curves
+from stillpoint.smoother.attitude.params import HANDHELD, PRESETS
+from stillpoint.smoother.rest import find_rests
 
 PAGE = Path(__file__).parents[3] / "docs" / "own_factors.md"
 UNIT3 = gtsam.noiseModel.Unit.Create(3)
@@ -45,6 +47,26 @@ def test_the_example_makes_a_reference_where_there_was_none(blind, driven):
     assert found.coverage95 > 0.9
     assert 0 < driven.diagnostics["residuals"]["added wheel_factors"] < 1
     assert driven.diagnostics["contradicting_factors"] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 4])
+def test_curves_driven_evenly_are_not_taken_for_rests(seed):
+    """Two seconds in a curve of 6 and 8 deg/s looked like a rest, whose mean rate was taken for the gyro's bias."""
+    drive = replace(simulate("car", seed=seed, minutes=2.0, rate_hz=50), gps=None, mag=None)
+    assert len(find_rests(drive.imu)) == 1
+    made = reference(drive, params=PRESETS["vehicle"], factors=[example()])
+    assert len(made.rests_ns) == 0
+    assert made.diagnostics["n_rests_under_way"] == 1
+    assert score(made, drive.truth).inclination_rmse_deg < 0.5
+
+
+def test_a_car_that_stands_is_at_rest():
+    """Twelve seconds at a light, with the gyro's bias of 1 deg/s as mean rate."""
+    imu = simulate("car", seed=8, minutes=2.0, rate_hz=50).imu
+    rests_ns = find_rests(imu)
+    assert len(rests_ns) == 1
+    np.testing.assert_array_equal(not_in_curves(rests_ns, imu, HANDHELD.rest.bias_change_radps), rests_ns)
 
 
 def test_the_example_of_the_page_runs_from_a_file(tmp_path, monkeypatch, blind, capsys):
