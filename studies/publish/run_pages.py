@@ -119,12 +119,14 @@ def _find_judge(source: Source, against: str, file: str | None, board: Leaderboa
 
 
 def _find_reference(out: Path, source: Source, judged: Sequence[_Judged]) -> Path | None:
-    """Return the reference that judged, else the one that the leaderboard made for the calibration."""
+    """Return the reference that judged, else the one beside the recording or made for the calibration."""
     for one in judged:
         if one.judge.file is not None:
             return one.judge.file
-    made = out / "references" / f"{source.recording}.reference.mcap"
-    return made if made.is_file() else None
+    name = f"{source.recording}.reference.mcap"
+    return next(
+        (file for file in (Path(source.file).with_name(name), out / "references" / name) if file.is_file()), None
+    )
 
 
 @cache
