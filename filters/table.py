@@ -9,7 +9,15 @@ from stillpoint.datasets.errors import require_known
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import Settings
 from stillpoint.filters import peers
-from stillpoint.filters.complementary import complementary, fixed_gain, gyro, least_squares, moving_average, tilt
+from stillpoint.filters.complementary import (
+    complementary,
+    euler_blend,
+    fixed_gain,
+    gyro,
+    least_squares,
+    moving_average,
+    tilt,
+)
 from stillpoint.filters.kalman import aekf, ekf, kf_axis
 from stillpoint.filters.loop import make_run, make_spin_run
 from stillpoint.filters.sample import Log, Output, Sample, Track
@@ -134,6 +142,10 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
         complementary,
         "second-order complementary filter (Elmi Aziz and Mohseni Araste 2021, eq 11)",
         gives_bias=True,
+    ),
+    "cf-literal": _describe(
+        euler_blend,
+        "cf as printed: per Euler angle, the gyro's angles never corrected (Elmi Aziz and Mohseni Araste 2021)",
     ),
     "kf-axis": _describe(
         kf_axis,

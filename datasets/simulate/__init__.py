@@ -47,12 +47,6 @@ SIMULATIONS: dict[str, Simulation] = {
         SENSORS,
         partial(phone.simulate_experiment, "phone-3", phone.IN_HAND),
     ),
-    "phone-1-slow": Simulation(
-        "phone-1 with the same jolts on slower pushes, turned by up to 25 deg",
-        2.0,
-        SENSORS,
-        partial(phone.simulate_experiment, "phone-1-slow", phone.SLOW),
-    ),
     "phone-3-shaken": Simulation(
         "phone-3 held in one place and shaken evenly, at about 5 Hz",
         4.0,

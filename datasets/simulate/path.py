@@ -58,12 +58,14 @@ class Path:
     """Attitude q_nb = base * exp(turn) and position, with exact derivatives.
 
     Times are seconds from the start of the path. The path is at rest at both ends, and stays there before and after.
+    The position is that of the sensor, at ``arm_b_m`` from the point that the chains of places move; it is 0 at first.
     """
 
     base_q_nb: Floats  # (4,) wxyz
     turn_b_rad: BPoly  # (3,) rotation vector from the base attitude, in the body axes of the base
     place_n_m: tuple[BPoly, ...]  # (3,) each; the position is their sum
     rests_s: Floats  # (R, 2) from, to; the first begins at 0, the last ends with the path
+    arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the point about which the body turns to the sensor
 
     @property
     def duration_s(self) -> float:
@@ -80,13 +82,25 @@ class Path:
         """
         t = self._within(t_s)
         turn, turn_rate = self.turn_b_rad(t), self._turn_rate(t)
-        angle = np.linalg.norm(turn, axis=1, keepdims=True)
-        small = angle < 1e-4
-        safe = np.where(small, 1.0, angle)
-        first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
-        second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+        first, second, _, _ = _jacobian_shares(turn)
         crossed = np.cross(turn, turn_rate)
         return np.asarray(turn_rate - first * crossed + second * np.cross(turn, crossed))
+
+    def angular_acceleration_b_radps2(self, t_s: ArrayLike) -> Floats:
+        """Return the derivative of the angular rate, in body axes, (N, 3)."""
+        t = self._within(t_s)
+        turn, turn_rate, turn_accel = self.turn_b_rad(t), self._turn_rate(t), self._turn_accel(t)
+        first, second, first_slope, second_slope = _jacobian_shares(turn)
+        growth = np.sum(turn * turn_rate, axis=1, keepdims=True)
+        once, once_rate = np.cross(turn, turn_rate), np.cross(turn, turn_accel)
+        twice, twice_rate = np.cross(turn, once), np.cross(turn_rate, once) + np.cross(turn, once_rate)
+        return np.asarray(
+            turn_accel
+            - first * once_rate
+            - first_slope * growth * once
+            + second * twice_rate
+            + second_slope * growth * twice
+        )
 
     def steps_b_rad(self, t_s: Floats) -> Floats:
         """Return the exact rotation vectors (N - 1, 3) from the attitude at each time to that at the next.
@@ -99,12 +113,20 @@ class Path:
     def position(self, t_s: ArrayLike) -> Floats:
         """Return the position in n, (N, 3) in m."""
         t = self._within(t_s)
-        return np.sum([chain(t) for chain in self.place_n_m], axis=0)
+        moved = np.sum([chain(t) for chain in self.place_n_m], axis=0)
+        if not any(self.arm_b_m):
+            return np.asarray(moved)
+        return np.asarray(moved + self.attitude(t).apply(self.arm_b_m) - self.attitude(0.0).apply(self.arm_b_m))
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
         """Return the second derivative of the position in n, (N, 3)."""
         t = self._within(t_s)
-        return np.sum([chain(t) for chain in self._accelerations], axis=0)
+        moved = np.sum([chain(t) for chain in self._accelerations], axis=0)
+        if not any(self.arm_b_m):
+            return np.asarray(moved)
+        rate, arm = self.rate_b_radps(t), np.broadcast_to(self.arm_b_m, (len(t), 3))
+        turned = np.cross(self.angular_acceleration_b_radps2(t), arm) + np.cross(rate, np.cross(rate, arm))
+        return np.asarray(moved + self.attitude(t).apply(turned))
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each time (N,) lies outside all rests."""
@@ -117,8 +139,29 @@ class Path:
         return self.turn_b_rad.derivative()
 
     @cached_property
+    def _turn_accel(self) -> BPoly:
+        return self.turn_b_rad.derivative(2)
+
+    @cached_property
     def _accelerations(self) -> list[BPoly]:
         return [chain.derivative(2) for chain in self.place_n_m]
 
     def _within(self, t_s: ArrayLike) -> Floats:
         return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)
+
+
+def _jacobian_shares(turn: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return (1 - cos a) / a^2 and (a - sin a) / a^3 of the angles a of turns (N, 3), and their slopes over a; (N, 1).
+
+    A slope over a times the turn's product with its rate is the derivative over time.
+    """
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    small = angle < 0.02
+    a = np.where(small, 1.0, angle)
+    sine, cosine = np.sin(a), np.cos(a)
+    square = angle**2
+    first = np.where(small, 1 / 2 - square / 24 + square**2 / 720, (1 - cosine) / a**2)
+    second = np.where(small, 1 / 6 - square / 120 + square**2 / 5040, (a - sine) / a**3)
+    first_slope = np.where(small, -1 / 12 + square / 180, (a * sine - 2 * (1 - cosine)) / a**4)
+    second_slope = np.where(small, -1 / 60 + square / 1260, (a * (1 - cosine) - 3 * (a - sine)) / a**5)
+    return first, second, first_slope, second_slope

@@ -43,6 +43,7 @@ class Hand:
     jolt_accel_mps2: tuple[float, float]
     return_turn_deg: tuple[float, float, float] = (0.2, 0.2, 0.2)  # sd: how well the base pose is found again
     return_reach_m: float = 0.002  # sd
+    arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the point about which the phone turns to its IMU
 
 
 SLIDING = Hand(
@@ -55,15 +56,15 @@ SLIDING = Hand(
     jolt_accel_mps2=(0.2, 5.5),
     return_turn_deg=(0.0, 0.0, 0.2),
 )
-# The same jolts, but pushed and turned as the paper's table 2 says of its phone: CF's tilt, a nineteenth of Acc's, that
-# hardly any push was slow; Acc_MA's yaw of 9 deg, that the phone stayed near its own mean over 7 s.
-SLOW = replace(SLIDING, turn_deg=(0.0, 0.0, 25.0), peak_accel_mps2=(0.01, 0.04))
+# The head of a tripod turns the phone about a point below it: what accelerates its IMU is the lever arm. Holder and
+# plate of a photo tripod put a phone some 12 cm above that point; the IMU sits a few centimetres from its middle.
 TRIPOD = Hand(
     initial_rest_s=60.0,
     turn_deg=(40.0, 40.0, 90.0),
     peak_rate_degps=(15.0, 90.0),
-    reach_m=(0.3, 0.3, 0.1),
-    peak_accel_mps2=(0.1, 3.4),
+    reach_m=(0.0, 0.0, 0.0),
+    peak_accel_mps2=(0.1, 0.4),
+    arm_b_m=(0.05, 0.02, 0.12),
     jolt_m=(0.001, 0.001, 0.001),
     jolt_accel_mps2=(0.02, 0.2),
 )
@@ -120,7 +121,7 @@ def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
     base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
     base = rotation(base_q_nb)
     in_n = tuple(join_strokes([t for t, _ in chain], base.apply([at for _, at in chain])) for chain in (places, jolts))
-    return Path(base_q_nb, join_strokes(*zip(*turns, strict=True)), in_n, rests)
+    return Path(base_q_nb, join_strokes(*zip(*turns, strict=True)), in_n, rests, hand.arm_b_m)
 
 
 def plan_rests(initial_rest_s: float, total_s: float, seed: int, kind: str) -> Floats:

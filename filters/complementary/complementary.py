@@ -102,7 +102,7 @@ def transition_matrix(dt_s: float, c: Coefficients) -> tuple[float, float, float
 
 
 @compiled_inside
-def _correct_component(e: float, b: float, dt_s: float, rows: tuple[float, float, float, float]) -> tuple[float, float]:
+def correct_component(e: float, b: float, dt_s: float, rows: tuple[float, float, float, float]) -> tuple[float, float]:
     """Return the turn of the estimate about one axis, and the new b, after ``dt_s`` of eq (11).
 
     ``e`` is the error left after the estimate was moved on by rate and b; in (11), b acts within the interval.
@@ -120,8 +120,8 @@ def _correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> 
     turn = 0.0
     b_east, b_north, b_up = rotate(q_nb, state.b_radps)
     rows = transition_matrix(dt_s, c)
-    tilt_x, b_east = _correct_component(tilt_x, b_east, dt_s, rows)
-    tilt_y, b_north = _correct_component(tilt_y, b_north, dt_s, rows)
+    tilt_x, b_east = correct_component(tilt_x, b_east, dt_s, rows)
+    tilt_y, b_north = correct_component(tilt_y, b_north, dt_s, rows)
     if fresh.mag:
         field_n = rotate(q_nb, fields.mag_b_ut)
         error, found = north_error(level_vector(field_n, up_n) if c.level_by_acc else field_n, c.declination_rad)
@@ -129,7 +129,7 @@ def _correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> 
             n_no_north = 1
         elif is_headed:
             hold_s = min(fresh.mag_hold_s, max(dt_s, LONGEST_HOLD_S))
-            turn, b_up = _correct_component(
+            turn, b_up = correct_component(
                 error, b_up, hold_s, rows if hold_s == dt_s else transition_matrix(hold_s, c)
             )
         else:  # the first heading is taken, not approached

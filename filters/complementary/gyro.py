@@ -70,7 +70,7 @@ def _turn_by_rate(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> Quater
 
 
 @compiled_inside
-def _turn_by_euler_rates(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
+def turn_by_euler_rates(q_nb: Quaternion, rate_b_radps: Vector, dt_s: float) -> tuple[Quaternion, bool]:
     """Integrate each Euler angle by its rate at the start of the interval; True where the rates are singular."""
     up, across, cos_pitch = euler_frame(q_nb)
     if cos_pitch < GIMBAL:
@@ -88,7 +88,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     if is_level:
         rate = blend(sample.gyro_b_radps, state.rate_b_radps, c.newest)
         if c.euler:
-            q_nb, is_singular = _turn_by_euler_rates(q_nb, rate, sample.dt_s)
+            q_nb, is_singular = turn_by_euler_rates(q_nb, rate, sample.dt_s)
             n_gimbal += is_singular
         else:
             q_nb = _turn_by_rate(q_nb, rate, sample.dt_s)

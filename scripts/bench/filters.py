@@ -32,6 +32,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "acc-ma": ("Tilt",),
     "gyro": ("AngularRate",),
     "cf": ("mahony", "Complementary"),
+    "cf-literal": ("Complementary",),
     "cf-fixed": ("mahony",),
     "cf-lse": ("mahony",),
     "cf-lse-literal": ("mahony",),

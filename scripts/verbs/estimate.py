@@ -63,10 +63,10 @@ def estimate(
     paths
         Recordings: MCAP files, folders or globs.
     estimators
-        Names with commas between. Ours: ekf (the default), iekf, aekf, kf-axis, cf, cf-fixed, cf-lse, cf-lse-literal,
-        gyro, acc, acc-ma. Of other packages: vqf, offline-vqf, madgwick, mahony, ahrs-ekf, fusion, riann. Of a fast
-        spin about one axis: roll-obs, roll-ekf, roll-aekf, roll-guarded. all: every one of attitude; roll: every one of
-        roll, the default for recordings of a spinning body.
+        Names with commas between. Ours: ekf (the default), iekf, aekf, kf-axis, cf, cf-literal, cf-fixed, cf-lse,
+        cf-lse-literal, gyro, acc, acc-ma. Of other packages: vqf, offline-vqf, madgwick, mahony, ahrs-ekf, fusion,
+        riann. Of a fast spin about one axis: roll-obs, roll-ekf, roll-aekf, roll-guarded. all: every one of attitude;
+        roll: every one of roll, the default for recordings of a spinning body.
     out
         Folder to write into; made when it is not there. By default beside each recording.
     set_

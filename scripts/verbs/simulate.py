@@ -37,9 +37,9 @@ def simulate(
     Parameters
     ----------
     kind
-        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the experiments of paper
-        002; phone-1-slow (turned and pushed by little), phone-3-shaken (in one place), phone-3-level (shaken to the
-        sides): the same moved otherwise. spin-constant, spin-variable (a motor's shaft with two
+        phone-1 (slid over a table), phone-2 (on a tripod), phone-3 (in the hand, violent): the experiments of Elmi
+        Aziz and Mohseni Araste 2021; phone-3-shaken (in one place), phone-3-level (shaken to the sides): the third
+        moved otherwise. spin-constant, spin-variable (a motor's shaft with two
         accelerometers), spin-flight (five on a projectile). auv-dolphin, auv-dolphin-calm (an underwater
         vehicle). hand-calm, hand-magnet, hand-vibration, hand-bias-steps, hand-translation (one disturbance each). car
         (a drive through a town). servo-bench (swung by +-90 deg).
@@ -59,7 +59,7 @@ def simulate(
     sensor
         A preset of the kind: "phone", for auv "auv", for servo-bench "mpu6050" (each the default of its kind), or
         "perfect" (without any error); for spin "white" (the default),
-        "vibration", "glitch", "replica", "adxl345", "tilted", "horizontal", "perfect".
+        "vibration", "vibration-f4", "glitch", "replica", "adxl345", "tilted", "horizontal", "perfect".
     json
         Also write what was made as JSON to this file; - is the standard output.
     """

@@ -71,8 +71,8 @@ def stream(
     file
         A recording to replay with --foxglove.
     estimators
-        Names with commas between: ekf, iekf, aekf, kf-axis, cf, cf-fixed, cf-lse, cf-lse-literal, gyro, acc, acc-ma;
-        or roll-obs, roll-ekf, roll-aekf, roll-guarded.
+        Names with commas between: ekf, iekf, aekf, kf-axis, cf, cf-literal, cf-fixed, cf-lse, cf-lse-literal, gyro,
+        acc, acc-ma; or roll-obs, roll-ekf, roll-aekf, roll-guarded.
     set_
         A parameter, ESTIMATOR.NAME=VALUE, heading.NAME=VALUE or range.NAME=VALUE; can be given several times.
     declination

@@ -200,7 +200,8 @@ def test_a_start_with_nothing_but_bad_samples(name: str) -> None:
     assert np.rad2deg((rotation(out.q_nb) * pose([0])[0].inv()).magnitude()) < 0.1
 
 
-@pytest.mark.parametrize("name", [name for name in FILTERS if name != "acc-ma"])
+# acc-ma is late by half its window; the Euler rates of cf-literal are not defined at a pitch of 90 deg.
+@pytest.mark.parametrize("name", [name for name in FILTERS if name not in ("acc-ma", "cf-literal")])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, -1), (1, -2, 2)])
 def test_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) -> None:
     spin = turning(axis, 2000.0, Rotation.from_euler("ZYX", [170, 20, -30], degrees=True))

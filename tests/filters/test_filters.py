@@ -27,6 +27,8 @@ from stillpoint.filters.table import Estimator, SpinEstimator
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 ATTITUDE = [name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator)]
 FOLLOWING = [name for name in FILTERS if name != "acc-ma"]  # acc-ma is late by half its window, by design
+# The Euler rates of cf-literal, which nothing corrects, are not defined at a pitch of 90 deg.
+ON_THE_ROTATION = [name for name in FOLLOWING if name != "cf-literal"]
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -48,7 +50,7 @@ def test_an_upside_down_start_is_no_special_case(name: str, axis: tuple[float, f
     assert errors_deg(estimate(recording, name).q_nb, recording, pose).max() < 1e-5
 
 
-@pytest.mark.parametrize("name", FOLLOWING)
+@pytest.mark.parametrize("name", ON_THE_ROTATION)
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (1, 2, 3)])
 def test_two_whole_turns_through_every_wrap(name: str, axis: tuple[float, float, float]) -> None:
     spin = turning(axis, 90.0, Rotation.from_euler("ZYX", [170, 20, -30], degrees=True))

@@ -15,8 +15,11 @@ from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.filters.kalman.covariance import ANY_ANGLE_RAD2
 from stillpoint.filters.table import Estimator
 
-# acc and acc-ma have no gyro: their heading without a field is 0 by definition.
-GYRO_FILTERS = [n for n, entry in ESTIMATORS.items() if isinstance(entry, Estimator) and not n.startswith("acc")]
+# acc and acc-ma have no gyro: their heading without a field is 0 by definition. cf-literal corrects roll as an angle,
+# which is a turn about body x, and that has a part about up wherever x is not level.
+GYRO_FILTERS = [
+    n for n, entry in ESTIMATORS.items() if isinstance(entry, Estimator) and n not in ("acc", "acc-ma", "cf-literal")
+]
 WITH_COVARIANCE = [n for n in GYRO_FILTERS if ESTIMATORS[n].gives_cov]
 
 

@@ -11,7 +11,7 @@ from stillpoint.smoother import reference
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.preset import choose_preset
 
-KINDS = {"phone-1": 2.0, "phone-1-slow": 2.0, "phone-2": 2.0, "phone-3": 2.0, "servo-bench": 3.0}
+KINDS = {"phone-1": 2.0, "phone-2": 2.0, "phone-3": 2.0, "servo-bench": 3.0}
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,27 @@
 """``stillpoint experiment auv-dolphin``: the mission of Zia 2022."""
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
+from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
 from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
-from stillpoint.studies.papers.auv.study import METHODS, SEAS, SeaKind, Trial, run_trial, summarise_trials
+from stillpoint.studies.papers.auv.study import (
+    METHODS,
+    RECORDED,
+    SEAS,
+    SeaKind,
+    Trial,
+    run_trial,
+    score_recording,
+    summarise_trials,
+)
 
 Online = Annotated[bool, Parameter(negative=())]
 
@@ -22,7 +33,13 @@ class _Job:
     online: bool
 
 
-def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trials = FIVE) -> None:
+@dataclass(frozen=True)
+class _File:
+    file: Path
+    online: bool
+
+
+def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trials = SIMULATED) -> None:
     """Roll, pitch, heading and gains of an underwater vehicle over a mission with 600 s under water.
 
     Writes auv-dolphin.experiment.html (online: auv-dolphin-online.experiment.html): the paper's figures 4 to 11
@@ -35,10 +52,16 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     sea
         waves, or calm (the vehicle rolls as much, but is not thrown about); by default both.
     """
-    seas = SEAS if sea is None else (sea,)
-    work = [_Job(kind, seed, online) for kind in seas for seed in trials.seeds]
+    files = trials.files
+    trials.refuse(sea=sea)
     folder = output_dir(trials.out)
-    made = trials.run(_run_trial, work, "missions")
+    if files:
+        seas: tuple[str, ...] = (RECORDED,)
+        made = trials.run(_score_file, [_File(file, online) for file in files], "recordings")
+    else:
+        kinds = SEAS if sea is None else (sea,)
+        seas, work = kinds, [_Job(kind, seed, online) for kind in kinds for seed in trials.seeds]
+        made = trials.run(_run_trial, work, "missions")
     by_sea = {kind: [one for one in made if one.sea == kind] for kind in seas}
     name = f"auv-dolphin{'-online' if online else ''}"
     page = folder / f"{name}.experiment.html"
@@ -46,15 +69,18 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     write_text(page, auv_page(by_sea, online, " ".join([*words, trials.words])))
     if trials.json != STDOUT:
         columns = ("sea", "method", *(f"{column.name}, {column.unit}" for column in COLUMNS))
-        print_table(
-            f"{name}: {trials.trials} missions per sea", columns, [_make_rows(some) for some in by_sea.values()]
-        )
+        title = f"{name}: {len(made)} recordings" if files else f"{name}: {len(trials.seeds)} missions per sea"
+        print_table(title, columns, [_make_rows(some) for some in by_sea.values()])
         print_line(page)
     write_json(trials.json, [row for one in made for row in _list_facts(one)])
 
 
 def _run_trial(job: _Job) -> Trial:
     return run_trial(job.sea, job.seed, job.online)
+
+
+def _score_file(job: _File) -> Trial:
+    return score_recording(open_recording(job.file), job.online)
 
 
 def _make_rows(trials: list[Trial]) -> list[list[str]]:
@@ -67,6 +93,6 @@ def _make_rows(trials: list[Trial]) -> list[list[str]]:
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
     return [
-        {"sea": one.sea, "seed": one.seed, "method": method, **asdict(figures)}
+        {"sea": one.sea, "recording": one.name, "method": method, **asdict(figures)}
         for method, figures in one.figures.items()
     ]

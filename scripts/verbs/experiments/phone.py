@@ -3,19 +3,31 @@ Mohseni Araste 2021."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import require_known
 from stillpoint.scoring.score import score_row
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
+from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
 from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, phone_page
-from stillpoint.studies.papers.phone.study import CF, EXPERIMENTS, LongRun, Scenario, Trial, run_trial, time_long_run
+from stillpoint.studies.papers.phone.study import (
+    EXPERIMENTS,
+    PRINTED_KALMAN_GAIN,
+    RECORDED,
+    LongRun,
+    Scenario,
+    Trial,
+    run_trial,
+    score_trial,
+    time_long_run,
+)
 
 COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg", "tilt", "heading")
-AGAINST_KALMAN = {CF: "cf", "Kalman, per axis": "kf-axis", "Kalman, error state": "ekf"}
+MINUTES = 10.0  # of the comparison with Kalman filters, by default
 
 
 @dataclass(frozen=True)
@@ -25,31 +37,25 @@ class _Job:
     seed: int
 
 
-def sliding(*, hand: str | None = None, trials: Trials = FIVE) -> None:
+def sliding(*, trials: Trials = SIMULATED) -> None:
     """Experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
 
     Writes phone-1.experiment.html: the paper's table 2 and figures 5 to 8 beside ours, against the paper's benchmark,
-    the graph and the truth, and the error of the benchmark itself.
-
-    Parameters
-    ----------
-    hand
-        sliding (pushed about and turned by up to 120 deg), or slow (the same jolts, slow pushes, small turns); by
-        default both.
+    the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
     """
-    _run("phone-1", hand, trials)
+    _run("phone-1", None, trials)
 
 
-def tripod(*, trials: Trials = FIVE) -> None:
+def tripod(*, trials: Trials = SIMULATED) -> None:
     """Experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
 
     Writes phone-2.experiment.html: the paper's table 3 and figures 10 to 12 beside ours, against the paper's benchmark,
-    the graph and the truth, and the error of the benchmark itself.
+    the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
     """
     _run("phone-2", None, trials)
 
 
-def in_hand(*, hand: str | None = None, minutes: float = 10.0, trials: Trials = FIVE) -> None:
+def in_hand(*, hand: str | None = None, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
     """Experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
 
     Writes phone-3.experiment.html: the paper's table 4 and figures 13 to 15 beside ours, against the paper's benchmark,
@@ -61,29 +67,37 @@ def in_hand(*, hand: str | None = None, minutes: float = 10.0, trials: Trials = 
         carried (about, and jolted), shaken (evenly in one place), or level (shaken, but not up and down); by default
         all.
     minutes
-        Length of the recording of the comparison with Kalman filters; the paper's has 120.
+        Length of the simulated recording of the comparison with Kalman filters, by default 10; the paper's has 120.
     """
-    _run("phone-3", hand, trials, minutes)
+    _run("phone-3", hand, trials, MINUTES if minutes is None and trials.recording is None else minutes)
 
 
-def _run(name: str, hand: str | None, trials: Trials, minutes: float = 0.0) -> None:
-    scenario, seeds = EXPERIMENTS[name], trials.seeds
+def _run(name: str, hand: str | None, trials: Trials, minutes: float | None = None) -> None:
+    scenario, files = EXPERIMENTS[name], trials.files
+    trials.refuse(hand=hand, minutes=minutes)
     if hand is not None:
         require_known(hand, scenario.hands, "hand")
-    hands = tuple(scenario.hands) if hand is None else (hand,)
-    long_runs = time_long_run(minutes, hands[0], AGAINST_KALMAN) if minutes else []
+    hands = (RECORDED,) if files else tuple(scenario.hands) if hand is None else (hand,)
+    long_runs = time_long_run(minutes, hands[0]) if minutes else []
     folder = output_dir(trials.out)
-    made = trials.run(_run_trial, [_Job(scenario, hand, seed) for hand in hands for seed in seeds], "trials")
+    if files:
+        made = trials.run(_score_file, files, "recordings")
+    else:
+        made = trials.run(_run_trial, [_Job(scenario, hand, seed) for hand in hands for seed in trials.seeds], "trials")
     by_hand = {hand: [one for one in made if one.hand == hand] for hand in hands}
     page = folder / f"{name}.experiment.html"
     words = [f"stillpoint experiment {name}", *([f"--hand {hand}"] if hand else []), trials.words]
     command = " ".join([*words, *([f"--minutes {minutes:g}"] if minutes else [])])
-    write_text(page, phone_page(scenario, by_hand, long_runs, minutes, command))
+    write_text(page, phone_page(scenario, by_hand, long_runs, minutes or 0.0, command))
     if trials.json != STDOUT:
-        _print(scenario, by_hand, long_runs, minutes)
+        _print(scenario, by_hand, long_runs, minutes or 0.0)
         print_line(page)
     rows = [row for one in made for row in _list_facts(one)]
     write_json(trials.json, rows + [{"minutes": minutes, **asdict(run)} for run in long_runs])
+
+
+def _score_file(file: Path) -> Trial:
+    return score_trial(open_recording(file))
 
 
 def _run_trial(job: _Job) -> Trial:
@@ -100,12 +114,20 @@ def _print(
         if row["first"]:
             sections.append([])
         sections[-1].append(_format_cells(row))
-    print_table(f"{scenario.name}: mean of {trials} trials, RMSE / largest error", COLUMNS, sections, texts=3)
+    print_table(
+        f"{scenario.name}: mean of {trials} {'recordings' if RECORDED in by_hand else 'trials'}, RMSE / largest error",
+        COLUMNS,
+        sections,
+        texts=3,
+    )
     for run in long_runs:
+        cf, gain = long_runs[0], PRINTED_KALMAN_GAIN
         print_line(
             f"{minutes:g} min {run.method} ({run.estimator}): tilt {run.tilt_rmse_deg:.2f}, heading "
-            f"{run.heading_rmse_deg:.2f} deg, {run.ns_per_sample:.0f} ns per sample, "
-            f"{run.ns_per_sample / long_runs[0].ns_per_sample:.1f} times {long_runs[0].method}'s"
+            f"{run.heading_rmse_deg:.2f} deg over the moving samples, better than {cf.method} by "
+            f"{cf.tilt_rmse_deg - run.tilt_rmse_deg:.2f} and {cf.heading_rmse_deg - run.heading_rmse_deg:.2f}; "
+            f"{run.ns_per_sample:.0f} ns per sample, {run.ns_per_sample / cf.ns_per_sample:.1f} times {cf.method}'s "
+            f"(the paper's Kalman filter: by {gain.tilt_deg:g} and {gain.heading_deg:g}, {gain.time_ratio:g} times)"
         )
 
 
@@ -116,7 +138,7 @@ def _format_cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def _list_facts(one: Trial) -> list[dict[str, Any]]:
-    place = {"hand": one.hand, "seed": one.seed}
+    place = {"hand": one.hand, "recording": one.name}
     scored = [
         {**score_row(score), **place, "method": method, "against": judge}
         for (method, judge), score in one.scores.items()

@@ -1,16 +1,19 @@
 """``stillpoint experiment servo-bench``: the bench of Byambajav et al."""
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.experiments.trials import FIVE, Trials
+from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
 from stillpoint.studies.papers.servo.page import make_rows, servo_page
-from stillpoint.studies.papers.servo.study import Trial, run_trial
+from stillpoint.studies.papers.servo.study import Trial, run_trial, score_recording
 
-COLUMNS = ("angle", "by", "rms at rest, deg", "low rate", "high rate")
+COLUMNS = ("against", "angle", "by", "rms at rest, deg", "low rate", "high rate")
+MINUTES = 30.0
 SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
 
 
@@ -20,7 +23,7 @@ class _Job:
     minutes: float
 
 
-def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
+def bench(*, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
     """Roll and heading of a board on a servo by gyro, by accelerometer and by the Kalman filter of angle and bias.
 
     Writes servo-bench.experiment.html: the paper's figures 4 to 7 redrawn, and its drift beside ours. Each trial is a
@@ -29,21 +32,31 @@ def bench(*, minutes: float = 30.0, trials: Trials = FIVE) -> None:
     Parameters
     ----------
     minutes
-        Length of each bench.
+        Length of each simulated bench, by default 30.
     """
-    if minutes < SHORTEST_MINUTES:
-        raise BadParameter(f"--minutes {minutes:g}: give {SHORTEST_MINUTES:g} or more, for swings at both rates")
-    work = [_Job(seed, minutes) for seed in trials.seeds]
+    files = trials.files
+    trials.refuse(minutes=minutes)
+    long_min = MINUTES if minutes is None else minutes
+    if long_min < SHORTEST_MINUTES:
+        raise BadParameter(f"--minutes {long_min:g}: give {SHORTEST_MINUTES:g} or more, for swings at both rates")
     folder = output_dir(trials.out)
-    made = trials.run(_run_trial, work, "benches")
+    if files:
+        made = [one for some in trials.run(_score_file, files, "recordings") for one in some]
+    else:
+        made = trials.run(_run_trial, [_Job(seed, long_min) for seed in trials.seeds], "benches")
     page = folder / "servo-bench.experiment.html"
-    write_text(page, servo_page(made, f"stillpoint experiment servo-bench --minutes {minutes:g} {trials.words}"))
+    length = "" if files else f"--minutes {long_min:g} "
+    write_text(page, servo_page(made, f"stillpoint experiment servo-bench {length}{trials.words}", bool(files)))
     if trials.json != STDOUT:
-        table = [[row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
-        print_table(f"servo-bench: {trials.trials} benches", COLUMNS, [table], texts=2)
+        table = [[row["judge"], row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
+        print_table(f"servo-bench: {len(files) or len(made)} benches", COLUMNS, [table], texts=3)
         print_line(page)
-    write_json(trials.json, [{"seed": one.seed, **asdict(one.figures)} for one in made])
+    write_json(trials.json, [{"recording": one.name, "against": one.judge, **asdict(one.figures)} for one in made])
 
 
 def _run_trial(job: _Job) -> Trial:
     return run_trial(job.seed, job.minutes)
+
+
+def _score_file(file: Path) -> list[Trial]:
+    return score_recording(open_recording(file))

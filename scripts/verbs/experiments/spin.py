@@ -1,18 +1,20 @@
 """``stillpoint experiment spin-constant`` and ``spin-variable``: the experiments of Asghari et al. 2018."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from stillpoint.scoring.spin import spin_score_row
-from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
+from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import Trials
 from stillpoint.studies.papers.spin.page import spin_page
+from stillpoint.studies.papers.spin.recorded import RECORDED, identify_noise, score_recording
 from stillpoint.studies.papers.spin.study import (
     CONSTANT,
     METRICS,
@@ -28,6 +30,7 @@ from stillpoint.studies.papers.spin.study import (
 
 COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
 PAPER = {False: 10, True: 5}  # trials, offline and online
+FIRST_ONLINE = 10  # seed: online trials are other ones than the ten offline
 
 
 @Parameter(name="*")
@@ -37,19 +40,18 @@ class SpinTrials(Trials):
 
     Parameters
     ----------
-    trials
-        How many of each kind, with rising seeds; by default as many as the paper has, ten, or five online.
     online
-        As on a microcontroller: in single precision, without the smoother.
+        As on a microcontroller: fed sample by sample in single precision, without the smoother; simulated trials have
+        seeds of their own, from 10 on.
     noise
-        What the noise is made of: white, vibration (of the motor, on F5), glitch (of the slip rings, on F4) or replica
-        (nearest to the paper's numbers); by default all four, one after the other.
+        What the noise is made of: white, vibration (of the motor, on F5), vibration-f4, glitch (of the slip rings, on
+        F4) or replica (nearest to the paper's numbers); by default all five, one after the other.
     reading
-        The paper's equations as printed, or by default as this project reads them; replica takes them as printed. One
-        stays as it is read: lambda of (23) once. In (19) and again in (20), as printed, the variance turns negative.
+        The paper's equations as printed, or by default as this project reads them; vibration-f4 and replica take them
+        as printed. One stays as it is read: lambda of (23) once. In (19) and again in (20), as printed, the variance
+        turns negative.
     """
 
-    trials: Whole | None = None  # type: ignore[assignment]  # a number before any trial is made
     online: Annotated[bool, Parameter(negative=())] = False
     noise: NoiseKind | None = None
     reading: Reading | None = None
@@ -66,6 +68,16 @@ class _Job:
     scenario: Scenario
     noise: NoiseKind
     seed: int
+    online: bool
+    reading: Reading | None
+
+
+@dataclass(frozen=True)
+class _File:
+    scenario: Scenario
+    file: Path
+    number: int
+    noise: Mapping[str, float]
     online: bool
     reading: Reading | None
 
@@ -89,21 +101,47 @@ def variable(*, trials: SpinTrials = SpinTrials()) -> None:
 
 
 def _run(scenario: Scenario, wanted: SpinTrials) -> None:
-    trials = replace(wanted, trials=PAPER[wanted.online] if wanted.trials is None else wanted.trials)
-    noises = NOISES if trials.noise is None else (trials.noise,)
-    work = [_Job(scenario, kind, seed, trials.online, trials.reading) for kind in noises for seed in trials.seeds]
+    files = wanted.files
+    wanted.refuse(noise=wanted.noise)
+    trials = wanted if files else _fill_defaults(wanted)
     folder = output_dir(trials.out)
-    made = trials.run(_run_trial, work, "trials")
-    by_noise = {kind: [one for one in made if one.noise == kind] for kind in noises}
+    if files:
+        by_noise: dict[str, list[Trial]] = _score_files(scenario, trials, files)
+    else:
+        noises = NOISES if trials.noise is None else (trials.noise,)
+        work = [_Job(scenario, kind, seed, trials.online, trials.reading) for kind in noises for seed in trials.seeds]
+        made = trials.run(_run_trial, work, "trials")
+        by_noise = {kind: [one for one in made if one.noise == kind] for kind in noises}
     name = f"{scenario.name}{'-online' if trials.online else ''}"
     page = folder / f"{name}.experiment.html"
     command = f"stillpoint experiment {scenario.name} {trials.words}"
     write_text(page, spin_page(scenario, by_noise, trials.online, command))
     if trials.json != STDOUT:
-        columns = [_make_rows(some) for some in by_noise.values()]
-        print_table(f"{name}: the worst of {trials.trials} trials", COLUMNS, columns)
+        count = len(next(iter(by_noise.values())))
+        title = f"{name}: the worst of {count} {'recordings' if files else 'trials'}"
+        print_table(title, COLUMNS, [_make_rows(some) for some in by_noise.values()])
         print_line(page)
-    write_json(trials.json, [row for one in made for row in _list_facts(one)])
+    write_json(trials.json, [row for some in by_noise.values() for one in some for row in _list_facts(one)])
+
+
+def _fill_defaults(wanted: SpinTrials) -> SpinTrials:
+    """Return the options with the paper's number of trials, and with fresh seeds where they run online."""
+    count = PAPER[wanted.online] if wanted.trials is None else wanted.trials
+    first = (FIRST_ONLINE if wanted.online else 0) if wanted.seed is None else wanted.seed
+    return replace(wanted, trials=count, seed=first)
+
+
+def _score_files(scenario: Scenario, trials: SpinTrials, files: Sequence[Path]) -> dict[str, list[Trial]]:
+    """Identify the noise over all recordings, then run the methods over each; trials by judge."""
+    noise = identify_noise([open_recording(file) for file in files])
+    work = [_File(scenario, file, k, noise, trials.online, trials.reading) for k, file in enumerate(files)]
+    made = [one for some in trials.run(_score_file, work, "recordings") for one in some]
+    return {judge: some for judge in RECORDED if (some := [one for one in made if one.noise == judge])}
+
+
+def _score_file(job: _File) -> list[Trial]:
+    recording = open_recording(job.file)
+    return score_recording(recording, job.number, job.scenario, job.noise, job.online, job.reading == "printed")
 
 
 def _run_trial(job: _Job) -> Trial:

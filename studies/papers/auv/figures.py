@@ -20,6 +20,7 @@ Span = tuple[float, float]
 
 def draw_mission(axes: Sequence[Axes], series: Series) -> None:
     """Draw the path over the sea from above, then the depth over time."""
+    assert series.place_n_m is not None
     east_m, north_m, up_m = series.place_n_m.T
     axes[0].plot(east_m, north_m, color=rcParams["text.color"], lw=1.2)
     axes[0].plot([east_m[0], east_m[-1]], [north_m[0], north_m[-1]], color=get_colour(0), marker="o", lw=0)

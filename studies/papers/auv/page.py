@@ -19,14 +19,17 @@ from stillpoint.studies.papers.auv.study import (
     PRINTED,
     PRINTED_FIGURES,
     RAW,
+    RECORDED,
     SETTLED_S,
-    SeaKind,
+    SURE,
     Trial,
     summarise_trials,
 )
 
-COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5}  # places in COLOURS
-TITLES: dict[SeaKind, str] = {"waves": "In waves", "calm": "In a calm sea"}
+COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5, SURE: 6}  # places in COLOURS
+TITLES = {"waves": "In waves", "calm": "In a calm sea", RECORDED: "As recorded"}
+# Of a simulated mission the hull's iron and the gyro's bias are inputs, and with them these figures.
+INPUTS = {(RAW, "heading_after_deg"), (GYRO, "heading_after_deg"), (GYRO, "heading_drift_deg")}
 
 
 class _Column(NamedTuple):
@@ -50,14 +53,15 @@ COLUMNS = (
 )
 
 
-def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: str) -> str:
-    """Return the page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
+def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
+    """The page as text; ``trials`` by sea, each with at least one. The same trials give the same bytes."""
     first = next(iter(trials.values()))
     kept = [one.series.gains[PRINTED] for some in trials.values() for one in some]
     return load_template("stillpoint.studies.papers.auv", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
         online=online,
+        recorded=RECORDED in trials,
         facts=_facts(first, online),
         kept={
             name: f"{_find_largest_change(kept, f'{name}_per_s{power}'):.1g}" for name, power in (("kp", ""), ("ki", 2))
@@ -66,8 +70,9 @@ def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: s
         columns=COLUMNS,
         rows=_rows(trials),
         sections=[
-            {"sea": sea, "title": f"{TITLES[sea]}, seed {some[0].seed}", "pictures": _pictures(some[0])}
+            {"sea": sea, "title": f"{TITLES[sea]}: {one.name}", "pictures": _pictures(one)}
             for sea, some in trials.items()
+            for one in (some if sea == RECORDED else some[:1])
         ],
         command=command,
         parameters={
@@ -79,15 +84,16 @@ def auv_page(trials: Mapping[SeaKind, Sequence[Trial]], online: bool, command: s
 
 
 def _facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
-    when = first[0].series.phases_s
+    when, recorded = first[0].series.phases_s, first[0].sea == RECORDED
     below_s = when["ascent_s"] - when["cruise_s"]
     return {
-        "missions": f"{len(first)} of {when['end_s'] / 60:g} min per sea, {below_s:g} s of cruise, 50 Hz, "
-        f"seeds {first[0].seed} to {first[-1].seed}",
+        "missions": f"{', '.join(one.name for one in first)}; the first of {when['end_s'] / 60:.3g} min, "
+        f"{below_s:.3g} s of it below",
         "computed": "in single precision, as on a microcontroller" if online else "in double precision",
         "heading": "by the GPS course on the surface, by the magnetometer that it calibrated below; "
         f"{RAW} and {GYRO} have the magnetometer as it is",
-        "scored": f"against the simulated truth, and against the measured angles, from {SETTLED_S:g} s on",
+        "scored": f"against {'the truth or the graph' if recorded else 'the simulated truth'}, and against the "
+        f"measured angles, over all samples from {SETTLED_S:g} s on, moving or not",
     }
 
 
@@ -96,7 +102,7 @@ def _find_largest_change(kept: Sequence[Any], name: str) -> float:
     return max(float(np.abs(get_gain(each, name) - get_gain(each, name)[0]).max()) for each in kept)
 
 
-def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
+def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for place, (name, printed) in enumerate(PRINTED_FIGURES.items()):
         cells = [f"{printed[c.key]:.2g}" if c.key in printed else "–" for c in COLUMNS]
@@ -104,7 +110,11 @@ def _rows(trials: Mapping[SeaKind, Sequence[Trial]]) -> list[dict[str, Any]]:
         rows.append({"sea": sea, "method": name, "cells": cells, "of_paper": True, "first": False, "colour": None})
     for sea_kind, some in trials.items():
         for place, method in enumerate(METHODS):
-            cells = [f"{summarise_trials(some, method.name, c.key):.2g}" for c in COLUMNS]
+            cells = [
+                f"{summarise_trials(some, method.name, c.key):.2g}"
+                + (" (input)" if sea_kind != RECORDED and (method.name, c.key) in INPUTS else "")
+                for c in COLUMNS
+            ]
             rows.append(
                 {
                     "sea": sea_kind if place == 0 else "",
@@ -128,15 +138,16 @@ def _pictures(one: Trial) -> list[Picture]:
     shown = {name: COLOUR[name] for name in (ADAPTIVE, FIXED, KALMAN)}
     headings = {name: COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
     adapted = {name: COLOUR[name] for name in (PRINTED, ADAPTIVE)}
+    mission = make_picture(
+        f"The mission ({sea})",
+        "As the paper's figures 4 and 5: from start to end, seen from above, and the depth. Grey: under water.",
+        2,
+        190,
+        lambda axes: draw_mission(axes, series),
+        time_axis=False,
+    )
     return [
-        make_picture(
-            f"The mission ({sea})",
-            "As the paper's figures 4 and 5: from start to end, seen from above, and the depth. Grey: under water.",
-            2,
-            190,
-            lambda axes: draw_mission(axes, series),
-            time_axis=False,
-        ),
+        *([] if series.place_n_m is None else [mission]),
         make_picture(
             f"Roll ({sea})",
             "As the paper's figure 6: the mission, and 30 s on the surface. Grey: under water.",

@@ -1,7 +1,7 @@
-"""The three experiments of Elmi Aziz and Mohseni Araste 2021 on simulated trials, with the figures that they print.
+"""The three experiments of Elmi Aziz and Mohseni Araste 2021 on simulated or recorded trials, with printed figures.
 
 The paper scores filters against a benchmark made from the same phone. A simulated trial also has its truth, so the
-benchmark is scored, too.
+benchmark is scored, too; so has a recording that was made beside a motion capture.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.frames import euler, quaternion, rotation
-from stillpoint.datasets.recording import Floats, Truth
+from stillpoint.datasets.recording import Floats, Recording, Truth
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.filters import estimate
@@ -19,12 +20,38 @@ from stillpoint.scoring.compare import compare
 from stillpoint.scoring.errors import attitude_error, euler_error
 from stillpoint.scoring.score import Score, score
 from stillpoint.smoother import attitude_reference
+from stillpoint.studies.papers.phone.parameters import MEAN_S, SLOWER, map_errors_deg
 
 JudgeName = Literal["benchmark", "graph", "truth"]
 JUDGES: tuple[JudgeName, ...] = get_args(JudgeName)
 REFERENCES = {"benchmark": "redistribution", "graph": "graph"}
 ACC, ACC_MA, GYRO, CF, KALMAN = "Acc", "Acc_MA", "Gyro", "CF", "Kalman"
-FILTERS = {CF: "cf", ACC: "acc", ACC_MA: "acc-ma", GYRO: "gyro", KALMAN: "ekf"}
+CF_SLOWER, CF_LITERAL, ACC_MA_CENTRED = "CF, slower", "CF, literal", "Acc_MA, centred"
+KALMAN_AXIS = "Kalman, per axis"
+ESTIMATORS: dict[str, tuple[str, Mapping[str, float]]] = {
+    CF: ("cf", {}),
+    CF_SLOWER: ("cf", SLOWER._asdict()),
+    CF_LITERAL: ("cf-literal", {}),
+    ACC: ("acc", {}),
+    ACC_MA: ("acc-ma", {"window_s": MEAN_S}),
+    GYRO: ("gyro", {}),
+    KALMAN: ("ekf", {}),
+    KALMAN_AXIS: ("kf-axis", {}),
+}
+METHODS = (CF, CF_SLOWER, CF_LITERAL, ACC, ACC_MA, ACC_MA_CENTRED, GYRO, KALMAN, KALMAN_AXIS)
+LONG_METHODS = (CF, CF_SLOWER, KALMAN, KALMAN_AXIS)
+
+
+class KalmanGain(NamedTuple):
+    """What the paper's Kalman filter gains over its CF in two hours of experiment 3 (section 4-4)."""
+
+    tilt_deg: float
+    heading_deg: float
+    time_ratio: float
+
+
+PRINTED_KALMAN_GAIN = KalmanGain(0.2, 0.5, 4.0)
+RECORDED = "recorded"  # how the phone of a recording is moved, in place of a simulated hand
 AXES = ("roll", "pitch", "yaw")
 DRIFT_S = 60.0  # fig 10 looks at the gyro after about a minute
 LEAD_S = 10.0  # the paper's pictures begin so long before the first motion
@@ -48,7 +75,7 @@ class Series:
 
     t_s: Floats  # (N,)
     angles_deg: Mapping[str, Floats]  # of each method and reference, (N, 3)
-    errors: Mapping[str, tuple[Floats, Floats]]  # total error of both references: the truth's stamps, deg
+    errors: Mapping[str, tuple[Floats, Floats]]  # total error of both references: s, deg; empty without a truth
     rests_s: Floats  # (R, 2)
 
 
@@ -64,18 +91,20 @@ class Trial:
     """Scores of one recording: each method against each judge, the references against each other and the truth."""
 
     hand: str
-    seed: int
+    name: str  # of the recording
     scores: Mapping[tuple[str, str], Score]  # (method or reference, judge)
+    refused: Mapping[str, str]  # reference -> why there is none
     folded_yaw: Mapping[str, Folded]  # of each method, against the benchmark
-    common_tilt_deg: Mapping[str, float]  # of a reference: tilt error in the base pose, which all its samples share
+    common_tilt_deg: Mapping[str, float]  # of a reference against the truth, in the base pose: all its samples share it
     drift_deg: tuple[float, float, float]  # the gyro's roll, pitch, yaw off the benchmark a minute after the start
     params: Mapping[str, Mapping[str, Any]]
     series: Series
+    map_deg: Floats  # CF's RMSE of roll, pitch, yaw against the benchmark over its parameters (K, L, 3)
 
 
 @dataclass(frozen=True)
 class LongRun:
-    """Errors and time per sample of one filter over a long recording."""
+    """Errors over the moving samples, and time per sample, of one filter over a long recording."""
 
     method: str
     estimator: str
@@ -85,41 +114,90 @@ class LongRun:
 
 
 def run_trial(scenario: Scenario, hand: str, seed: int) -> Trial:
-    """Simulate one recording, make both references without its true base pose, and score all methods."""
-    recording = simulate(scenario.hands[hand], seed=seed)
-    assert recording.truth is not None
+    """Simulate one recording and score all methods on it; the references are not told its true base pose."""
+    return score_trial(simulate(scenario.hands[hand], seed=seed), hand)
+
+
+def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
+    """Make both references of a recording and score all methods against them, and against its truth if it has one.
+
+    Where the recording does not begin at rest or never returns to its base pose there is no benchmark; the graph then
+    stands for it. Raises :class:`Unobservable` where there is no graph either, and :class:`BadRecording` where there is
+    no IMU.
+    """
     blind = replace(recording, base_pose=None, truth=None)
-    references = {name: attitude_reference(blind, method) for name, method in REFERENCES.items()}
-    made: dict[str, Estimate] = {method: estimate(blind, name) for method, name in FILTERS.items()}
+    references, refused = {}, {}
+    for name, method in REFERENCES.items():
+        try:
+            references[name] = attitude_reference(blind, method)
+        except Unobservable as error:
+            refused[name] = str(error)
+    if not references:
+        raise Unobservable(refused["benchmark"])
+    made = estimate_all(blind)
     things: dict[str, Estimate | Reference] = {**made, **references}
-    judges: dict[str, Reference | Truth] = {**references, "truth": recording.truth}
+    judges: dict[str, Reference | Truth] = dict(references)
+    if recording.truth is not None:
+        judges["truth"] = recording.truth
     scores = {
         (method, judge): score(thing, truth, "none")
         for judge, truth in judges.items()
         for method, thing in things.items()
         if method != judge
     }
-    benchmark = references["benchmark"]
+    benchmark = references.get("benchmark", references.get("graph"))
+    assert benchmark is not None
     return Trial(
         hand,
-        seed,
+        recording.name,
         scores,
+        refused,
         {method: _fold_yaw(thing, benchmark) for method, thing in made.items()},
-        {name: _measure_tilt_at_start_deg(reference, recording.truth) for name, reference in references.items()},
+        {
+            name: _measure_tilt_at_start_deg(each, recording.truth)
+            for name, each in references.items()
+            if recording.truth is not None
+        },
         _measure_drift_deg(made[GYRO], benchmark),
         {name: dict(thing.params) for name, thing in things.items()},
         _make_series(recording.truth, benchmark, references, made),
+        map_errors_deg(blind, benchmark),
     )
+
+
+def estimate_all(recording: Recording) -> dict[str, Estimate]:
+    """Return the estimates of all METHODS, by name."""
+    made = {method: estimate(recording, name, params) for method, (name, params) in ESTIMATORS.items()}
+    made[ACC_MA_CENTRED] = centre_mean(made[ACC_MA])
+    return {method: made[method] for method in METHODS}
+
+
+def centre_mean(mean: Estimate) -> Estimate:
+    """Return a moving average whose values carry the stamp of the middle of their window, not of its end.
+
+    It is late by nothing and sees the future by half a window, so no device has it while it moves.
+    """
+    assert mean.q_nb is not None
+    assert mean.ready is not None
+    t_ns = mean.t_ns - round(MEAN_S / 2 * 1e9)
+    kept = t_ns >= 0  # of a clock that starts at 0
+    name = f"{mean.name} centred"
+    return replace(mean, t_ns=t_ns[kept], q_nb=mean.q_nb[kept], ready=mean.ready[kept], name=name)
 
 
 def _measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
     """Return the gyro's error in roll, pitch, yaw, DRIFT_S after it was set to the benchmark at the start of motion."""
     assert gyro.q_nb is not None
-    start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
+    start = find_first_motion(benchmark)
     end = int(np.searchsorted(benchmark.t_ns, benchmark.t_ns[start] + round(DRIFT_S * 1e9), side="right")) - 1
     restarted = restart_integration(gyro.q_nb, benchmark.q_nb, start)
     roll, pitch, yaw = np.rad2deg(euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
     return float(roll), float(pitch), float(yaw)
+
+
+def find_first_motion(benchmark: Reference) -> int:
+    """Return the sample at which the first rest of a reference ends; 0 where it has none."""
+    return int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1])) if len(benchmark.rests_ns) else 0
 
 
 def _fold_yaw(estimated: Estimate, benchmark: Reference) -> Folded:
@@ -139,13 +217,14 @@ def restart_integration(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
     return quaternion(turn * rotation(q_nb))
 
 
-def time_long_run(minutes: float, hand: str, methods: Mapping[str, str]) -> list[LongRun]:
+def time_long_run(minutes: float, hand: str, methods: Sequence[str] = LONG_METHODS) -> list[LongRun]:
     """Run filters over one long recording of experiment 3; the time of each is that of the fastest of RUNS runs."""
     recording = simulate(EXPERIMENTS["phone-3"].hands[hand], seed=0, minutes=minutes)
     assert recording.truth is not None
     found = []
-    for method, name in methods.items():
-        runs = [estimate(recording, name) for _ in range(RUNS)]
+    for method in methods:
+        name, params = ESTIMATORS[method]
+        runs = [estimate(recording, name, params) for _ in range(RUNS)]
         scored = score(runs[0], recording.truth, "none")
         ns = min(run.ns_per_sample for run in runs)
         found.append(LongRun(method, name, scored.inclination_rmse_deg, scored.heading_rmse_deg, ns))
@@ -163,23 +242,24 @@ def compute_rms_drift_deg(trials: Sequence[Trial]) -> Floats:
 
 
 def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
-    first = attitude_error(reference.q_nb[:1], truth.q_nb[:1])
-    return float(np.rad2deg(first.inclination_rad[0]))
+    c = compare(reference, truth, "none")
+    return float(np.rad2deg(attitude_error(c.q_est[:1], c.q_true[:1]).inclination_rad[0]))
 
 
 def _make_series(
-    truth: Truth, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
+    truth: Truth | None, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
 ) -> Series:
-    start = int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1]))
+    start = find_first_motion(benchmark)
     zero_ns = int(benchmark.t_ns[start]) - round(LEAD_S * 1e9)
     turned: dict[str, Floats] = {name: reference.q_nb for name, reference in references.items()}
     for method, thing in made.items():
         assert thing.q_nb is not None
-        turned[method] = restart_integration(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
+        if method != ACC_MA_CENTRED:  # has stamps of its own, and no figure of the paper
+            turned[method] = restart_integration(thing.q_nb, benchmark.q_nb, start) if method == GYRO else thing.q_nb
     return Series(
         (benchmark.t_ns - zero_ns) / 1e9,
         {name: np.rad2deg(euler(q_nb, "nwu")) for name, q_nb in turned.items()},
-        {name: _measure_error_over_time(reference, truth, zero_ns) for name, reference in references.items()},
+        {} if truth is None else {name: _measure_error_over_time(r, truth, zero_ns) for name, r in references.items()},
         (benchmark.rests_ns - zero_ns) / 1e9,
     )
 
@@ -195,7 +275,7 @@ EXPERIMENTS: dict[str, Scenario] = {
         "phone-1",
         "A phone slid over a table",
         1,
-        {"sliding": "phone-1", "slow": "phone-1-slow"},
+        {"sliding": "phone-1"},
         {
             CF: (0.2417, 1.0120, 0.2649, 0.9774, 3.6089, 9.0839),
             ACC: (4.5700, 32.5064, 4.5130, 28.5369, 5.6379, 44.3094),

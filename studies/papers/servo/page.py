@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets.simulate.servo import BENCH
 from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.pictures import Picture, make_picture
 from stillpoint.scoring.report.provenance import list_versions
@@ -29,20 +28,23 @@ def _median_over(trials: Sequence[Trial], key: str) -> float:
     return float(np.median([abs(getattr(one.figures, key)) for one in trials]))
 
 
-def servo_page(trials: Sequence[Trial], command: str) -> str:
-    """Return the page as text; the same trials give the same bytes."""
+def servo_page(trials: Sequence[Trial], command: str, recorded: bool = False) -> str:
+    """The page as text; the same trials give the same bytes. Recorded ones have several judges."""
+    first = [one for one in trials if one.judge == trials[0].judge]
     return load_template("stillpoint.studies.papers.servo", "page.html.j2").render(
         colours=COLOURS,
         colours_on_dark=ON_DARK,
-        trials=len(trials),
-        seeds=f"{trials[0].seed} to {trials[-1].seed}",
+        recorded=recorded,
+        trials=len(first),
+        names=", ".join(one.name for one in first),
+        judges=", ".join(dict.fromkeys(one.judge for one in trials)),
         minutes=f"{trials[0].series.t_s[-1] / 60:.0f}",
         printed_drift=f"{PRINTED_DRIFT_DEG:g}",
-        drift=f"{_median_over(trials, 'drift_deg'):.0f}",
-        drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in trials),
+        drift=f"{_median_over(first, 'drift_deg'):.0f}",
+        drifts=", ".join(f"{one.figures.drift_deg:+.0f}" for one in first),
         rows=make_rows(trials),
-        pictures=_pictures(trials[0]),
-        first_seed=trials[0].seed,
+        pictures=_pictures(first[0]),
+        first_name=first[0].name,
         command=command,
         versions=list_versions(),
     )
@@ -50,28 +52,33 @@ def servo_page(trials: Sequence[Trial], command: str) -> str:
 
 def make_rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
     """Return the rms error (deg) of each angle and method at rest, at the low rate and at the high rate, as medians."""
+    by_judge = {judge: [one for one in trials if one.judge == judge] for judge in {one.judge: None for one in trials}}
     return [
         {
+            "judge": judge,
             "angle": angle,
             "method": method,
             "colour": COLOUR[method],
-            "cells": [f"{_median_over(trials, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
+            "cells": [f"{_median_over(some, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
         }
+        for judge, some in by_judge.items()
         for angle, method, short in ROWS
     ]
 
 
 def _pictures(one: Trial) -> list[Picture]:
     series = one.series
-    low, high = find_first_swing_s(series, BENCH.low_hz), find_first_swing_s(series, BENCH.high_hz)
+    low, high = find_first_swing_s(series, series.low_hz), find_first_swing_s(series, series.high_hz)
+    rest_s = series.rests_s[0]
+    shown_s = (20.0, 30.0) if rest_s[1] > 30.0 else (float(rest_s[0]), float(rest_s[1]))
     middles = [(sum(span) / 2 - SHOWN_S / 2, sum(span) / 2 + SHOWN_S / 2) for span in (low, high)]
     return [
         make_picture(
             "Sensors at rest",
-            "As the paper's figure 4: gyro, accelerometer and magnetometer for ten seconds of the first rest.",
+            "As the paper's figure 4: gyro, accelerometer and magnetometer in the first rest.",
             3,
             150,
-            lambda axes: draw_sensors(axes, series, (20.0, 30.0)),
+            lambda axes: draw_sensors(axes, series, shown_s),
         ),
         make_picture(
             "The gyro alone",
@@ -82,7 +89,7 @@ def _pictures(one: Trial) -> list[Picture]:
         ),
         make_picture(
             "The accelerometer alone",
-            f"As the paper's figure 6: (14) at {BENCH.low_hz:g} Hz and at {BENCH.high_hz:g} Hz.",
+            f"As the paper's figure 6: (14) at {series.low_hz:.2g} Hz and at {series.high_hz:.2g} Hz.",
             2,
             170,
             lambda axes: draw_rolls(axes, series, {ACC: COLOUR[ACC]}, middles),

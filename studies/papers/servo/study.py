@@ -1,23 +1,29 @@
-"""The servo bench of Byambajav et al., simulated: roll and heading by single sensors and by ``kf-axis``."""
+"""The servo bench of Byambajav et al., simulated or recorded: roll and heading by single sensors and ``kf-axis``."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
+from scipy.signal import savgol_filter
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.frames import euler
-from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.datasets.errors import BadRecording
+from stillpoint.datasets.frames import euler, wrap
+from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.simulate.servo import BENCH, ULAANBAATAR
+from stillpoint.datasets.simulate.servo import ULAANBAATAR
+from stillpoint.datasets.trajectory import Reference
 from stillpoint.filters import estimate
+from stillpoint.smoother import attitude_reference
 from stillpoint.studies.papers.auv.study import compute_difference_deg
 
 GYRO, ACC, KALMAN = "gyro", "accelerometer", "kf-axis"
 PRINTED_DRIFT_DEG = -50.0  # the paper's text to fig 5, after a minute
 MINUTE_S = 60.0
+SHORTEST_SWING_S = 15.0
+SAME_RATE = 1.5  # swings whose rates differ by less are of one rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +35,21 @@ class Series:
     accel_b_g: Floats  # (N, 3)
     mag_t_s: Floats  # (M,)
     mag_b_ut: Floats  # (M, 3)
-    true_roll_deg: Floats  # (N,)
+    true_roll_deg: Floats  # (N,) of the judge
     roll_deg: dict[str, Floats]  # method -> (N,)
     heading_off_deg: dict[str, Floats]  # method -> (N,) less the true heading
     rests_s: Floats  # (R, 2)
-    swings_hz: Floats  # (R - 1,)
+    swings_hz: Floats  # (R - 1,) LOW or HIGH of the bench, 0 for a stretch without swings
+
+    @property
+    def low_hz(self) -> float:
+        """Return the lower rate of the swings."""
+        return float(self.swings_hz[self.swings_hz > 0].min())
+
+    @property
+    def high_hz(self) -> float:
+        """Return the higher rate of the swings; the lower one where there is only one."""
+        return float(self.swings_hz.max())
 
 
 @dataclass(frozen=True)
@@ -58,9 +74,10 @@ class Figures:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One simulated bench."""
+    """One bench, scored against one judge."""
 
-    seed: int
+    name: str  # of the recording
+    judge: str  # "truth", "benchmark" or "graph"
     series: Series
     figures: Figures
 
@@ -68,9 +85,42 @@ class Trial:
 def run_trial(seed: int, minutes: float) -> Trial:
     """Simulate one bench and run the methods; raises :class:`BadParameter` when ``minutes`` are too few."""
     recording = simulate("servo-bench", seed=seed, minutes=minutes)
-    series = _make_series(recording)
+    assert recording.truth is not None
+    rests_s, swings_hz = (np.array(json.loads(recording.info.extra[name])) for name in ("rests_s", "swings_hz"))
+    series = _make_series(recording, recording.truth, ULAANBAATAR.start_ns, rests_s, swings_hz)
     bias_b = json.loads(recording.info.extra["sensor_drawn"])["gyro"]["bias"]
-    return Trial(seed, series, _compute_figures(series, float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S))
+    worst_deg = float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S
+    return Trial(recording.name, "truth", series, _compute_figures(series, worst_deg))
+
+
+def score_recording(recording: Recording) -> list[Trial]:
+    """Return one trial for each judge: error redistribution, graph, and the truth where the recording has one.
+
+    Swings are the stretches between the rests of the benchmark; each counts as of the lowest or of the highest rate.
+    Raises :class:`BadRecording` where nothing swings for a minute or no field was recorded, and :class:`Unobservable`
+    where the board never returns to its first pose.
+    """
+    if recording.mag is None:
+        raise BadRecording(f"{recording.name}: has no magnetometer; the heading needs one")
+    blind = replace(recording, base_pose=None, truth=None)
+    judges: dict[str, Truth | Reference] = {
+        "benchmark": attitude_reference(blind, "redistribution"),
+        "graph": attitude_reference(blind, "graph"),
+    }
+    if recording.truth is not None:
+        judges["truth"] = recording.truth
+    imu, benchmark = recording.require_imu(), judges["benchmark"]
+    assert isinstance(benchmark, Reference)
+    rests_s = (benchmark.rests_ns - imu.t_ns[0]) / 1e9
+    swings_hz = _measure_swings_hz(imu, rests_s, recording.name)
+    trials = []
+    for judge, truth in judges.items():
+        series = _make_series(blind, truth, int(imu.t_ns[0]), rests_s, swings_hz)
+        at_rest = np.rad2deg(imu.gyro_b_radps[select_swings(series, None)].mean(axis=0))
+        trials.append(
+            Trial(recording.name, judge, series, _compute_figures(series, float(np.abs(at_rest).max()) * MINUTE_S))
+        )
+    return trials
 
 
 def select_swings(series: Series, rate_hz: float | None) -> NDArray[np.bool_]:
@@ -98,11 +148,32 @@ def restart_at(series: Series, method: str, start_s: float) -> Floats:
     return np.asarray(series.true_roll_deg + np.unwrap(off, period=360.0) - off[start])
 
 
-def _make_series(recording: Recording) -> Series:
-    imu, truth, mag = recording.require_imu(), recording.truth, recording.mag
-    assert truth is not None
+def _measure_swings_hz(imu: Imu, rests_s: Floats, name: str) -> Floats:
+    """Return the rate of the swings after each rest but the last: the lowest or the highest of all, 0 for too short."""
+    t_s, rate = (imu.t_ns - imu.t_ns[0]) / 1e9, imu.gyro_b_radps[:, 0]
+    found = np.zeros(len(rests_s) - 1)
+    for k, (start, end) in enumerate(zip(rests_s[:-1, 1], rests_s[1:, 0], strict=True)):
+        inside = slice(*np.searchsorted(t_s, (start, end)))
+        if end - start >= SHORTEST_SWING_S:
+            smooth = savgol_filter(rate[inside], 11, 2)
+            found[k] = np.count_nonzero(np.diff(np.sign(smooth - smooth.mean()))) / 2 / (end - start)
+    if not found.any():
+        raise BadRecording(f"{name}: nothing swings about x for {SHORTEST_SWING_S:g} s between two rests")
+    low, high = found[found > 0].min(), found.max()
+    nearest = np.where(found < np.sqrt(low * high), low, high) if high > SAME_RATE * low else np.full_like(found, low)
+    return np.where(found > 0, nearest, 0.0)
+
+
+def _make_series(
+    recording: Recording, judge: Truth | Reference, start_ns: int, rests_s: Floats, swings_hz: Floats
+) -> Series:
+    imu, mag = recording.require_imu(), recording.mag
     assert mag is not None
-    t_s, (true_roll_deg, _, true_yaw_deg) = (truth.t_ns - ULAANBAATAR.start_ns) / 1e9, _euler_deg(truth.q_nb)
+    t_s = (imu.t_ns - start_ns) / 1e9
+    true_roll_deg, true_yaw_deg = (
+        np.rad2deg(wrap(np.interp(imu.t_ns, judge.t_ns, np.unwrap(np.deg2rad(angle)))))
+        for angle in _euler_deg(judge.q_nb)[[0, 2]]
+    )
     estimates = {ACC: estimate(recording, "acc", {"kappa": 1.0}), KALMAN: estimate(recording, "kf-axis")}
     angles = {name: _euler_deg(found.q_nb) for name, found in estimates.items() if found.q_nb is not None}
     # The paper integrates the rate about one axis by (13), so a bias about another axis has no effect.
@@ -112,15 +183,15 @@ def _make_series(recording: Recording) -> Series:
         t_s=t_s,
         gyro_b_degps=np.rad2deg(imu.gyro_b_radps),
         accel_b_g=imu.accel_b_mps2 / STANDARD_GRAVITY_MPS2,
-        mag_t_s=(mag.t_ns - ULAANBAATAR.start_ns) / 1e9,
+        mag_t_s=(mag.t_ns - start_ns) / 1e9,
         mag_b_ut=mag.mag_b_ut,
         true_roll_deg=true_roll_deg,
         roll_deg={**rolls, GYRO: true_roll_deg[0] + np.rad2deg(turned_rad)},
         heading_off_deg={
             name: compute_difference_deg(yaw_deg, true_yaw_deg) for name, (_, _, yaw_deg) in angles.items()
         },
-        rests_s=np.array(json.loads(recording.info.extra["rests_s"])),
-        swings_hz=np.array(json.loads(recording.info.extra["swings_hz"])),
+        rests_s=rests_s,
+        swings_hz=swings_hz,
     )
 
 
@@ -130,10 +201,10 @@ def _euler_deg(q_nb: Floats) -> Floats:
 
 
 def _compute_figures(series: Series, worst_drift_deg: float) -> Figures:
-    start, _ = find_first_swing_s(series, BENCH.low_hz)
+    start, _ = find_first_swing_s(series, series.low_hz)
     minute = restart_at(series, GYRO, start) - series.true_roll_deg
     drift = float(minute[np.searchsorted(series.t_s, start + MINUTE_S) - 1])
-    stretches = {"rest": None, "low": BENCH.low_hz, "high": BENCH.high_hz}
+    stretches = {"rest": None, "low": series.low_hz, "high": series.high_hz}
     rms = {}
     for method, short in ((ACC, "acc"), (KALMAN, "kf")):
         roll_off_deg = compute_difference_deg(series.roll_deg[method], series.true_roll_deg)

@@ -9,12 +9,12 @@ from stillpoint.scoring.report.provenance import flatten_params, list_versions
 from stillpoint.scoring.report.spin_figures import draw_rates
 from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.spin.figures import draw_bars
+from stillpoint.studies.papers.spin.recorded import RECORDED
 from stillpoint.studies.papers.spin.study import (
     FILTERS,
     METRICS,
     OF_PAPER,
     SMOOTHER,
-    NoiseKind,
     Scenario,
     Trial,
     count_in_order,
@@ -43,8 +43,11 @@ NAMED = (
 assert tuple(metric.key for metric in NAMED) == METRICS
 
 
-def spin_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, command: str) -> str:
-    """Return the page; ``trials`` by noise, each with at least one trial. The same trials give the same bytes."""
+def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
+    """The page as text; ``trials`` by noise, each with at least one trial. The same trials give the same bytes.
+
+    Those of recordings stand under the names of their judges.
+    """
     methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
     first = next(iter(trials.values()))
     return load_template("stillpoint.studies.papers.spin", "page.html.j2").render(
@@ -56,6 +59,8 @@ def spin_page(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], o
         scenario=scenario.name,
         counted=_counted(scenario, trials, online),
         shaken=_shaken(trials.get("vibration", ())),
+        recorded=set(trials) <= set(RECORDED),
+        worst_of={noise: _worst_of(some) for noise, some in trials.items()},
         metrics=NAMED,
         of_paper=OF_PAPER,
         has_smoother=SMOOTHER in methods,
@@ -73,28 +78,44 @@ def _facts(
     first: Sequence[Trial],
     online: bool,
     methods: Sequence[str],
-    trials: Mapping[NoiseKind, Sequence[Trial]],
+    trials: Mapping[str, Sequence[Trial]],
 ) -> dict[str, str]:
     seeds = [one.seed for one in first]
-    facts = {
-        "trials": f"{len(seeds)} of {scenario.seconds:g} s per noise, T = 4 ms, seeds {seeds[0]} to {seeds[-1]}",
-        "computed": "sample by sample in single precision, as on a microcontroller"
+    if set(trials) <= set(RECORDED):
+        facts = {
+            "recordings": f"{len(first)}, numbered from {seeds[0]} on in the order in which they were given",
+            "scored": "at every sample for which there is a judge, not only at moving ones; the angle counts from the "
+            "first one",
+        }
+    else:
+        facts = {
+            "trials": f"{len(seeds)} of {scenario.seconds:g} s per noise, T = 4 ms, seeds {seeds[0]} to {seeds[-1]}",
+            "scored": "against the simulated truth at every sample; the angle counts from the first one",
+        }
+    facts |= {
+        "computed": "fed sample by sample through the stream, in single precision, as on a microcontroller"
         if online
-        else "in double precision",
+        else "whole recordings, in double precision",
         "methods": ", ".join(methods),
-        "scored": "against the simulated truth at every sample; the angle counts from the first one",
     }
     refused = {reason for some in trials.values() for one in some for reason in one.refused.values()}
     return facts | ({"refused": "; ".join(sorted(refused))} if refused else {})
 
 
-def _counted(scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool) -> dict[str, str]:
+def _counted(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool) -> dict[str, str]:
     """Return by noise in how many trials the methods rank as in the paper, and in how many the AEKF won there."""
     counts: dict[str, str] = {}
     for noise, some in trials.items():
         counts[noise] = f"{count_in_order(some, 'rate_rmse_degps', OF_PAPER)} of {len(some)}"
     printed = scenario.printed[online].wins["rate_rmse_degps"].get("AEKF", 0)
     return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
+
+
+def _worst_of(trials: Sequence[Trial]) -> dict[str, str]:
+    """Return the observation's worst angle RMSE, and the trials in which the AEKF is best or equal, by metric."""
+    worst = find_worst(trials, "observation", "angle_rmse_deg")
+    wins = [str(count_wins(trials, metric, OF_PAPER)["AEKF"]) for metric in METRICS]
+    return {"observation": "–" if worst is None else f"{worst:.2f}", "wins": "/".join(wins)}
 
 
 def _shaken(trials: Sequence[Trial]) -> str:
@@ -109,7 +130,7 @@ def _shaken(trials: Sequence[Trial]) -> str:
 
 
 def _worst_rows(
-    scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, methods: Sequence[str]
+    scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, methods: Sequence[str]
 ) -> list[dict[str, Any]]:
     printed = scenario.printed[online].worst
     rows: list[dict[str, Any]] = [
@@ -139,7 +160,7 @@ def _worst_rows(
 
 
 def _win_rows(
-    scenario: Scenario, trials: Mapping[NoiseKind, Sequence[Trial]], online: bool, methods: Sequence[str]
+    scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, methods: Sequence[str]
 ) -> list[dict[str, Any]]:
     printed = scenario.printed[online].wins
     rows: list[dict[str, Any]] = [
@@ -160,7 +181,7 @@ def _win_rows(
 
 
 def _section(
-    noise: NoiseKind, trials: Sequence[Trial], scenario: Scenario, online: bool, methods: Sequence[str]
+    noise: str, trials: Sequence[Trial], scenario: Scenario, online: bool, methods: Sequence[str]
 ) -> dict[str, Any]:
     numbers = scenario.printed[online].figures
     bars = [_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in NAMED]
@@ -177,7 +198,7 @@ def _row(one: Trial, method: str) -> dict[str, Any]:
     return {"seed": one.seed, "method": method, "figures": [*(getattr(s, metric) for metric in METRICS), *fits]}
 
 
-def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: _Metric, methods: Sequence[str], number: str) -> Picture:
+def _bars(noise: str, trials: Sequence[Trial], metric: _Metric, methods: Sequence[str], number: str) -> Picture:
     return make_picture(
         f"{metric.name[0].upper()}{metric.name[1:]} ({noise})",
         f"As the paper's figure {number}: one group of bars per trial.",
@@ -188,7 +209,7 @@ def _bars(noise: NoiseKind, trials: Sequence[Trial], metric: _Metric, methods: S
     )
 
 
-def _rates(noise: NoiseKind, one: Trial, scenario: Scenario, methods: Sequence[str]) -> list[Picture]:
+def _rates(noise: str, one: Trial, scenario: Scenario, methods: Sequence[str]) -> list[Picture]:
     if one.series is None:
         return []
     series = one.series
@@ -204,7 +225,7 @@ def _rates(noise: NoiseKind, one: Trial, scenario: Scenario, methods: Sequence[s
     return [drawn]
 
 
-def _parameters(trials: Mapping[NoiseKind, Sequence[Trial]]) -> dict[str, str]:
+def _parameters(trials: Mapping[str, Sequence[Trial]]) -> dict[str, str]:
     """Return the parameters of each method as text, by noise where they differ."""
     found: dict[str, dict[str, str]] = {}
     for noise, some in trials.items():

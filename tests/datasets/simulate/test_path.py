@@ -22,9 +22,10 @@ def path(request):
 
 
 def test_acceleration_integrates_back_to_the_position(path):
-    # Gauss-Legendre with three points is exact for the polynomials of degree 3 between the ends of the strokes.
-    knots = np.unique(np.concatenate([chain.x for chain in path.place_n_m]))
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    # Gauss-Legendre with three points is exact for the polynomials of degree 3 between the ends of the strokes; a lever
+    # arm that turns is none, and twelve points are exact to rounding.
+    knots = np.unique(np.concatenate([path.turn_b_rad.x, *(chain.x for chain in path.place_n_m)]))
+    nodes, weights = np.polynomial.legendre.leggauss(12 if any(path.arm_b_m) else 3)
     velocity, position = np.zeros(3), path.position(knots[:1])[0]
     for start, end in pairwise(knots):
         times = start + (nodes + 1) / 2 * (end - start)
@@ -35,6 +36,14 @@ def test_acceleration_integrates_back_to_the_position(path):
         np.testing.assert_allclose(position, path.position([end])[0], atol=1e-9)
         if not path.moving([end]).any():
             np.testing.assert_allclose(velocity, 0, atol=1e-9)
+
+
+def test_angular_acceleration_is_the_derivative_of_the_rate(path):
+    """Central differences over 2 us inside the strokes; both formulas of the shares, for small turns and large ones."""
+    inside = np.convolve(path.turn_b_rad.x, [0.5, 0.5], "valid")
+    inside = np.concatenate([inside, path.turn_b_rad.x[:-1] + 1e-3 * np.diff(path.turn_b_rad.x)])
+    differences = (path.rate_b_radps(inside + 1e-6) - path.rate_b_radps(inside - 1e-6)) / 2e-6
+    np.testing.assert_allclose(path.angular_acceleration_b_radps2(inside), differences, atol=2e-6, rtol=1e-6)
 
 
 def test_rate_integrates_back_to_the_attitude(path):

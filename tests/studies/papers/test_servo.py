@@ -50,7 +50,7 @@ def test_the_page_has_the_papers_number_beside_ours(call: Callable[..., int], tm
     page = (tmp_path / "a" / "servo-bench.experiment.html").read_text()
     assert page == (tmp_path / "b" / "servo-bench.experiment.html").read_text()
     rows = json.loads((tmp_path / "a.json").read_text())["rows"]
-    assert [row["seed"] for row in rows] == [0, 1]
+    assert [row["recording"] for row in rows] == ["servo-bench-seed0", "servo-bench-seed1"]
     assert "-50 deg after a minute" in page
     for row in rows:
         assert f"{row['drift_deg']:+.0f}" in page
