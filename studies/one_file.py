@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.mcap.file import write_file
 from stillpoint.datasets.mcap.store import contents_of
 from stillpoint.datasets.mcap.topics import VECTOR
 from stillpoint.datasets.mcap.writer import Stream, write_mcap
@@ -53,7 +54,8 @@ def write_one_file(
             reasons[estimate.name] = str(error)
     write_mcap(path, streams, records, {})
     layout = make_layout([stream.topic for stream in streams])
-    path.with_name(path.name.removesuffix(".mcap") + LAYOUT_SUFFIX).write_text(json.dumps(layout, indent=1) + "\n")
+    with write_file(path.with_name(path.name.removesuffix(".mcap") + LAYOUT_SUFFIX)) as file:
+        file.write((json.dumps(layout, indent=1) + "\n").encode())
     return reasons
 
 

@@ -422,6 +422,7 @@ def create_archive(place: str | Path) -> Archive:
         (home / "incoming").mkdir(exist_ok=True)
         mark = home / "incoming" / MARK
         mark.write_text(MARK_TEXT, encoding="utf-8")
+        sync_files([mark])
     except OSError as error:
         raise BadParameter(f"{storage.name}: cannot be made ({error.strerror}); name another place") from None
     storage.move_in(mark, MARK)

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.atomic import write_atomically
 
 COLUMN_IN = 3.5  # width of a column of a two-column page
 FORMATS = (".pdf", ".svg", ".png")
@@ -61,7 +62,16 @@ def write_figure(
         if len(labels) > 1:
             figure.legend(handles, labels, loc="outside upper left", ncols=min(len(labels), 4), handlelength=1.2)
         dates = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}, ".png": {}}
-        try:
-            figure.savefig(file, metadata=dates[file.suffix])
-        except OSError as error:
-            raise BadParameter(f"{file}: cannot be written ({error.strerror}); name another place") from None
+        save_figure(figure, file, metadata=dates[file.suffix])
+
+
+def save_figure(figure: Figure, file: Path, **options: Any) -> None:
+    """Draw a figure into a file, of the format that its name ends in: the whole file or none of it.
+
+    ``options`` go to matplotlib. Raises :class:`BadParameter` when the file cannot be written.
+    """
+    try:
+        with write_atomically(file) as target:
+            figure.savefig(target, format=file.suffix.removeprefix("."), **options)
+    except OSError as error:
+        raise BadParameter(f"{file}: cannot be written ({error.strerror}); name another place") from None

@@ -12,6 +12,7 @@ from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.names import make_drawable
 from stillpoint.datasets.recording import Floats, Recording
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.smoother.rest import find_rests
@@ -167,7 +168,4 @@ def _draw(path: Path, name: str, figures: list[_Figures]) -> None:
         axes.grid(True, which="both", alpha=0.3)
         axes.legend()
     figure.suptitle(make_drawable(name))
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise BadParameter(f"--plot {path}: cannot be written ({error.strerror})") from error
+    save_figure(figure, path)

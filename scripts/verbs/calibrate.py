@@ -13,6 +13,7 @@ from stillpoint.datasets.calibration.device import SUFFIX, DeviceFile, write_dev
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.names import make_drawable
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.flags import Inputs, Jobs, Workers
 from stillpoint.scripts.shared.jobs import run_jobs
@@ -153,7 +154,4 @@ def _draw(path: Path, device: DeviceCalibration) -> None:
         axes.grid(True, alpha=0.3)
         axes.legend(ncols=6, fontsize="small")
     axes.set_xticks(at, [make_drawable(name[:30]) for name in device.names], rotation=45, ha="right", fontsize=7)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise BadParameter(f"--plot {path}: cannot be written ({error.strerror})") from error
+    save_figure(figure, path)

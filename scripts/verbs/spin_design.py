@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared.flags import OutDir
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
@@ -90,7 +91,7 @@ def spin_design(
     rows = [chosen, *_list_neighbours(rig, chosen)]
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
-        _draw_figure(rig, chosen).savefig(folder / "spin-design.png", dpi=DPI, metadata={"Software": None})
+        save_figure(_draw_figure(rig, chosen), folder / "spin-design.png", dpi=DPI, metadata={"Software": None})
     facts = [asdict(rig) | asdict(one) for one in rows]
     write_json(str(folder / "spin-design.json"), facts)
     write_json(json, facts)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters.spin.noise import SpinParams
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared.flags import Inputs, OutDir
 from stillpoint.scripts.shared.inputs import output_dir, recordings
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
@@ -66,7 +67,7 @@ def spin_identify(
     found = identify_variances([open_recording(path) for path in recordings(paths)], by_truth)
     folder = output_dir(out)
     with mpl.rc_context(STYLE):
-        _draw_figure(found).savefig(folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
+        save_figure(_draw_figure(found), folder / "spin-identify.png", dpi=DPI, metadata={"Software": None})
     facts: list[dict[str, Any]] = [asdict(one) for one in found.trials]
     facts.append({"recording": "maximum"} | {name: value for name, value in asdict(found).items() if name != "trials"})
     write_json(str(folder / "spin-identify.json"), facts)

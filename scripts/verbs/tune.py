@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import LOCAL, Inputs, Whole, Workers
@@ -110,7 +111,7 @@ def tune(
         kept = "all trials are kept from an earlier run, nothing to try (--force begins anew)"
         print_line(f"tune: {kept}", file=sys.stderr)
     write_document(str(folder / f"{estimator}.tune.json"), tuning.to_json())
-    draw_tuning(tuning).savefig(folder / f"{estimator}.map.png", dpi=150, metadata={"Software": None})
+    save_figure(draw_tuning(tuning), folder / f"{estimator}.map.png", dpi=150, metadata={"Software": None})
     if save is not None:
         write_text(save, tuning_toml(tuning))
     write_document(json, tuning.to_json())

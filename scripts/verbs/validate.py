@@ -13,6 +13,7 @@ from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.align import AlignKind
+from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.children import Outcome
@@ -199,7 +200,7 @@ def _validate_fidelity(
     check_methods(judges)
     found = measure_fidelity(sources, estimators, out, judges=judges, align=align, run_jobs=run)
     write_document(str(out / "fidelity.json"), found.to_json())
-    draw_fidelity(found).savefig(out / "fidelity.png", dpi=150, metadata={"Software": None})
+    save_figure(draw_fidelity(found), out / "fidelity.png", dpi=150, metadata={"Software": None})
     write_document(json, found.to_json())
     if json != STDOUT:
         estimated = len({row.estimator for row in found.rows})

@@ -7,6 +7,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
+from stillpoint.datasets.files.atomic import write_atomically
 from stillpoint.scoring.report.printed import write_figure
 from stillpoint.studies.leaderboard import Leaderboard
 from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
@@ -20,7 +21,8 @@ def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
     written = []
     for name, make in TABLES.items():
         target = folder / name
-        target.write_text(make(board), encoding="utf-8")
+        with write_atomically(target) as file:
+            file.write(make(board).encode())
         written.append(target)
     for ending in (".pdf", ".svg"):
         for k, table in enumerate(board.tables):
