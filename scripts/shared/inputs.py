@@ -10,8 +10,8 @@ from typing import TypeVar
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.files.remote import is_url, list_files
-from stillpoint.datasets.mcap.store import provenance
-from stillpoint.datasets.mcap.topics import TOPICS
+from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.summary import summarise
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -29,10 +29,9 @@ def kind_of(path: Path) -> str:
 def is_of_spin(path: Path) -> bool:
     """Return whether a recording is of a spinning body and of nothing else; a file that cannot be read is not."""
     try:
-        topics = provenance(path).topics
+        streams = {one.name for one in summarise(path).streams} if is_url(path) else set(PieceReader(path).head.samples)
     except StillpointError:
         return False
-    streams = {topic.stream for topic in TOPICS if topic.kind == RECORDING and topic.name in topics}
     return "spin" in streams and "imu" not in streams
 
 

@@ -11,7 +11,8 @@ from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.importers.trajectories import SUFFIXES, read_poses
-from stillpoint.datasets.mcap.store import is_own_file, read_recording, sha256
+from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.store import is_own_file, sha256
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring import AlignKind, Score, score_row
@@ -298,7 +299,7 @@ def _beside(file: Path, thing: Estimate | Reference, kind: str | None = None) ->
         raise BadParameter(
             f"{file}: {', '.join(path.name for path in candidates)} lie beside it; name one with --against"
         )
-    if kind is None and recording.is_file() and read_recording(recording).truth is not None:
+    if kind is None and recording.is_file() and "truth" in PieceReader(recording).head.samples:
         return recording
     missing = "" if kind == "reference" else f" and no truth in {recording.name}"
     raise BadParameter(
