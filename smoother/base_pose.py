@@ -21,6 +21,9 @@ from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, s
 
 LEVEL_FIELD_SHARE = 0.05  # level part of a field below which it shows no heading
 
+SHAKEN_S = 5.0  # a stretch between two rests that is shorter and turns by less is a tap or a bump
+SHAKEN_RAD = np.deg2rad(1.0)
+
 
 @dataclass(frozen=True)
 class ReturnParams(Settings):
@@ -95,12 +98,20 @@ def find_returns(
         tilt_rad = _angle(base.accel_b_mps2, imu.accel_b_mps2[start : end + 1].mean(axis=0))
         path = swing(imu, base.gyro_bias_b_radps, left, int(start), base.q_nb, walk_rad2)
         accepted, reason = _judge(tilt_rad, path, base, errors, params)
+        if accepted and _is_same_rest(path, base):
+            accepted, reason, left = False, f"{reason}; not moved since the rest before: no return", int(end)
         verdicts.append(BasePoseReturn(int(imu.t_ns[start]), int(imu.t_ns[end]), tilt_rad, accepted, reason))
         if accepted:
             spans.append((int(start), int(end)))
             swings.append(path)
             left = int(end)
     return Returns(tuple(verdicts), tuple(spans), tuple(swings))
+
+
+def _is_same_rest(path: Swing, base: BasePose) -> bool:
+    """Return whether a rest was only shaken since the one before, as by a tap: it was not put back."""
+    turned_rad = (rotation(base.q_nb).inv() * rotation(path.q_nb)).magnitude()
+    return bool(np.abs(path.dt_s).sum() < SHAKEN_S and turned_rad.max(initial=0.0) < SHAKEN_RAD)
 
 
 def closure(path: Swing, base: BasePose) -> Rotation:
