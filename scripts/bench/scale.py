@@ -11,9 +11,9 @@ from typing import Any
 
 from numba.core import event
 
-from stillpoint.datasets import read, write
+from stillpoint.datasets import write
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.mcap.store import read_recording
+from stillpoint.datasets.mcap.store import read_recording, read_reference
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring import score
@@ -47,7 +47,7 @@ def bench_scale(_runs: int) -> list[Timing]:
     with tempfile.TemporaryDirectory() as folder:
         files = [_write_recording(Path(folder), seed) for seed in range(RECORDINGS)]
         run_jobs(_process, files[:1], Workers(1), "compile")
-        rows = []
+        rows: list[Timing] = []
         for count in COUNTS:
             pool = _time_batch(files, Workers(count), f"{count} local", rows[0] if rows else None)
             with _start_cluster(count) as address:
@@ -119,7 +119,7 @@ def _process(file: Path) -> _Used:
         write(file.with_suffix(f".{os.getpid()}.reference.mcap"), reference(recording))
         made = estimate(recording, "ekf")
         write(file.with_suffix(f".{os.getpid()}.estimate.mcap"), made)
-        judge = read(file.with_suffix(f".{os.getpid()}.reference.mcap"))
+        judge = read_reference(file.with_suffix(f".{os.getpid()}.reference.mcap"))
         score(made, judge)
     peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     cpu_s = time.process_time() - begun_cpu

@@ -133,7 +133,7 @@ def _connect(address: str) -> Client:
 def _gather(client: Client, items: Sequence[Item], name: str, address: str) -> Iterator[tuple[int, Outcome[Any]]]:
     """Yield the outcomes; the scheduler knows of a bounded number of items at a time."""
     waiting = iter(enumerate(items))
-    places: dict[str, int] = {}
+    places: dict[object, int] = {}
 
     def submit(ahead: int) -> list[Future]:
         futures = []
