@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick kernels wheel fuzz soak properties test-data test-wheel lint types format docs clean
+.PHONY: demo test quick kernels wheel fuzz faults soak properties test-data test-wheel lint types format docs clean
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -22,6 +22,10 @@ quick: .venv/.dev
 FUZZ_MINUTES ?= 10
 fuzz: .venv/.dev
 	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES)
+
+# Kill every command that writes, take away what it needs, and write docs/faults.md about it: under ten minutes.
+faults: .venv/.dev
+	$(BIN)/python tests/support/faults.py
 
 # An hour of `stillpoint stream` at 1 kHz: nothing lost, no growth, latency stated. For every night.
 SOAK_MINUTES ?= 60

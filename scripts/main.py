@@ -49,6 +49,7 @@ VERBS: dict[str, tuple[str, str]] = {
 HELP, VERSION = ["--help", "-h"], ["--version"]
 # Flags of every verb: the traceback of an error, and inputs above the limits of datasets/files/limits.py.
 DEBUG, LARGE = "--debug", "--large"
+TERMINATED = 143  # the exit code after SIGTERM
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
 
@@ -86,14 +87,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     try:
         _run(tokens, debug)
     except KeyboardInterrupt:
+        _flush_without_waiting()
         sys.exit(130)
+    except SystemExit as end:
+        if end.code == TERMINATED:
+            _flush_without_waiting()
+        raise
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
 def _end_by_signal(*_: object) -> NoReturn:
     """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
-    sys.exit(143)
+    sys.exit(TERMINATED)
 
 
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
@@ -130,6 +136,20 @@ def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
             _stop(str(error))
         raise
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _flush_without_waiting() -> None:
+    """Write what the standard output takes at once: the flush at exit would wait for a reader that does not read."""
+    try:
+        handle = sys.stdout.fileno()
+        os.set_blocking(handle, False)
+        try:
+            sys.stdout.flush()
+        except BlockingIOError:
+            _discard_output()
+        os.set_blocking(handle, True)
+    except (OSError, ValueError):  # no file, or closed
+        return
 
 
 def _discard_output() -> None:

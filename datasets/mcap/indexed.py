@@ -56,9 +56,12 @@ class LocalFile:
 
     def fetch(self, start: int, end: int) -> bytes:
         """Return the bytes from ``start`` to ``end``."""
-        with open(self._path, "rb") as file:
-            file.seek(start)
-            return file.read(max(end - start, 0))
+        try:
+            with open(self._path, "rb") as file:
+                file.seek(start)
+                return file.read(max(end - start, 0))
+        except OSError as error:
+            raise BadFile(f"{self._path}: cannot be read ({error.strerror}); check its permissions") from error
 
 
 def _open_source(path: Path | str) -> Source:

@@ -1,0 +1,152 @@
+"""Kill every command that writes, take away what it needs, and write ``docs/faults.md`` about what was seen.
+
+``python tests/support/faults.py`` (``make faults``) makes at least 400 kills in under ten minutes on two cores. The
+exit code is 1 when anything broken was seen. ``--kills 40 -o FILE`` makes a short run.
+"""
+
+import argparse
+import multiprocessing
+import random
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from kills import BROKEN, DEBRIS, LOST, ORPHAN, OTHER, Tally, Trials
+from surroundings import Case, list_cases
+from writers import WRITERS, make_inputs
+
+import stillpoint.scoring.report.page
+import stillpoint.scripts.verbs.archives.keep
+import stillpoint.scripts.verbs.reference
+import stillpoint.studies.leaderboard  # noqa: F401
+
+PAGE = Path("docs/faults.md")
+KILLS, LEAST_KILLS = 460, 400
+LONGEST_S = 540.0  # then no further kill is made, so that the program ends within ten minutes
+KILLS_END = 0.75  # of that time, so that the rest has its share
+SEED = 16
+
+HEAD = """# Faults
+
+What becomes of files when a process is killed, a disk is full or an input changes: what was done, and what was seen.
+`make faults` does it all on small recordings, and writes this page; its exit code is 1 when a row is not clean.
+
+The promise: a file is there whole or not at all; what was reported done stays; an error is one line and exit code 2;
+what a killed process left in a folder is gone after the next command that writes there.
+
+## Killed while writing
+
+Every command runs in a folder and is killed (SIGKILL): three of four times as soon as it has made its first, second, …
+new file and up to 30 ms later, one of four at any time. Every second time the folder holds the results of an earlier
+run. *Hits* are the kills that left a part of a file. *Broken*: a file with its final name that is not whole. *Lost*: a
+file of the earlier run, or one that was reported, that is not there. *Debris*: parts that are still there after the
+same command has run again. *Other*: its results are not those of an undisturbed run, bit for bit where two undisturbed
+runs agree. *Stay*: processes that outlive their parent. *Not flushed*: files that an undisturbed run does not flush to
+the disk (fsync) in its own process.
+"""
+
+MIDDLE = """
+## What else can go wrong
+
+*Seen* is the number of runs that did as wanted.
+"""
+
+TAIL = """
+## What is not done here
+
+A power cut (files are flushed before they get their names, and folders after; no disk was switched off), file systems
+other than this machine's, Windows, `fetch` (needs a network), `demo` and `experiment` (write with the same functions),
+object stores, and clusters (`tests/scripts/shared/test_cluster.py` kills their workers).
+"""
+
+
+def run_trials(number: int, kills: int, scratch: Path, until: float) -> Tally:
+    """Kill one command ``kills`` times; stop at the time ``until``."""
+    trials = Trials(WRITERS[number], scratch, f"writer{number}", random.Random(SEED + number))
+    for k in range(kills):
+        if time.monotonic() > until:
+            break
+        trials.kill(k)
+    trials.clear()
+    return trials.tally
+
+
+def share_kills(total: int, numbers: Sequence[int]) -> list[int]:
+    """Return how many kills each of these writers gets, at least one."""
+    whole = sum(WRITERS[number].share for number in numbers)
+    return [max(1, round(total * WRITERS[number].share / whole)) for number in numbers]
+
+
+def kill_writers(scratch: Path, total: int, numbers: Sequence[int], longest_s: float = LONGEST_S) -> list[Tally]:
+    """Kill these writers, on two cores."""
+    until = time.monotonic() + longest_s * KILLS_END
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as pool:
+        running = [
+            pool.submit(run_trials, number, kills, scratch, until)
+            for number, kills in zip(numbers, share_kills(total, numbers), strict=True)
+        ]
+        return [one.result() for one in running]
+
+
+def format_page(tallies: Sequence[Tally], cases: Sequence[Case]) -> str:
+    """Return the page."""
+    columns = ("command", "kills", "hits", BROKEN, LOST, DEBRIS, "other", "stay", "not flushed")
+    lines = [HEAD, "| " + " | ".join(columns) + " |", "|---" + "|---:" * (len(columns) - 1) + "|"]
+    found = (BROKEN, LOST, DEBRIS, OTHER, ORPHAN)
+    for tally in tallies:
+        numbers = [tally.kills, tally.hits, *(tally.counts[what] for what in found), len(tally.unflushed)]
+        lines.append(f"| `{tally.writer.shown}` | " + " | ".join(map(str, numbers)) + " |")
+    totals = [sum(tally.kills for tally in tallies), sum(tally.hits for tally in tallies)]
+    totals += [sum(tally.counts[what] for tally in tallies) for what in found]
+    totals.append(sum(len(tally.unflushed) for tally in tallies))
+    lines += ["| **all** | " + " | ".join(f"**{number}**" for number in totals) + " |", MIDDLE]
+    lines += ["| done | wanted | seen | |", "|---|---|---|---|"]
+    lines += [f"| {case.done} | {case.wanted} | {case.seen} | {'' if case.clean else 'not clean'} |" for case in cases]
+    if examples := find_faults_of(tallies, cases):
+        lines += ["\n## What was not as wanted\n", *(f"- {one}" for one in examples)]
+    return "\n".join([*lines, TAIL])
+
+
+def find_faults_of(tallies: Sequence[Tally], cases: Sequence[Case]) -> list[str]:
+    """Return an example of everything that was not as wanted."""
+    found = [example for tally in tallies for example in tally.examples]
+    found += [
+        f"`{tally.writer.shown}`: not flushed: {', '.join(tally.unflushed[:4])}" for tally in tallies if tally.unflushed
+    ]
+    return found + [example for case in cases for example in case.examples]
+
+
+def find_faults(kills: int, page: Path, longest_s: float) -> int:
+    """Do everything, write the page, and return the exit code."""
+    with tempfile.TemporaryDirectory(prefix="stillpoint-faults-") as name:
+        scratch = Path(name)
+        make_inputs(scratch / "inputs")
+        tallies = kill_writers(scratch, kills, range(len(WRITERS)), longest_s)
+        for tally in tallies:
+            print(f"{tally.kills:4d} kills, {dict(tally.counts) or 'clean'}: {tally.writer.shown}", flush=True)
+        cases = []
+        for run in list_cases(scratch, random.Random(SEED)):
+            begun = time.monotonic()
+            cases.append(run())
+            print(f"{time.monotonic() - begun:6.1f} s  {cases[-1].seen}: {cases[-1].done}", flush=True)
+    page.write_text(format_page(tallies, cases), encoding="utf-8")
+    made = sum(tally.kills for tally in tallies)
+    for example in find_faults_of(tallies, cases):
+        print(example)
+    clean = all(tally.clean for tally in tallies) and all(case.clean for case in cases)
+    if too_few := made < min(LEAST_KILLS, kills * 0.8):
+        print(f"{made} kills were made, too few: the machine is too slow or has other work")
+    print(f"{made} kills; {page} is written")
+    return 0 if clean and not too_few else 1
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=KILLS)
+    parser.add_argument("--longest-s", type=float, default=LONGEST_S)
+    parser.add_argument("--out", "-o", type=Path, default=PAGE)
+    given = parser.parse_args()
+    sys.exit(find_faults(given.kills, given.out, given.longest_s))
