@@ -6,7 +6,7 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test quick kernels wheel fuzz faults soak properties test-data test-wheel lint types format docs clean
+.PHONY: demo test quick kernels wheel fuzz faults soak properties test-data test-wheel lint types format docs clean release-check
 
 demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
@@ -71,6 +71,11 @@ types: .venv/.dev
 	$(INSTALL) --no-deps --target build/types .
 	MYPYPATH=build/types $(BIN)/mypy -p stillpoint
 
+# What a release needs: a reproducible wheel, a bill of materials, licences, vulnerabilities, lowest and newest versions
+# on every Python that is there. It says what it could not check. Half an hour and more.
+release-check: .venv/.release
+	$(BIN)/python -m stillpoint.scripts.release_check
+
 .venv/.python:
 	$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info < (3, 14) else "stillpoint needs Python 3.11-3.13, and $(PYTHON) is " + sys.version.split()[0] + "; run: make PYTHON=python3.12 $(MAKECMDGOALS)")'
 	$(PYTHON) -m venv .venv
@@ -83,6 +88,10 @@ types: .venv/.dev
 .venv/.dev: .venv/.python pyproject.toml constraints.txt
 	$(INSTALL) --editable '.[all,dev]'
 	touch $@ .venv/.run
+
+.venv/.release: .venv/.dev
+	$(INSTALL) --editable '.[release]'
+	touch $@
 
 .venv/.docs: .venv/.dev
 	$(INSTALL) --editable '.[docs]'
