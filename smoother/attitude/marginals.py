@@ -42,8 +42,11 @@ def eliminate(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, keys:
     Raises RuntimeError where the system is singular.
     """
     net = system.eliminateSequential(ordering)
-    needed, number = set(keys), {}
-    roots, ties, tied_to = [], [], []
+    needed = set(keys)
+    number: dict[int, int] = {}
+    roots: list[Floats] = []
+    ties: list[Floats] = []
+    tied_to: list[list[int]] = []
     for j in range(net.size()):
         conditional = net.at(j)  # gtsam keeps the order only along each branch of its tree
         key, *later = conditional.keys()
@@ -82,7 +85,7 @@ def multiply_covariance(eliminated: Eliminated, columns: Floats) -> Floats:
     return _solve(*_arrays(eliminated), np.ascontiguousarray(columns, dtype=np.float64))
 
 
-def _arrays(eliminated: Eliminated) -> tuple[NDArray[np.int64] | Floats, ...]:
+def _arrays(eliminated: Eliminated) -> tuple[Indices, Indices, Indices, Floats, Indices, Floats, Indices]:
     e = eliminated
     return e.first, e.later, e.later_first, e.roots, e.roots_first, e.ties, e.ties_first
 

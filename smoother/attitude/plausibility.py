@@ -119,10 +119,10 @@ def measure_fit(
         if (kind, degrees) not in alike:
             alike[kind, degrees] = gtsam.NonlinearFactorGraph()
         alike[kind, degrees].push_back(factor)
-    total: dict[str, list[float]] = {}  # sum and count
+    total: dict[str, tuple[float, int]] = {}  # sum and count
     for (kind, degrees), some in alike.items():
         square, count = total.get(kind, (0.0, 0))
-        total[kind] = [square + 2 * some.error(solution.values) / degrees, count + some.size()]
+        total[kind] = (square + 2 * some.error(solution.values) / degrees, count + some.size())
     squares = {kind: square / count for kind, (square, count) in total.items()}
     residual = solution.field_residual_ut
     if residual is None:

@@ -123,7 +123,8 @@ def solve(
     """Return the optimum of the graph and the magnetometer's measurements; raises errors as :func:`iterate`."""
     there = iterate(graph, approach, states, measured, name, params)
     assert there.ordering is not None
-    values, scale_ut, widening, residual = there.values, there.field_scale_ut, 1.0, None
+    values, scale_ut, widening = there.values, there.field_scale_ut, 1.0
+    residual: Floats | None = None
     if measured is not None:
         rotations = rotations_of(values, measured.state)
         residual = compute_residuals(measured, rotations, values.atVector(H(0)))
