@@ -44,7 +44,8 @@ new file and up to 30 ms later, one of four at any time. Every second time the f
 run. *Hits* are the kills that left a part of a file. *Broken*: a file with its final name that is not whole. *Lost*: a
 file of the earlier run, or one that was reported, that is not there. *Debris*: parts that are still there after the
 same command has run again. *Other*: its results are not those of an undisturbed run, bit for bit where two undisturbed
-runs agree. *Stay*: processes that outlive their parent. *Not flushed*: files that an undisturbed run does not flush to
+runs agree; of estimates, which carry the time that they took, the samples.
+*Stay*: processes that outlive their parent. *Not flushed*: files that an undisturbed run does not flush to
 the disk (fsync) in its own process.
 """
 

@@ -21,6 +21,7 @@ from forks import POLL_S, Ended, Fork
 from writers import Writer, list_debris, list_visible
 
 from stillpoint.datasets import StillpointError, read
+from stillpoint.datasets.mcap.store import read_estimate
 
 ATTEMPTS = 4  # for a kill that comes after the end of the command
 AFTER_S = (0.0, 0.001, 0.005, 0.03)  # the longest waits after a new file was seen
@@ -132,7 +133,7 @@ class Trials:
                 tally.blame(LOST, name)
         if self.writer.is_archive and self._killed.out.strip() and not self._expected.keys() <= left.keys():
             tally.blame(LOST, str(sorted(self._expected.keys() - left.keys())[:3]))
-        if not self.writer.repeats and left:
+        if not self.writer.repeats and not self.writer.following and left:
             self._remove_result()
         self._run_again()
 
@@ -146,7 +147,7 @@ class Trials:
             target.unlink(missing_ok=True)
 
     def _run_again(self) -> None:
-        ended = self._run(self.writer.words, self._work)
+        ended = self._run(self.writer.following or self.writer.words, self._work)
         if ended.code:
             self.tally.blame(OTHER, f"exit code {ended.code}: {ended.last_line}")
             return
@@ -249,11 +250,24 @@ def _list_names(folder: Path) -> set[str]:
 
 
 def _hash_file(path: Path) -> str:
+    """Return the hash of a file; of an estimate, which carries the time that it took, that of its samples."""
+    if path.name.endswith(".estimate.mcap"):
+        try:
+            return hash_estimate(path)
+        except StillpointError:
+            return "unreadable"
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _hash_files(folder: Path) -> Mapping[str, str]:
     return {name: _hash_file(path) for name, path in list_visible(folder).items()}
+
+
+def hash_estimate(path: Path) -> str:
+    """Return the hash of the samples of an estimate and of what it was made from. Raises ``BadFile``."""
+    made = read_estimate(path)
+    attitude = b"" if made.q_nb is None else made.q_nb.tobytes()
+    return hashlib.sha256(made.t_ns.tobytes() + attitude + repr(sorted(made.made_from.items())).encode()).hexdigest()
 
 
 def _is_readable(path: Path) -> bool:

@@ -25,6 +25,7 @@ class Writer:
     stdin: str = ""
     is_archive: bool = False  # it has a catalogue, whose bytes differ from run to run
     repeats: bool = True  # it can be run again where it has run
+    following: str = ""  # the next command in the folder, where it is another one
 
     @property
     def shown(self) -> str:
@@ -68,7 +69,14 @@ WRITERS = (
         f"archive add {BOTH} ../inputs/hand.cf.estimate.mcap {LAB}", 1.5, before=MADE, check=VERIFY, is_archive=True
     ),
     Writer(f"archive tag hand.mcap {LAB} --tag walk --set place=Zurich", before=FILLED, check=VERIFY, is_archive=True),
-    Writer(f"archive remove hand2.mcap {LAB} --reason old", before=FILLED, check=VERIFY, is_archive=True),
+    Writer(
+        f"archive remove hand2.mcap {LAB} --reason old",
+        before=FILLED,
+        check=VERIFY,
+        is_archive=True,
+        repeats=False,
+        following=f"archive list {LAB}",
+    ),
     Writer(f"archive rebuild {LAB}", before=FILLED, check=VERIFY, is_archive=True),
     Writer(f"archive export all {LAB} -o bundle --date 2026-01-01", before=FILLED, repeats=False, is_archive=True),
     Writer(f"archive export all {LAB} -o bundle.zip --date 2026-01-01", before=FILLED, repeats=False, is_archive=True),
