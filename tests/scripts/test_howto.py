@@ -36,12 +36,12 @@ def blocks(page, kind):
 
 @pytest.fixture(scope="module")
 def readers_folder(tmp_path_factory):
-    """The files that the pages speak of; the recordings last 40 s, from the rest at the start into the motion."""
+    """The files that the pages speak of; the recordings last 40 s, from the end of the rest into the motion."""
     folder = tmp_path_factory.mktemp("reader")
     (folder / "recordings").mkdir()
     for seed in range(2):
         whole = simulate("phone-3", seed=seed)
-        first_ns = find_start_ns(whole)
+        first_ns = find_start_ns(whole) + 45_000_000_000  # it rests for the first minute
         short = cut_recording(whole, first_ns, first_ns + 40_000_000_000, f"walk{seed}")
         write(folder / "recordings" / f"{short.name}.mcap", short)
     (folder / "device").mkdir()
