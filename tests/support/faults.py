@@ -66,7 +66,12 @@ object stores, and clusters (`tests/scripts/shared/test_cluster.py` kills their 
 
 def run_trials(number: int, kills: int, scratch: Path, until: float) -> Tally:
     """Kill one command ``kills`` times; stop at the time ``until``."""
-    trials = Trials(WRITERS[number], scratch, f"writer{number}", random.Random(SEED + number))
+    try:
+        trials = Trials(WRITERS[number], scratch, f"writer{number}", random.Random(SEED + number))
+    except SystemExit as error:  # undisturbed, it does not succeed
+        failed = Tally(WRITERS[number])
+        failed.blame(OTHER, " ".join(str(error).split())[:300])
+        return failed
     for k in range(kills):
         if time.monotonic() > until:
             break

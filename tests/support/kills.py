@@ -78,7 +78,7 @@ class Trials:
         self.tally.seconds = time.monotonic() - begun
         self._expected = _hash_files(self._after)
         old = list_visible(self._before).keys() | {"lab/lock", "lab/catalogue.sqlite"}  # SQLite flushes by itself
-        watched = "--jobs 2" not in writer.words  # otherwise processes that are not watched write
+        watched = "--jobs" not in writer.words  # otherwise processes that are not watched write
         self.tally.unflushed = [
             name for name in watch.find_unflushed() if name in self._expected.keys() - old and watched
         ]
