@@ -142,8 +142,8 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
         if best:
-            what = "" if group.ranked_by == "total" else f", by {group.ranked_by}"
-            whose = f"{group.name} ({len(group.recordings)} recordings, {group.against}{what})"
+            by = "" if group.ranked_by == "total" else f", by {group.ranked_by}"
+            whose = f"{group.name} ({len(group.recordings)} recordings, {group.against}{by})"
             print_line(f"{whose}: first {', '.join(best)}")
     print_refusals("failed", ((str(run.error), f"{run.label} on {run.recording}") for run in board.failures))
     for source in board.sources:

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field, fields
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
+from stillpoint.scoring import AlignKind
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -137,7 +139,7 @@ class Leaderboard:
     """Everything a page, a table or a paper shows."""
 
     against: str  # "truth", "reference", "both", or "truth and reference"
-    align: str
+    align: AlignKind
     # Over all recordings: one per judge, and rows whose input lacks a magnetometer apart, ranked by inclination.
     tables: tuple[Table, ...]
     groups: tuple[Table, ...]  # by tag and by device
