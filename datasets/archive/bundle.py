@@ -174,7 +174,8 @@ def _how_to_reproduce(items: Sequence[Item]) -> str:
     made = sorted({item.entry.columns["version"] for item in items if item.entry.columns.get("version")})
     return f"""# Reproduce
 
-    pip install stillpoint=={version("stillpoint")}
+Install stillpoint {version("stillpoint")} (`pip install .` in a checkout of that version), then:
+
     sh reproduce.sh
 
 The script takes this bundle into a new archive, checks every hash, and makes every reference and estimate anew from
