@@ -11,7 +11,7 @@ from stillpoint.datasets.simulate import SIMULATIONS, simulate
 from stillpoint.datasets.simulate.spin_sensor import CONSTANT, EncoderModel, SpinAccel, SpinSensor
 from stillpoint.datasets.spin import BENCH, channels, measure
 
-COMMON = ["white", "vibration", "glitch", "replica", "adxl345", "perfect"]
+COMMON = ["white", "vibration", "vibration-f4", "glitch", "replica", "adxl345", "perfect"]
 KINDS = ["spin-constant", "spin-variable", "spin-flight"]
 PERFECT = CONSTANT["perfect"]
 

@@ -65,7 +65,7 @@ def given(recording: Recording, **params: float) -> tuple[front.State, NDArray[n
     """The state at the end, and the stamps (s) and azimuths (deg, clockwise) of the fields that an estimator gets."""
     sources = find_sources(recording, "gps-course", params, None)
     raw, _ = make_raw_log(recording.require_imu(), sources)
-    state, log = front.filter_log(raw, front.start(sources.plan.front), sources.front)
+    state, log = front.filter_log(raw, front.start(sources.plan.front), sources.plan.front)
     t_s = recording.require_imu().t_ns[log.has_mag] / 1e9
     return state, t_s, log.mag_b_ut[log.has_mag]
 
