@@ -190,6 +190,13 @@ def _work(pipe: Connection, pickled: bytes, surroundings: Surroundings) -> None:
     function = pickle.loads(pickled)
     if surroundings.memory_limit_bytes is not None:
         _limit_memory(surroundings.memory_limit_bytes)
+    _serve(pipe, function)
+    # Nothing is half-written now, and unwinding the end of the interpreter would print a traceback.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """Send the outcome of each item until the pipe is closed."""
     while True:
         try:
             item = pipe.recv()

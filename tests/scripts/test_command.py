@@ -21,8 +21,8 @@ HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
     ("words", "says"),
     [
         (["inof", "x.mcap"], "did you mean 'info'"),
-        (["frobnicate"], "there are demo, import"),
-        (["--nonsense"], "no verb '--nonsense'; there are demo, import"),
+        (["frobnicate"], "there are demo, fetch, import"),
+        (["--nonsense"], "no verb '--nonsense'; there are demo, fetch, import"),
         (["simulate", "phone-9"], "phone-3"),
         (["simulate", "phone-3", "--sed", "1"], "--seed"),
         (["simulate", "phone-3", "--minutes", "soon"], "minutes"),

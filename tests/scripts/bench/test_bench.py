@@ -11,7 +11,7 @@ from stillpoint.scripts.bench.timing import Timing
 from stillpoint.scripts.verbs import bench as bench_module
 from stillpoint.scripts.verbs.bench import bench
 
-CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "against", "ratio", "ratio_is"]
+CONTRACT = ["name", "median_s", "min_s", "max_s", "runs", "per_sample_ns", "against", "ratio", "ratio_is", "note"]
 
 
 def test_a_ratio_says_how_many_times_faster_than_the_other_row():
