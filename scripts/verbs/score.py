@@ -89,9 +89,9 @@ def score(
     Parameters
     ----------
     paths
-        Estimates: MCAP files, folders or globs. A reference that is named by its file is scored too, and so is a
-        trajectory of any program: TUM, KITTI, EuRoC, a CSV table with quaternions, or a bag with one pose topic
-        (import trajectory reads those that need options).
+        Estimates: MCAP files, folders or globs; a recording stands for the estimates beside it. A reference that is
+        named by its file is scored too, and so is a trajectory of any program: TUM, KITTI, EuRoC, a CSV table with
+        quaternions, or a bag with one pose topic (import trajectory reads those that need options).
     against
         truth, reference or both: what lies beside each estimate, the truth in NAME.mcap or NAME.reference.mcap. Or a
         file: a reference, a recording that holds a truth, or such a trajectory. By default the reference beside the
@@ -202,10 +202,23 @@ def _judge_of(path: Path) -> Judge:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """Return all estimates in the paths, and references and trajectories that are named one by one."""
+    """Return all estimates in the paths, and references and trajectories that are named one by one.
+
+    A recording stands for the estimates beside it.
+    """
     named = {path for path in paths if inputs.file_exists(path) and _is_named_alone(path)}
-    others = [path for path in paths if path not in named]
+    recordings = {path for path in paths if inputs.file_exists(path) and _is_recording(path)}
+    others = [path for path in paths if path not in named | recordings]
+    for path in sorted(recordings):
+        beside = files_of(recording_name(path), "estimate", neighbours(path))
+        if not beside and not others and not named:
+            raise BadParameter(f"{path}: no estimate lies beside it; make one (stillpoint estimate {path})")
+        others += [file for file in beside if file not in others]
     return [*sorted(named), *(inputs.estimates(others) if others or not named else [])]
+
+
+def _is_recording(path: Path) -> bool:
+    return path.suffix == inputs.SUFFIX and inputs.kind_of(path) == "recording"
 
 
 def _is_named_alone(path: Path) -> bool:

@@ -247,6 +247,7 @@ SAMPLES = st.lists(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("heading", ["mag", "gps-course"])
 @settings(max_examples=30)

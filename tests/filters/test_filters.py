@@ -178,6 +178,7 @@ def test_single_precision_is_single_throughout_and_near_double(name: str) -> Non
     assert (streamed == single.q_nb[:300]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_by_gps_course_too_halves_streams_and_batch_agree_bit_for_bit(name: str, precision: str) -> None:

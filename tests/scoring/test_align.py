@@ -22,6 +22,7 @@ planted = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(planted)
 def test_alignment_finds_what_was_planted(differences):

@@ -178,6 +178,7 @@ def test_interrupt_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     assert stop.value.code == 130
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["info", "."], ["export", "."], ["--help"]])
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path, words: list[str]) -> None:
     """The output is closed before the first line is written, as behind ``| head -0``."""

@@ -69,8 +69,10 @@ def readers_folder(tmp_path_factory):
     (commands / "stillpoint").write_text(
         f"#!{sys.executable}\nfrom stillpoint.scripts.main import main\nmain()\n", encoding="utf-8"
     )
-    (commands / "stillpoint").chmod(0o755)
-    (commands / "python").symlink_to(sys.executable)
+    # No link: a Python that is called by another path does not find its environment.
+    (commands / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
+    for command in commands.iterdir():
+        command.chmod(0o755)
     return folder
 
 

@@ -34,6 +34,7 @@ def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
     assert exit_code(outcomes) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
     """Five of seven inputs fail, each in its way; the other two get their results from the same pool."""

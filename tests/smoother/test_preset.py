@@ -11,7 +11,7 @@ from stillpoint.smoother import reference
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.preset import choose_preset
 
-KINDS = {"phone-1": 2.0, "phone-2": 2.0, "phone-3": 2.0, "servo-bench": 3.0}
+KINDS = {"phone-1": 2.0, "phone-3": 2.0, "servo-bench": 3.0}
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +22,13 @@ def car():
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_hands_and_servos_move_stays_handheld(kind):
     assert choose_preset(simulate(kind, seed=1, minutes=KINDS[kind], rate_hz=50)).name == "handheld"
+
+
+def test_a_tripod_that_turns_a_phone_is_a_bench():
+    """Its head moves the phone by a lever arm of 12 cm, which hardly shows in the accelerometer."""
+    choice = choose_preset(simulate("phone-2", seed=1, minutes=2.0, rate_hz=50))
+    assert choice.name == "bench"
+    assert "turned over, but pushed by" in choice.reason
 
 
 def test_satellites_show_a_vehicle(car):
@@ -50,6 +57,7 @@ def test_a_vehicle_with_neither_satellites_nor_magnetometer_is_refused(car):
         reference(replace(car, gps=None, mag=None))
 
 
+@pytest.mark.slow
 def test_a_wrong_preset_is_named_as_the_reason(car):
     blind = replace(car, gps=None, mag=None)
     with pytest.raises(Unobservable, match=r"this looks like a vehicle .* --preset vehicle; as it is, "):

@@ -175,6 +175,7 @@ def test_settings_without_a_method_are_those_of_the_streams(call, tmp_path, fold
     assert "stillpoint: graph: no setting 'encoder.use'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_refused_spin_is_named_with_its_method(call, tmp_path, folder, capsys):
     write(folder / "bad.mcap", of_spin("bad", sign=-1.0))
     write(folder / "fine.mcap", of_spin("fine"))

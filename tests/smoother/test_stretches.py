@@ -134,6 +134,7 @@ IN_ANOTHER_PROCESS = """
 """
 
 
+@pytest.mark.slow
 def test_random_gaps_end_in_a_reference_or_one_line():
     """In another process: a segmentation fault or an abort of native code would otherwise end the tests."""
     seeds = range(12)

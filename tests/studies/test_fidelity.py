@@ -63,6 +63,7 @@ def test_recordings_without_truth_are_refused(tmp_path):
         measure_fidelity([tmp_path / "x.mcap"], ["gyro"], tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_verb_writes_figure_and_json(call, capsys, tmp_path):
     write(tmp_path / "run0.mcap", simulate("phone-3", minutes=1.5))
     out = tmp_path / "out"

@@ -30,7 +30,11 @@ def vehicle_generators(params: GraphParams) -> list[Generator]:
 
         generators.append(nonholonomic)
     if params.motion.stops:
-        generators.append(_stops)
+
+        def stops(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
+            return _standing_factors(states, recording)
+
+        generators.append(stops)
     return generators
 
 
@@ -53,7 +57,7 @@ def _nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), noise)
 
 
-def _stops(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
+def _standing_factors(states: States, recording: Recording) -> Iterator[gtsam.NonlinearFactor]:
     """Yield a velocity of zero at the states between two fixes that both saw the vehicle stand."""
     gps = recording.gps
     if gps is None:

@@ -167,6 +167,7 @@ def start_adding(archive_dir, files):
     )
 
 
+@pytest.mark.slow
 def test_killed_adders_lose_nothing_that_was_said_to_be_kept(archive, tmp_path):
     files = tmp_path / "many"
     files.mkdir()

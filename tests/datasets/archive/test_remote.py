@@ -193,6 +193,7 @@ def test_a_connection_that_drops_in_the_middle_costs_one_more_request(s3, relay,
     assert relay.cut_count == 2
 
 
+@pytest.mark.slow
 def test_a_server_that_never_answers_whole_gives_one_line_error(s3, relay, tmp_path):
     path = write_recording(tmp_path / "dead.mcap", 5, n=20_000)
     s3.put_file(str(path), "lab/dead.mcap")

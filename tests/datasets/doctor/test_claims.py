@@ -34,6 +34,7 @@ def test_a_cruising_vehicle_does_not_rest(mission):
     assert len(find_rests_at_default(mission)) == 0
 
 
+@pytest.mark.slow
 def test_a_cruise_is_clean():
     assert examine(simulate("auv-dolphin", seed=0)).codes("error", "warning") == ()
 
@@ -110,6 +111,7 @@ def test_estimates_of_a_cut_file_say_so_once(call, cut, tmp_path, capfd):
     assert line.startswith(f"stillpoint: {cut}: the file is cut short")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_bench_that_turns_about_one_axis_says_nothing_of_the_others(seed):
     """Misaligned axes see 2 % of the turn, with either sign: no fault of theirs."""

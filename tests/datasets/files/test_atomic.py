@@ -99,6 +99,7 @@ def test_foreign_parts_are_never_touched(tmp_path, name):
     assert (tmp_path / name).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_verb_told_to_end_exits_quietly_and_leaves_nothing(tmp_path, sent, code):
     """The signal comes while `simulate` writes: the write of a part tells when."""

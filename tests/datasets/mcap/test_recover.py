@@ -45,6 +45,7 @@ def test_an_undamaged_file_comes_back_whole(whole, tmp_path):
     assert_rows_are_exact(read(tmp_path / "back.mcap"), recording)
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_costs_one_chunk_at_most(whole, tmp_path):
     data, recording = whole
     rng = np.random.default_rng(5)

@@ -93,6 +93,7 @@ def test_noise_at_rest_is_that_of_the_data_sheets(bench: Recording) -> None:
     assert np.diff(bench.mag.mag_b_ut[: 60 * 75], axis=0).std() / np.sqrt(2) == pytest.approx(0.2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_gyro_alone_drifts_by_50_deg_a_minute_in_the_median() -> None:
     """Fig 5. A normal bias of this sd is below 0.84 deg/s half of the time."""
     drawn = [json.loads(simulate("servo-bench", seed=s, minutes=2.2).info.extra["sensor_drawn"]) for s in range(60)]

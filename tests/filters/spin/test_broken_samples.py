@@ -70,6 +70,7 @@ def test_any_samples_give_finite_rates_and_positive_variances(name, params, prec
     assert found.diagnostics.get("n_variance_not_positive", 0) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", ROLLS)
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e300, 9e8, -9e8])

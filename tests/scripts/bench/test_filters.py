@@ -44,6 +44,7 @@ def test_a_part_of_a_recording_has_the_fields_until_its_end():
     assert part.mag.t_ns[-1] <= part.imu.t_ns[-1] < whole.mag.t_ns[len(part.mag.t_ns)]
 
 
+@pytest.mark.slow
 def test_the_start_is_measured_in_processes_of_its_own(monkeypatch):
     monkeypatch.setattr(bench_start, "ESTIMATORS", {"gyro": ESTIMATORS["gyro"], "vqf": ESTIMATORS["vqf"]})
     rows = bench_start.bench_start(1)

@@ -23,6 +23,7 @@ def test_every_variant_differs_from_the_whole_in_settings_that_are_there(variant
     assert (changed or others) == (variant.name != "everything")
 
 
+@pytest.mark.slow
 def test_without_returns_the_heading_is_known_less(recording):
     """The returns of the recording are used by the whole graph, and by no means in the variant."""
     whole, without = (solve_variant(recording, BY_NAME[name]) for name in ("everything", "no returns"))

@@ -294,6 +294,7 @@ def waiting_bytes(pipe_out: TextIO) -> int:
     return int.from_bytes(fcntl.ioctl(pipe_out, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_while_nobody_reads_the_output(number: signal.Signals, tmp_path: Path) -> None:
     state, source = tmp_path / "state.json", tmp_path / "samples.csv"
@@ -321,12 +322,14 @@ def test_a_signal_ends_it_while_nobody_reads_the_output(number: signal.Signals, 
     assert kept_ns - stamps[-1] in (0, 10_000_000)
 
 
+@pytest.mark.slow
 def test_an_empty_input_is_said_without_latencies() -> None:
     done = subprocess.run([*COMMAND, "-e", "gyro"], input="", text=True, capture_output=True, check=True)
     assert (done.stdout, "nan" in done.stderr) == ("", False)
     assert done.stderr.startswith("stillpoint: 0 samples, 0 malformed lines, end of input\n")
 
 
+@pytest.mark.slow
 def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
     state = tmp_path / "state.json"
     one = f"{HEADER}\n0,{AT_REST}\n"
@@ -374,6 +377,7 @@ def test_what_cannot_be_done_gives_one_line_error(
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed_to_foxglove(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     client = pytest.importorskip("websockets.sync.client")

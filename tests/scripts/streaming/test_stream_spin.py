@@ -87,6 +87,7 @@ def test_the_columns_are_those_of_the_geometry_in_its_order() -> None:
     assert lines.read(b"7,6,1,5,4,3,2,1,0\n") == (10**9, (1.0, 2.0, 3.0, 4.0, 5.0), (6.0, 7.0))
 
 
+@pytest.mark.slow
 def test_the_command_with_a_geometry_of_ones_own_saves_and_goes_on(tmp_path: Path) -> None:
     rig, state = tmp_path / "rig.toml", tmp_path / "state.json"
     rig.write_text("accel_r_m = [[0, 0, 0.2], [0, 0.5, 0]]\naccel_axis = [[0, 0, 1], [0, 0, 1]]\nfixed_axis = true\n")

@@ -36,6 +36,7 @@ def test_the_verb_reports_and_strict_sets_the_exit_code(files, capsys):
     assert call(files / "flipped.mcap", "--strict") == 2
 
 
+@pytest.mark.slow
 def test_the_verb_applies_remedies_and_records_them(files, tmp_path, capsys):
     before = (files / "flipped.mcap").read_bytes()
     assert call(files, "--apply", "-o", tmp_path / "mended") == 0
@@ -59,6 +60,7 @@ def test_the_verb_never_overwrites_and_wants_a_folder(files, flags, capsys, monk
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_several_files_end_in_a_summary_by_finding(files, capsys):
     """Facts are left to the JSON; --errors leaves the warnings out too."""
     assert call(files, "--errors") == 0
@@ -68,6 +70,7 @@ def test_several_files_end_in_a_summary_by_finding(files, capsys):
     assert not [line for line in out.splitlines() if line.strip().startswith("fact ")]
 
 
+@pytest.mark.slow
 def test_repair_is_another_name_for_apply(files, tmp_path):
     assert call(files / "flipped.mcap", "--repair", "-o", tmp_path / "mended") == 0
     assert read_recording(tmp_path / "mended" / "flipped.mcap").info.conversions[-1] == "doctor: gyro x -> -x"
@@ -93,6 +96,7 @@ def test_an_invalid_place_or_date_gives_one_line_error(files, flags, capsys):
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_one_file_that_cannot_be_read_does_not_cost_the_others(files, tmp_path, capsys):
     (tmp_path / "broken.mcap").write_bytes(b"no MCAP")
     assert call(files / "clean.mcap", tmp_path / "broken.mcap", "--json", "-") == 2

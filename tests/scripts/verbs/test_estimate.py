@@ -113,6 +113,7 @@ def test_the_help_names_every_estimator_it_takes(call, verb: str, whole: bool, c
     assert {name for name, entry in ESTIMATORS.items() if whole or not entry.is_peer} <= words
 
 
+@pytest.mark.slow
 def test_the_next_process_compiles_nothing() -> None:
     processes = [
         subprocess.run([sys.executable, "-c", ALL_OF_THEM], capture_output=True, text=True, check=True)

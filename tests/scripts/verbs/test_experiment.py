@@ -41,6 +41,7 @@ def test_an_unknown_experiment_is_answered_with_those_there_are(call, capsys):
     assert "spin-constant" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "online"), [("spin-constant", False), ("spin-variable", True)])
 def test_a_page_has_the_figures_of_the_paper_and_ours(name, online, call, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -101,6 +102,7 @@ def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
     assert ours["EKF"].rate_rmse_degps < 0.5 * ours["observation"].rate_rmse_degps
 
 
+@pytest.mark.slow
 def test_the_page_says_of_the_vibration_what_its_table_counts():
     trials = [run_trial(CONSTANT, "vibration", seed, online=True) for seed in (0, 1)]
     page = spin_page(CONSTANT, {"vibration": trials}, True, "command")

@@ -47,6 +47,19 @@ def test_score_takes_the_reference_beside_the_estimates(call, made, capsys):
     assert set(rows[0]["found"]) == {"heading_deg", "mounting_deg", "mounting_rotvec_deg", "time_s"}
 
 
+def test_a_recording_stands_for_the_estimates_beside_it(call, made, capsys):
+    code, rows = rows_of(call, capsys, made / f"{NAME}.mcap")
+    assert code == 0
+    assert sorted(row["method"] for row in rows) == sorted(SHOWN)
+
+
+def test_a_recording_without_estimates_says_what_to_do(call, folder, capsys):
+    for file in folder.glob("*.estimate.mcap"):
+        file.unlink()
+    assert call("score", folder / f"{NAME}.mcap") == 2
+    assert "no estimate lies beside it; make one (stillpoint estimate" in capsys.readouterr().err
+
+
 def test_score_takes_the_truth_where_there_is_no_reference(call, folder, capsys):
     for file in folder.glob("*.reference.mcap"):
         file.unlink()

@@ -41,6 +41,7 @@ def one_line(capsys):
     return said
 
 
+@pytest.mark.slow
 def test_without_names_each_recording_gets_the_estimators_of_its_streams(call, folder, tmp_path):
     phone = tmp_path / "phone.mcap"
     write(phone, simulate("phone-1", minutes=1.4))
@@ -65,6 +66,7 @@ def test_an_encoder_judges_where_there_is_no_truth(material):
     assert judge_spin(SpinMaterial(recording, (), material.estimates))[0].against == "encoder"
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_scores_and_asks_nothing_of_the_network(material):
     verdicts = judge_spin(material)
     page = make_spin_report_html(material, verdicts)

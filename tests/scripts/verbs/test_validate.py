@@ -48,6 +48,7 @@ def folder(tmp_path_factory, recording):
     return where
 
 
+@pytest.mark.slow
 def test_rows_keep_the_contract_and_nothing_vanishes(call, folder, recording, capsys):
     assert call("validate", folder, "--json", folder / "v.json", "--jobs", 1) == 0
     rows = json.loads((folder / "v.json").read_text())["rows"]

@@ -77,6 +77,7 @@ def test_the_example_of_the_page_runs_from_a_file(tmp_path, monkeypatch, blind, 
     assert 0 < float(capsys.readouterr().out) < 1
 
 
+@pytest.mark.slow
 def test_a_wheel_speed_in_wrong_units_is_named():
     """km/h taken for m/s, 3.6 times too fast, beside satellites that know better."""
     drive = replace(simulate("car", seed=1, minutes=1.5, rate_hz=50), mag=None)
@@ -147,6 +148,7 @@ def test_only_the_graph_takes_factors(blind):
         reference(blind, "redistribution", factors=[example()])
 
 
+@pytest.mark.slow
 def test_long_recordings_count_each_factor_once(blind):
     """In windows the answer is the one of a single window, within its sd."""
     params = replace(PRESETS["vehicle"], keys=replace(PRESETS["vehicle"].keys, window_s=80.0, overlap_s=30.0))

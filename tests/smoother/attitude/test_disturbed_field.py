@@ -38,6 +38,7 @@ def turning_field(recording: Recording, size_ut: float) -> Recording:
     return with_field(recording, mag.mag_b_ut + rotation(q_nb).inv().apply(added_n))
 
 
+@pytest.mark.slow
 def test_a_disturbed_place_costs_north_and_no_more(table):
     """The returns hold the heading; what is lost is its direction to north, and both are said."""
     disturbed = turning_field(table, 40.0)
@@ -77,6 +78,7 @@ def test_without_a_return_nothing_would_test_the_gyro(table):
     assert made.calibration.field_n_ut is None
 
 
+@pytest.mark.slow
 def test_a_contradiction_that_stays_without_the_magnetometer_is_refused_as_it_was(table):
     """An accelerometer with swapped axes in a disturbed place: leaving the magnetometer out does not make it right."""
     imu = table.imu

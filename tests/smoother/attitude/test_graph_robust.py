@@ -140,6 +140,7 @@ def test_a_clipped_gyro_is_covered(hand, limit_radps, total_deg):
     assert found.coverage95 > 0.85
 
 
+@pytest.mark.slow
 def test_a_clipped_accelerometer_costs_next_to_nothing(hand):
     clipped = with_imu(hand, accel=np.clip(hand.imu.accel_b_mps2, -19.6, 19.6))
     assert (np.abs(hand.imu.accel_b_mps2) > 19.6).any(axis=1).sum() > 25
@@ -171,6 +172,7 @@ SPOILED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [fault for fault in SPOILED if fault != "gyro 20 % too large"])
 def test_a_contradiction_is_refused_and_named(hand, fault):
     """The base pose would give an accelerometer's sign away at once; here the other sensors must."""
@@ -187,6 +189,7 @@ def test_a_world_upside_down_is_said_to_be_possible(hand):
     assert "dip" in reference(replace(hand, base_pose=None)).diagnostics["sign_of_gravity"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["gyro z flipped", "gyro flipped", "gyro 20 % too large", "magnetometer x and y swapped"]
 )

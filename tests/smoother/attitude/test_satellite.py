@@ -69,6 +69,7 @@ def test_a_body_under_way_does_not_rest() -> None:
     np.testing.assert_array_equal(not_under_way(rests_ns, None), rests_ns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["handheld", "vehicle"])
 def test_a_vehicle_that_sails_evenly_for_ten_minutes(preset: str) -> None:
     """In the mission of Zia (2022) 70 stretches look like rests; taken for rests they contradict the fixes by 2 km."""
@@ -90,6 +91,7 @@ def test_a_fix_that_is_far_off_does_little(off_deg: float) -> None:
     assert found.coverage95 > 0.9
 
 
+@pytest.mark.slow
 def test_a_course_that_is_reversed_is_refused() -> None:
     recording = drive(0)
     gps = replace(recording.gps, course_rad=recording.gps.course_rad + np.pi)

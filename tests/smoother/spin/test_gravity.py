@@ -9,6 +9,7 @@ from stillpoint.datasets.spin import BENCH
 from stillpoint.smoother import reference
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt_deg", "geometry", "limit_deg"), [(90, SQUARE, 0.35), (30, BENCH, 0.6)])
 def test_gravity_makes_the_angle_absolute(tilt_deg, geometry, limit_deg):
     """Biases of 10 mg and lever arms off by 0.1 %, none of them known; the angle is compared as it stands.
@@ -27,6 +28,7 @@ def test_gravity_makes_the_angle_absolute(tilt_deg, geometry, limit_deg):
     assert worst <= limit_deg
 
 
+@pytest.mark.slow
 def test_stated_accuracy_is_met_where_the_model_is_right():
     """Mean normalised errors squared over seeds, each thinned to samples that are nearly independent.
 
@@ -59,6 +61,7 @@ def test_what_the_samples_do_not_tell_is_held_and_said():
     assert horizontal["not_told"] == ["arm_accel"]
 
 
+@pytest.mark.slow
 def test_what_is_unknown_costs_the_angle_next_to_nothing():
     """On the paper's bench, horizontal: beside the same noise with biases, arms and noise known to the last digit.
 

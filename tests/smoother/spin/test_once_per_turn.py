@@ -54,6 +54,7 @@ def verdict(squared, accel, k_s=K_S, k_a=K_A, **settings):
     return judge_line(squared, accel, k_s, k_a, 0.015, 100.0, HarmonicParams(**settings))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [CONSTANT_SPEED, VARIABLE_SPEED], ids=lambda one: one.name)
 def test_vibration_of_one_accelerometer_is_not_taken_for_gravity(scenario):
     """Preset vibration: no angle is claimed, the rate is better than the EKF's, and its sd is right."""

@@ -29,6 +29,7 @@ def drawn_glitches(recording):
     return json.loads(recording.info.extra["sensor_drawn"])["accelerometers"][0]["glitches"]
 
 
+@pytest.mark.slow
 def test_white_noise_reaches_the_figures_of_the_issue():
     """Means over trials; a hundred trials with the noise known have .757 and 1.52 deg/s."""
     for kind, limit, trials in (("spin-constant", 0.78, 10), ("spin-variable", 1.55, 4)):
@@ -36,6 +37,7 @@ def test_white_noise_reaches_the_figures_of_the_issue():
         assert np.mean(rate) <= limit
 
 
+@pytest.mark.slow
 def test_glitches_do_not_reach_the_rate_or_the_angle():
     """Two samples of the radial accelerometer in 30 s are off by 4 to 8 g, some 300 sd."""
     trials = [simulate("spin-constant", seed=seed, sensor="glitch") for seed in range(10)]
@@ -60,6 +62,7 @@ def test_on_a_vertical_axis_the_angle_is_said_to_drift(params, bias_mps2, arm, d
     assert growth_degps == pytest.approx(degps, abs=0.05)
 
 
+@pytest.mark.slow
 def test_defaults_cover_a_board_as_it_comes():
     """40 mg, 0.5 % of scale and 0.1 % of the arms, drawn once per trial: chi-squared of the angles at the end."""
     squares = []

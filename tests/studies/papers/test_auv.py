@@ -101,6 +101,7 @@ def test_online_differs_by_single_precision_only(calm):
     assert not np.array_equal(single.series.estimated_deg[ADAPTIVE], calm.series.estimated_deg[ADAPTIVE])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
     words = ("experiment", "auv-dolphin", "--sea", "calm", "--trials", "1", "--jobs", "1")
     assert call(*words, "-o", tmp_path / "a", "--json", tmp_path / "facts.json") == 0

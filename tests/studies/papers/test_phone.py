@@ -121,6 +121,7 @@ def test_a_kalman_filter_beats_the_complementary_one_in_the_hand():
     assert kalman.heading_rmse_deg < cf.heading_rmse_deg - 0.5
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
     words = ("experiment", "phone-3", "--hand", "shaken", "--trials", "1", "--minutes", "1.5", "--jobs", "1")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0

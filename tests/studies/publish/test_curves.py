@@ -54,6 +54,7 @@ def test_every_run_keeps_its_peak_at_its_time(tmp_path) -> None:
         assert set(entry["curves"]["total:sd"]) == {"judge"}
 
 
+@pytest.mark.slow
 def test_curves_of_a_large_board_stay_within_the_page(tmp_path) -> None:
     """Two times more runs have curves half as fine; what many runs show is the error that ranks."""
     board = keep_runs(tmp_path, make_board(recordings=50, estimators=15, failures=0))
