@@ -272,7 +272,7 @@ class Info:
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """What is known of a recording before its samples are read."""
+    """Hold the name, the facts and the stream sizes of a recording, which need none of its samples."""
 
     name: str
     info: Info
@@ -371,7 +371,7 @@ class Recording:
 
     @property
     def head(self) -> Head:
-        """What is known of the recording without its samples."""
+        """Return the name, the facts and the stream sizes of the recording."""
         return Head(self.name, self.info, {name: len(t_ns) for name, t_ns in self.streams()}, self.base_pose)
 
     @property

@@ -38,7 +38,7 @@ class ThinnedValues:
 
 @dataclass(frozen=True)
 class ClockFacts:
-    """What a clock says about itself."""
+    """Hold the facts about the clock of a stream."""
 
     samples: int
     first_ns: int

@@ -72,7 +72,7 @@ class PieceReader:
 
     @property
     def head(self) -> Head:
-        """What is known of a recording before its samples; raises :class:`BadFile` when the file holds none."""
+        """Return name, facts and sizes of the recording; raises :class:`BadFile` when the file holds none."""
         if self.kind != "recording":
             raise BadFile(f"{self.path}: holds one {self.kind}; this needs one recording")
         samples = {
@@ -155,7 +155,7 @@ def read_window(path: Path | str, window: Window, units_unchecked: bool = False)
 
 @dataclass(frozen=True)
 class _Outline:
-    """What the heads of a file's records say."""
+    """Hold the contents of a file as the heads of its records state them."""
 
     starts_ns: tuple[int, ...]  # of its whole chunks
     counts: dict[str, int]  # topic -> messages

@@ -1,4 +1,4 @@
-"""What verbs print, text files that they write, and JSON for machines: ``--json FILE``, ``-`` for standard output."""
+"""Print lines, write text files, and write JSON for machines: ``--json FILE``, ``-`` for standard output."""
 
 import json
 import math

@@ -27,7 +27,7 @@ SERIES_BELOW = 1e-4  # square of an angle, rad^2, below which two terms of a ser
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What stands for the samples of m intervals."""
+    """Hold the measurements that replace the samples of m intervals."""
 
     accel_b_mps2: Floats  # (m, PARTS, 3)
     gyro_b_radps: Floats  # (m, PARTS, 3)

@@ -53,7 +53,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """What bias and iron are fitted to: means over SAMPLE_S, or the samples where those are as far apart."""
+    """Hold the data of the fit of bias and iron: means over SAMPLE_S, or the samples where those are as far apart."""
 
     t_s: Floats  # (N,) at the end of each
     dt_s: Floats  # (N,) the interval that ends there

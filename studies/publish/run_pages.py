@@ -36,7 +36,7 @@ KEY = re.compile(rb'<meta name="made-from" content="([0-9a-f]{64})">')
 
 @dataclass(frozen=True)
 class RunPages:
-    """What came of the pages, by recording."""
+    """Hold the page, or the error, of each recording."""
 
     links: dict[str, str] = field(default_factory=dict)  # relative to the output folder, quoted for a link
     errors: dict[str, str] = field(default_factory=dict)  # why there is no page

@@ -1,4 +1,4 @@
-"""What the two parameters of the complementary filter of Elmi Aziz and Mohseni Araste 2021 do to its errors.
+"""Show how the two parameters of the complementary filter of Elmi Aziz and Mohseni Araste 2021 act on its errors.
 
 The errors of CF that come from Acc are those of Acc times F(s) of eq (11); those of Acc_MA are Acc's times the moving
 average. So the size of F(j omega) says which of the two can be the better one, whatever the motion was.

@@ -43,7 +43,7 @@ LONG_METHODS = (CF, CF_SLOWER, KALMAN, KALMAN_AXIS)
 
 
 class KalmanGain(NamedTuple):
-    """What the paper's Kalman filter gains over its CF in two hours of experiment 3 (section 4-4)."""
+    """Hold the gain of the paper's Kalman filter over its CF in two hours of experiment 3 (section 4-4)."""
 
     tilt_deg: float
     heading_deg: float
