@@ -230,7 +230,7 @@ def test_a_clean_archive_is_clean(home):
 
 
 def test_the_raw_file_of_a_device_s_attitude_may_stay_outside(home, tmp_path):
-    """As that of a recording: an importer read it. Its recording has to be here."""
+    """An importer read it, as it read the raw file of a recording. Its recording has to be here."""
     recording = tmp_path / "walk.mcap"
     with open_archive(home) as archive:
         shutil.copy(archive.path_of(archive.resolve("walk.mcap")), recording)
