@@ -29,6 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource
+from stillpoint.datasets.exporters.tables import ROWS_AT_ONCE
 from stillpoint.datasets.frames import (
     EULER_FRAMES,
     EulerFrame,
@@ -45,7 +46,6 @@ from stillpoint.datasets.importers.ros_files import open_ros
 from stillpoint.datasets.importers.ros_truth import POSES, TF, list_pose_topics, read_pose_topic
 from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.recording import Floats, Times, Truth
-from stillpoint.datasets.tables import ROWS_AT_ONCE
 from stillpoint.datasets.trajectory import Estimate
 
 Format = Literal["tum", "kitti", "euroc", "csv", "bag"]

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Literal
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.exporters.kml import kml_text
+from stillpoint.datasets.exporters.tables import format_csv_header, format_csv_rows, tables_of
 from stillpoint.datasets.importers.trajectories import TUM_HEADER, format_tum_rows
-from stillpoint.datasets.kml import kml_text
 from stillpoint.datasets.mcap.pieces import AnyPiece, PieceReader
 from stillpoint.datasets.mcap.store import read
 from stillpoint.datasets.recording import Piece
-from stillpoint.datasets.tables import format_csv_header, format_csv_rows, tables_of
 from stillpoint.datasets.trajectory import Reference, SpinReference
 from stillpoint.filters.front.sources import plan_heading
 from stillpoint.scripts.shared import inputs

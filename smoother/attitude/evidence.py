@@ -25,7 +25,7 @@ from stillpoint.smoother.attitude.outside.satellite import (
 from stillpoint.smoother.attitude.outside.vehicle import calm_bias, not_in_curves, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.returns import Votes
-from stillpoint.smoother.attitude.slow_log import RESTORED_SHARE
+from stillpoint.smoother.attitude.samples.slow_log import RESTORED_SHARE
 from stillpoint.smoother.attitude.start import Start, find_start
 from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, find_returns
 from stillpoint.smoother.rest import find_rests

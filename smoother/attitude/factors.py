@@ -23,9 +23,9 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.attitude.compound import compound_samples
 from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.samples.compound import compound_samples
 
 CALIBRATION = 19  # unknowns: 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
 EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import GAP_STEPS
-from stillpoint.smoother.attitude.clipping import extend_clipped
 from stillpoint.smoother.attitude.params import KeyParams
-from stillpoint.smoother.attitude.slow_log import estimate_sampling_error, integrate_slow_log
+from stillpoint.smoother.attitude.samples.clipping import extend_clipped
+from stillpoint.smoother.attitude.samples.slow_log import estimate_sampling_error, integrate_slow_log
 from stillpoint.smoother.missing import LONG_GAP_S, bridge_gaps
 
 SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
@@ -86,7 +86,7 @@ class Keys:
 def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     """Return the IMU stream in seconds, with rests marked and clipped and missing readings replaced.
 
-    Slowly sampled readings are integrated in between (slow_log.py).
+    Slowly sampled readings are integrated in between (samples/slow_log.py).
     """
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     at_rest = np.zeros(len(t_s), dtype=np.bool_)

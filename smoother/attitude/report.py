@@ -9,11 +9,11 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
 from stillpoint.smoother.attitude.covariance import choose_factors, scale_covariances
-from stillpoint.smoother.attitude.every_sample import Piece, Track, join_pieces
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
 from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
 from stillpoint.smoother.attitude.plausibility import describe_disturbed_field, measure_surprise
 from stillpoint.smoother.attitude.returns import judge_returns_again
+from stillpoint.smoother.attitude.samples.every_sample import Piece, Track, join_pieces
 from stillpoint.smoother.attitude.windows import Solved
 
 

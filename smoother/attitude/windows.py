@@ -22,7 +22,6 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.smoother.attitude.build import build_graph, build_start_values
-from stillpoint.smoother.attitude.every_sample import Piece, sample_solution
 from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
 from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
@@ -38,6 +37,7 @@ from stillpoint.smoother.attitude.plausibility import (
     refuse_fixes,
 )
 from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
+from stillpoint.smoother.attitude.samples.every_sample import Piece, sample_solution
 from stillpoint.smoother.attitude.solve import Solution, begin, iterate, linearise, solve
 
 

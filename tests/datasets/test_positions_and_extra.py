@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from swings import as_reference, swing
 
 from stillpoint.datasets import BadRecording, Imu, Recording, Series, read, write
-from stillpoint.datasets.tables import tables_of
+from stillpoint.datasets.exporters.tables import tables_of
 
 COLUMNS = ("position_n_m", "velocity_n_mps", "position_cov_n_m2", "velocity_cov_n_m2ps2")
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadSource, Truth, read, write
+from stillpoint.datasets.exporters.tables import csv_text, tables_of
 from stillpoint.datasets.frames import rotation, to_xyzw
 from stillpoint.datasets.importers.trajectories import format_tum, read_poses
 from stillpoint.datasets.simulate import simulate
-from stillpoint.datasets.tables import csv_text, tables_of
 from stillpoint.filters import Stream, estimate
 from stillpoint.scripts.streaming.lines import Lines
 

@@ -17,7 +17,7 @@ from stillpoint.smoother.attitude.outside.vehicle import not_in_curves
 from stillpoint.smoother.attitude.params import HANDHELD, PRESETS
 from stillpoint.smoother.rest import find_rests
 
-PAGE = Path(__file__).parents[3] / "docs" / "own_factors.md"
+PAGE = Path(__file__).parents[4] / "docs" / "own_factors.md"
 UNIT3 = gtsam.noiseModel.Unit.Create(3)
 
 

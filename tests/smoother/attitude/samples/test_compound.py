@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stillpoint.smoother.attitude.compound import PARTS, compound_samples
 from stillpoint.smoother.attitude.keys import Motion
+from stillpoint.smoother.attitude.samples.compound import PARTS, compound_samples
 
 BIAS = np.array([0.02, -0.05, 0.03])
 RATE_HZ = 286.0

@@ -11,7 +11,7 @@ from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import attitude_reference
-from stillpoint.smoother.attitude.slow_log import estimate_sampling_error, integrate_slow_log
+from stillpoint.smoother.attitude.samples.slow_log import estimate_sampling_error, integrate_slow_log
 
 FINE_HZ, SLOW_HZ, SECONDS = 2400, 24, 20
 GRAVITY_N = np.array([0.0, 0.0, 9.81])

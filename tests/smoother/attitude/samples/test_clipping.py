@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillpoint.smoother.attitude.clipping import FARTHEST, UNSEEN_SHARE, extend_clipped, find_range_ends
+from stillpoint.smoother.attitude.samples.clipping import FARTHEST, UNSEEN_SHARE, extend_clipped, find_range_ends
 
 T_S = np.arange(2000) / 200
 
