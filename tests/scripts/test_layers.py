@@ -46,3 +46,16 @@ def test_planted_import_breaks_the_contract(copied_package, module, line, contra
     linted = lint_imports(copied_package)
     assert linted.returncode == 1
     assert any(contract in row and "BROKEN" in row for row in linted.stdout.splitlines())
+
+
+MODULES_AT_MOST = 18  # of a folder that a reader takes in at once; lists of alike things are found by name instead
+LISTS_OF_ALIKE_THINGS = {"datasets/importers", "scripts/verbs", "tests/support"}
+
+
+def test_no_folder_holds_more_modules_than_a_reader_takes_in():
+    counts = {
+        folder.relative_to(ROOT).as_posix(): sum(module.name != "__init__.py" for module in folder.glob("*.py"))
+        for top in (*FOLDERS, "tests")
+        for folder in ((ROOT / top), *(ROOT / top).rglob("*/"))
+    }
+    assert {folder for folder, count in counts.items() if count > MODULES_AT_MOST} <= LISTS_OF_ALIKE_THINGS
