@@ -24,6 +24,7 @@ from stillpoint.studies.result_store import Result, ResultStore, key_of
 
 UPPER = np.triu_indices(3)
 LEFT_OUT = "arbitrary: the magnetometer is not calibrated"  # as the diagnostics of an estimate say it
+WARM_UP_S = 10.0  # longest start that is left out; acc-ma, the slowest with a fixed time, takes 7 s
 
 
 @dataclass(frozen=True)
@@ -71,17 +72,18 @@ def make_estimate(job: EstimateJob) -> None:
 
 
 def load_estimate(result: Result, recording: Recording, name: str) -> Estimate:
-    """Return a kept estimate."""
+    """Return a kept estimate, which is ``ready`` :data:`WARM_UP_S` after each start at the latest."""
     arrays, facts = result.arrays, result.facts
     q_nb = arrays["q_nb"].astype(np.float64)
     cov = _unpack_covariance(arrays["cov_b_rad2"]) if "cov_b_rad2" in arrays else None
+    t_ns = arrays["t_ns"] if "t_ns" in arrays else recording.require_imu().t_ns
     return Estimate(
-        t_ns=arrays["t_ns"] if "t_ns" in arrays else recording.require_imu().t_ns,
+        t_ns=t_ns,
         name=name,
         q_nb=q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True),
         cov_b_rad2=cov,
         gyro_bias_b_radps=arrays["gyro_bias_b_radps"].astype(np.float64) if "gyro_bias_b_radps" in arrays else None,
-        ready=arrays.get("ready"),
+        ready=_limit_warm_up(t_ns, arrays["ready"]) if "ready" in arrays else None,
         recording=recording.name,
         params=facts["params"],
         ns_per_sample=float("nan") if facts["ns_per_sample"] is None else facts["ns_per_sample"],
@@ -112,6 +114,18 @@ def _arrays(made: Estimate, recording: Recording) -> Mapping[str, NDArray[Any]]:
     if made.ready is not None and not made.ready.all():
         arrays["ready"] = made.ready
     return arrays
+
+
+def _limit_warm_up(t_ns: NDArray[np.int64], ready: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return ``ready`` (N,), true also where a start has lasted :data:`WARM_UP_S`.
+
+    All estimators are scored on the samples that they share. Without this limit one that calls itself ready after
+    minutes would take these minutes from all others, or would be left out as the slowest of all.
+    """
+    begins = np.flatnonzero(~ready & np.concatenate([[True], ready[:-1]]))
+    since = np.searchsorted(begins, np.arange(len(ready)), side="right") - 1
+    started_ns = t_ns[begins[np.maximum(since, 0)]] if len(begins) else t_ns
+    return np.asarray(ready | (t_ns - started_ns > WARM_UP_S * 1e9))
 
 
 def _unpack_covariance(upper: NDArray[np.float32]) -> Floats:

@@ -11,6 +11,7 @@ from stillpoint.scoring.report.figures import COLOURS, ON_DARK
 from stillpoint.scoring.report.plot_data import ERROR_PANELS, make_page_data
 from stillpoint.scoring.report.templates import embed_json, load_bokeh_scripts, load_page_script, load_template
 from stillpoint.studies.leaderboard import Leaderboard, Row, Run, Summary, Table
+from stillpoint.studies.leaderboard.estimates import WARM_UP_S
 
 AXIS_PX = 150.0  # width of a drawn interval
 TICKS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -43,6 +44,7 @@ def make_page_html(
         recordings=list(entries),
         run_pages=dict(run_pages or {}),
         has_costs=bool(costs),
+        warm_up_s=round(WARM_UP_S),
         parameters=_list_parameters(board),
         study=json.dumps(board.study, indent=2, ensure_ascii=False, default=str),
         colours=COLOURS,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillpoint.datasets import BadParameter, Estimate, write
+from stillpoint.datasets import BadParameter, Estimate, read, write
 from stillpoint.datasets.importers.trajectories import format_tum
 from stillpoint.datasets.simulate import simulate
 from stillpoint.studies import leaderboard
@@ -33,6 +33,10 @@ def truth(recording):
 
 def short(recording):
     return np.ones((3, 4))
+
+def settling(recording):
+    t_ns, q_nb = recording.truth.t_ns, recording.truth.q_nb
+    return Estimate(t_ns, "settling", q_nb=q_nb, ready=t_ns - t_ns[0] > 60e9)
 '''
 
 
@@ -103,6 +107,16 @@ def test_every_run_is_listed(board):
 def test_all_estimators_of_a_recording_are_scored_on_the_same_samples(board):
     for name in ("run0", "run1"):
         assert len({run.samples for run in board.runs if run.recording == name and run.error is None}) == 1
+
+
+def test_an_estimator_that_settles_for_a_minute_takes_10_s_from_the_others(folder, files):
+    alone = leaderboard(files[:1], [f"{folder}/own.py:truth"])
+    both = leaderboard(files[:1], [f"{folder}/own.py:truth", f"{folder}/own.py:settling"])
+    assert not both.failures, "it is scored as all others are"
+    truth = read(files[0]).truth
+    started = truth.t_ns - truth.t_ns[0] <= 10e9
+    lost = alone.runs[0].samples - both.runs[0].samples
+    assert lost == pytest.approx(int((truth.moving & started).sum()), abs=2), "10 s of samples at most"
 
 
 def test_tags_get_tables_of_their_own(board):
