@@ -1,6 +1,6 @@
 """``stillpoint experiment auv-dolphin``: the mission of Zia 2022."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +10,7 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
+from stillpoint.scripts.verbs.experiments.trials import FIRST_ONLINE, SIMULATED, Trials
 from stillpoint.studies.papers.auv.page import COLUMNS, auv_page
 from stillpoint.studies.papers.auv.study import (
     METHODS,
@@ -48,12 +48,15 @@ def dolphin(*, online: Online = False, sea: SeaKind | None = None, trials: Trial
     Parameters
     ----------
     online
-        In single precision, as on a microcontroller.
+        As on a microcontroller: fed sample by sample in single precision; simulated missions have seeds of their own,
+        from 10 on.
     sea
         waves, or calm (the vehicle rolls as much, but is not thrown about); by default both.
     """
     files = trials.files
     trials.refuse(sea=sea)
+    if online and not files and trials.seed is None:
+        trials = replace(trials, seed=FIRST_ONLINE)
     folder = output_dir(trials.out)
     if files:
         seas: tuple[str, ...] = (RECORDED,)

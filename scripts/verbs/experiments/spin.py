@@ -12,7 +12,7 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_table
-from stillpoint.scripts.verbs.experiments.trials import Trials
+from stillpoint.scripts.verbs.experiments.trials import FIRST_ONLINE, Trials
 from stillpoint.studies.papers.spin.page import spin_page
 from stillpoint.studies.papers.spin.recorded import RECORDED, identify_noise, score_recording
 from stillpoint.studies.papers.spin.study import (
@@ -30,7 +30,6 @@ from stillpoint.studies.papers.spin.study import (
 
 COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
 PAPER = {False: 10, True: 5}  # trials, offline and online
-FIRST_ONLINE = 10  # seed: online trials are other ones than the ten offline
 
 
 @Parameter(name="*")

@@ -18,6 +18,7 @@ Trial = TypeVar("Trial")
 
 
 DEFAULT_TRIALS = 5
+FIRST_ONLINE = 10  # seed: online trials are other ones than those offline
 
 
 @Parameter(name="*")

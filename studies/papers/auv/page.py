@@ -89,7 +89,9 @@ def _facts(first: Sequence[Trial], online: bool) -> dict[str, str]:
     return {
         "missions": f"{', '.join(one.name for one in first)}; the first of {when['end_s'] / 60:.3g} min, "
         f"{below_s:.3g} s of it below",
-        "computed": "in single precision, as on a microcontroller" if online else "in double precision",
+        "computed": "sample by sample in single precision, as on a microcontroller"
+        if online
+        else "in double precision",
         "heading": "by the GPS course on the surface, by the magnetometer that it calibrated below; "
         f"{RAW} and {GYRO} have the magnetometer as it is",
         "scored": f"against {'the truth or the graph' if recorded else 'the simulated truth'}, and against the "

@@ -6,7 +6,7 @@ without; there the hull's iron and the gyro's bias are inputs, so the heading er
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,11 +14,16 @@ import numpy as np
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.frames import euler, wrap
 from stillpoint.datasets.recording import Floats, Recording, Truth
+from stillpoint.datasets.settings import choose_settings
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.auv import CASPIAN
-from stillpoint.datasets.trajectory import Reference
-from stillpoint.filters import estimate
+from stillpoint.datasets.trajectory import Estimate, Reference
+from stillpoint.filters import Stream, estimate
 from stillpoint.filters.complementary.gains import Gains, gains
+from stillpoint.filters.front.heading_source import Heading
+from stillpoint.filters.front.sources import choose_magnetometer, find_sources, make_raw_log
+from stillpoint.filters.precision import Precision
+from stillpoint.filters.table import find_estimator
 from stillpoint.smoother import attitude_reference
 
 SeaKind = Literal["waves", "calm"]
@@ -114,7 +119,7 @@ class Trial:
 
 
 def run_trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[Method] = METHODS) -> Trial:
-    """Simulate one mission and run the methods over it; online means in single precision."""
+    """Simulate one mission and run the methods over it; online means sample by sample in single precision."""
     recording = simulate(SIMULATION[sea], seed=seed)
     assert recording.truth is not None
     phases_s = json.loads(recording.info.extra["phases_s"])
@@ -153,11 +158,12 @@ def _score(
     online: bool,
     methods: Sequence[Method],
 ) -> Trial:
-    precision: Literal["single", "double"] = "single" if online else "double"
+    precision: Precision = "single" if online else "double"
     estimated, params = {}, {}
     for method in methods:
-        heading: Literal["gps-course", "mag"] = "gps-course" if method.by_course else "mag"
-        found = estimate(recording, method.estimator, dict(method.params), precision, heading)
+        heading: Heading = "gps-course" if method.by_course else "mag"
+        run = stream_estimate if online else estimate
+        found = run(recording, method.estimator, method.params, heading=heading)
         assert found.q_nb is not None
         estimated[method.name] = np.rad2deg(euler(found.q_nb, "ned"))
         params[method.name] = dict(found.params)
@@ -169,6 +175,31 @@ def _score(
     series = _make_series(recording, judge, estimated, adapted, start_ns, phases_s)
     figures = {name: compute_figures(series, name) for name in estimated}
     return Trial(sea, recording.name, figures, params, series)
+
+
+def stream_estimate(recording: Recording, name: str, params: Mapping[str, Any], *, heading: Heading) -> Estimate:
+    """Return what an estimator says when it is fed sample by sample in single precision, as on a device."""
+    imu, sources = recording.require_imu(), find_sources(recording, heading, None, None)
+    mag, declination_rad, facts = choose_magnetometer(recording)
+    settings = choose_settings(find_estimator(name).params(), params, name)
+    north_is_true = mag is not None and facts["heading"].startswith("true north")
+    stream = Stream(name, settings, declination_rad if north_is_true else None, "single", heading)
+    log, _ = make_raw_log(imu, sources)
+    q_nb = np.empty((len(imu.t_ns), 4))
+    rows = zip(log.t_ns.tolist(), log.gyro_b_radps.tolist(), log.accel_b_mps2.tolist(), strict=True)
+    for k, (t_ns, gyro_b_radps, accel_b_mps2) in enumerate(rows):
+        field, fix = log.mag_row[k], log.fix_row[k]
+        mag_b_ut = None if field < 0 else log.mag_b_ut[field].tolist()
+        course = None if fix < 0 else (float(log.course_rad[fix]), float(log.speed_mps[fix]))
+        q_nb[k] = stream.update(t_ns, gyro_b_radps, accel_b_mps2, mag_b_ut, course).q_nb
+    return Estimate(
+        t_ns=imu.t_ns,
+        name=name,
+        recording=recording.name,
+        q_nb=q_nb,
+        params=asdict(settings),
+        diagnostics={"precision": "single", "fed": "sample by sample"} | stream.counts,
+    )
 
 
 def compute_figures(series: Series, name: str) -> Figures:

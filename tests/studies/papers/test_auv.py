@@ -7,6 +7,7 @@ import pytest
 
 from stillpoint.datasets.frames import euler
 from stillpoint.datasets.simulate import simulate
+from stillpoint.filters import estimate
 from stillpoint.studies.papers.auv.study import (
     ADAPTIVE,
     GYRO,
@@ -16,6 +17,7 @@ from stillpoint.studies.papers.auv.study import (
     compute_figures,
     compute_measured_deg,
     run_trial,
+    stream_estimate,
     summarise_trials,
 )
 
@@ -92,6 +94,15 @@ def test_the_papers_numbers_come_out_in_a_calm_sea(calm):
     assert 5 < abs(calm.figures[GYRO].heading_drift_deg) < 15
 
 
+@pytest.mark.parametrize("heading", ["mag", "gps-course"])
+def test_online_is_fed_sample_by_sample_to_the_bits_of_a_batch_run_in_single_precision(heading):
+    recording = simulate("auv-dolphin-calm", seed=10, minutes=6.0)
+    streamed = stream_estimate(recording, "cf-lse", {}, heading=heading)
+    batch = estimate(recording, "cf-lse", precision="single", heading=heading)
+    assert np.array_equal(streamed.q_nb, batch.q_nb)
+    assert streamed.diagnostics["fed"] == "sample by sample"
+
+
 def test_online_differs_by_single_precision_only(calm):
     single = run_trial("calm", 0, online=True, methods=METHODS[:1])
     assert METHODS[0].name == ADAPTIVE
@@ -99,6 +110,17 @@ def test_online_differs_by_single_precision_only(calm):
         one, other = getattr(single.figures[ADAPTIVE], figure), getattr(calm.figures[ADAPTIVE], figure)
         assert one == pytest.approx(other, rel=0.05)
     assert not np.array_equal(single.series.estimated_deg[ADAPTIVE], calm.series.estimated_deg[ADAPTIVE])
+
+
+@pytest.mark.slow
+def test_missions_online_are_others_than_those_offline(call, tmp_path):
+    words = ("experiment", "auv-dolphin", "--online", "--sea", "calm", "--trials", "1", "--jobs", "1")
+    assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0
+    rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
+    assert {row["recording"] for row in rows} == {"auv-dolphin-calm-seed10"}
+    page = (tmp_path / "auv-dolphin-online.experiment.html").read_text(encoding="utf-8")
+    assert "sample by sample" in page
+    assert "--online --sea calm --trials 1 --seed 10" in page
 
 
 @pytest.mark.slow
