@@ -10,7 +10,7 @@ from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import TRUTHS, Recording, Times
 from stillpoint.datasets.times import longest_step_ns
 
-SHORTEST_GAP_NS = 1_000_000_000  # a shorter pause is bridged by the gyro; cutting there would cost more than it helps
+_SHORTEST_GAP_NS = 1_000_000_000  # a shorter pause is bridged by the gyro; cutting there would cost more than it helps
 
 
 def find_start_ns(recording: Recording) -> int:
@@ -67,12 +67,12 @@ def _has_rows(values: Any, count: int) -> bool:
 def find_stretches(recording: Recording) -> Iterator[tuple[int, int]]:
     """Yield the first and last stamp of each stretch of gyro and accelerometer without a gap.
 
-    A gap is longer than five lost samples and than ``SHORTEST_GAP_NS``.
+    A gap is longer than five lost samples and than ``_SHORTEST_GAP_NS``.
     """
     stream = recording.imu if recording.imu is not None else recording.spin
     if stream is None:
         return
     t_ns: Times = stream.t_ns
-    gaps = np.flatnonzero(np.diff(t_ns) > max(longest_step_ns(t_ns), SHORTEST_GAP_NS))
+    gaps = np.flatnonzero(np.diff(t_ns) > max(longest_step_ns(t_ns), _SHORTEST_GAP_NS))
     for first, last in zip(np.append(0, gaps + 1), np.append(gaps, len(t_ns) - 1), strict=True):
         yield int(t_ns[first]), int(t_ns[last])

@@ -17,8 +17,8 @@ from stillpoint.datasets.recording import Floats, Info
 Place = tuple[float, float, float]
 
 FIELD_YEARS = (2010.0, 2030.0)  # the World Magnetic Models of 2010, 2015v2, 2020 and 2025, five years each
-FIELD_HEIGHT_M = (-1000.0, 850_000.0)  # WMM technical report, section 1.2
-BLACKOUT_UT = 2.0  # a smaller horizontal field gives no usable declination (WMM technical report, section 1.9)
+_FIELD_HEIGHT_M = (-1000.0, 850_000.0)  # WMM technical report, section 1.2
+_BLACKOUT_UT = 2.0  # a smaller horizontal field gives no usable declination (WMM technical report, section 1.9)
 
 
 def decimal_year(date: str) -> float:
@@ -46,7 +46,7 @@ def magnetic_field_n_ut(place: Place, date: str) -> Floats:
             f"date {date}: the World Magnetic Models at hand hold from {FIELD_YEARS[0]:.0f} to the end of "
             f"{FIELD_YEARS[1] - 1:.0f}; give a date within, or leave the declination out"
         )
-    if not FIELD_HEIGHT_M[0] <= height_m <= FIELD_HEIGHT_M[1]:
+    if not _FIELD_HEIGHT_M[0] <= height_m <= _FIELD_HEIGHT_M[1]:
         raise BadParameter(
             f"height {height_m:g} m: the World Magnetic Model holds from -1 to 850 km; give the height in metres"
         )
@@ -60,9 +60,9 @@ def declination_rad(place: Place, date: str) -> float:
     Raises :class:`BadParameter` as :func:`magnetic_field_n_ut` does, and near the magnetic poles.
     """
     east, north, _ = magnetic_field_n_ut(place, date)
-    if np.hypot(east, north) < BLACKOUT_UT:
+    if np.hypot(east, north) < _BLACKOUT_UT:
         raise BadParameter(
-            f"place {place[0]:g}, {place[1]:g}: the horizontal field is under {BLACKOUT_UT:g} uT, close to a "
+            f"place {place[0]:g}, {place[1]:g}: the horizontal field is under {_BLACKOUT_UT:g} uT, close to a "
             "magnetic pole; there is no usable declination"
         )
     return float(np.arctan2(east, north))

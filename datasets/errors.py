@@ -7,7 +7,7 @@ A message says what is wrong, where, and what to do about it: ``run7.mcap: time 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-SIMILAR = 0.5  # share of common letters, in runs, above which a name counts as a slip of the pen
+_SIMILAR = 0.5  # share of common letters, in runs, above which a name counts as a slip of the pen
 
 
 class StillpointError(Exception):
@@ -40,7 +40,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if not names:
         return "there are none"
     near = [one for one in names if one.rpartition(".")[2] == name.rpartition(".")[2]]
-    near = near or get_close_matches(name, names, n=1, cutoff=SIMILAR)
+    near = near or get_close_matches(name, names, n=1, cutoff=_SIMILAR)
     return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
 
 

@@ -30,10 +30,10 @@ KERNELS = Path(__file__).with_name("kernels")
 TARGET = "STILLPOINT_KERNELS_TO"
 # And of a process in which a user waits: say on stderr that something compiles.
 ANNOUNCE = "STILLPOINT_SAY_COMPILING"
-SHARED = ("compiled.py", "quaternion.py")
+_SHARED = ("compiled.py", "quaternion.py")
 # How long a process waits for another one to compile a function before it compiles the function itself.
-LONGEST_WAIT_S = 120.0
-LOCKS = "stillpoint-compiling.lock"  # in each folder of the cache
+_LONGEST_WAIT_S = 120.0
+_LOCKS = "stillpoint-compiling.lock"  # in each folder of the cache
 
 
 class _KernelCache(FunctionCache):
@@ -80,7 +80,7 @@ class _KernelCache(FunctionCache):
 
     @property
     def _lock_file(self) -> Path:
-        return Path(self.cache_path) / LOCKS
+        return Path(self.cache_path) / _LOCKS
 
     @property
     def _lock_byte(self) -> int:
@@ -127,9 +127,9 @@ def find_top_folder(source: Path) -> Path:
 
 @cache
 def hash_sources(folder: Path) -> str:
-    """Return a digest of all sources in a folder, and of those that all folders call (``SHARED``)."""
+    """Return a digest of all sources in a folder, and of those that all folders call (``_SHARED``)."""
     sources = hashlib.sha256()
-    for path in (*sorted(folder.rglob("*.py")), *(Path(__file__).with_name(name) for name in SHARED)):
+    for path in (*sorted(folder.rglob("*.py")), *(Path(__file__).with_name(name) for name in _SHARED)):
         sources.update(path.name.encode() + b"\0" + path.read_bytes())
     return sources.hexdigest()
 
@@ -159,7 +159,7 @@ else:
             except OSError:
                 _HANDLES[file] = None
         handle = _HANDLES[file]
-        give_up = time.monotonic() + LONGEST_WAIT_S
+        give_up = time.monotonic() + _LONGEST_WAIT_S
         while handle is not None and time.monotonic() < give_up:
             try:
                 fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)

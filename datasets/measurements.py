@@ -19,8 +19,8 @@ LARGEST_MPS2 = 5000.0  # accelerometers end at 400 g
 LARGEST_UT = 5000.0  # magnetometers of an IMU end at 4900 uT
 
 FROZEN_S = 2.0  # a field that repeats bit for bit for so long, while the body turns, is frozen
-TURNING_RADPS = 0.1  # deviation of the rate that shows a turning body
-TILTING_MPS2 = 0.5  # deviation of the specific force that shows one
+_TURNING_RADPS = 0.1  # deviation of the rate that shows a turning body
+_TILTING_MPS2 = 0.5  # deviation of the specific force that shows one
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _find_frozen(mag: Mag, imu: Imu) -> NDArray[np.bool_]:
         rows = slice(*np.searchsorted(imu.t_ns, [mag.t_ns[begin], mag.t_ns[end - 1]]))
         if rows.stop - rows.start < 2:
             continue
-        turning = np.linalg.norm(imu.gyro_b_radps[rows].std(axis=0)) > TURNING_RADPS
-        tilting = np.linalg.norm(imu.accel_b_mps2[rows].std(axis=0)) > TILTING_MPS2
+        turning = np.linalg.norm(imu.gyro_b_radps[rows].std(axis=0)) > _TURNING_RADPS
+        tilting = np.linalg.norm(imu.accel_b_mps2[rows].std(axis=0)) > _TILTING_MPS2
         frozen[begin:end] = turning and tilting
     return frozen

@@ -19,14 +19,14 @@ GRAVITY_IN = {
     1000.0: "in milli-g: multiply by 0.00980665",
 }
 FIELD_RANGE_UT = (20.0, 70.0)
-FIELD_IN = {1e6: "tesla", 100.0: "gauss", 0.1: "milligauss", 1e-3: "nanotesla"}  # by what to multiply for uT
-MISTAKEN_FOR_TESLA = {1e-4: "gauss", 1e-6: "microtesla"}  # what drivers publish where tesla are agreed
+_FIELD_IN = {1e6: "tesla", 100.0: "gauss", 0.1: "milligauss", 1e-3: "nanotesla"}  # by what to multiply for uT
+_MISTAKEN_FOR_TESLA = {1e-4: "gauss", 1e-6: "microtesla"}  # what drivers publish where tesla are agreed
 STILL_ACCEL_SPREAD = 0.01  # of its size: a second whose norm varies less is at rest or close to it
-STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
+_STILL_RATE_RADPS = 0.15  # above a phone's bias of 6 deg/s; a second of faster turning is a spin or a bend
 FASTEST_GYRO_RADPS = 120.0  # 7000 deg/s: no MEMS gyro ranges further
 WINDOW_S = 1.0
-ROWS_AT_ONCE = 1 << 16
-WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its specific force; 0.4 g is none
+_ROWS_AT_ONCE = 1 << 16
+_WITHOUT_GRAVITY_MPS2 = 4.0  # a body in motion has gravity in the median of its specific force; 0.4 g is none
 
 
 def check_units(recording: "Recording") -> None:
@@ -85,7 +85,7 @@ class UnitCheck:
                 "convert it, or keep it with --units-unchecked for the doctor"
             )
         usual = float(np.median(self._forces_mps2.values()))
-        if size is None and usual < WITHOUT_GRAVITY_MPS2 and self._seconds.duration_ns > WINDOW_S * 1e9:
+        if size is None and usual < _WITHOUT_GRAVITY_MPS2 and self._seconds.duration_ns > WINDOW_S * 1e9:
             raise BadRecording(
                 f"{name}: imu.accel_b_mps2 has a median size of {usual:.3g} m/s^2, so that gravity was taken out of it "
                 "(linear acceleration); log the accelerometer with gravity, or keep it with --units-unchecked"
@@ -96,18 +96,18 @@ def describe_field_size(median_ut: float) -> str:
     """Return what is wrong with the median size of a field, with its likely unit; "" for one the Earth can have."""
     if FIELD_RANGE_UT[0] <= median_ut <= FIELD_RANGE_UT[1]:
         return ""
-    fitting = (factor for factor in FIELD_IN if FIELD_RANGE_UT[0] <= median_ut * factor <= FIELD_RANGE_UT[1])
-    hint = "".join(f"; it looks like {FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
-    mistaken = (f for f in MISTAKEN_FOR_TESLA if FIELD_RANGE_UT[0] <= median_ut * f <= FIELD_RANGE_UT[1])
+    fitting = (factor for factor in _FIELD_IN if FIELD_RANGE_UT[0] <= median_ut * factor <= FIELD_RANGE_UT[1])
+    hint = "".join(f"; it looks like {_FIELD_IN[factor]}: multiply by {factor:g}" for factor in fitting)
+    mistaken = (f for f in _MISTAKEN_FOR_TESLA if FIELD_RANGE_UT[0] <= median_ut * f <= FIELD_RANGE_UT[1])
     hint += "".join(
-        f"; it looks like {MISTAKEN_FOR_TESLA[f]} that was read as tesla: multiply by {f:g}" for f in mistaken
+        f"; it looks like {_MISTAKEN_FOR_TESLA[f]} that was read as tesla: multiply by {f:g}" for f in mistaken
     )
     return f"median size of {median_ut:.4g} uT, not 20-70{hint}"
 
 
 def _iterate_rows(count: int) -> Iterator[slice]:
     """Yield ranges of rows; what is computed of one takes little memory beside the columns themselves."""
-    return (slice(first, first + ROWS_AT_ONCE) for first in range(0, count, ROWS_AT_ONCE))
+    return (slice(first, first + _ROWS_AT_ONCE) for first in range(0, count, _ROWS_AT_ONCE))
 
 
 class _Seconds:
@@ -163,7 +163,7 @@ class _Seconds:
         spread = np.add.reduceat(vectors**2, starts, axis=0) / counts[:, None] - mean**2
         size = np.linalg.norm(mean, axis=1)
         relative = np.sqrt(np.maximum(spread.sum(axis=1), 0)) / np.maximum(size, 1e-300)
-        spins = np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > STILL_RATE_RADPS
+        spins = np.linalg.norm(np.add.reduceat(rates, starts, axis=0) / counts[:, None], axis=1) > _STILL_RATE_RADPS
         relative[spins] = np.inf
         self._counts.append(counts)
         self._sizes.append(size)

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 TRUTHS = ("truth", "roll_truth")  # streams that no sensor gave
-EXTRA_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_EXTRA_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 LAST_T_NS = (2**31 - 1) * 1_000_000_000  # a ROS stamp holds int32 seconds
 
 
@@ -321,7 +321,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         for name in self.extra:
-            if not EXTRA_NAME.fullmatch(name):
+            if not _EXTRA_NAME.fullmatch(name):
                 raise BadRecording(f"{self.name}: extra {name!r}: give a name of letters, digits and _")
         if self.imu is None and self.spin is None:
             raise BadRecording(f"{self.name}: has neither gyro and accelerometer (imu) nor a spin stream")

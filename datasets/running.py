@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_VALUES = 1 << 20  # of a column: its median is then known to a thousandth of its spread
+_MOST_VALUES = 1 << 20  # of a column: its median is then known to a thousandth of its spread
 
 
 class ThinnedValues:
@@ -15,7 +15,7 @@ class ThinnedValues:
     Which values are kept depends on their places alone, not on where the pieces end.
     """
 
-    def __init__(self, most: int = MOST_VALUES) -> None:
+    def __init__(self, most: int = _MOST_VALUES) -> None:
         self.count = 0  # of all values
         self.stride = 1  # one value of so many is kept
         self._most = most

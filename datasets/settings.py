@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple, TypeVar, cast, get_args, get_origin
 
 from stillpoint.datasets.errors import BadParameter, nearest
 
-TRUTH_VALUES = {"true": True, "false": False}
-UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_radps_rts": "deg/s/√s"}
+_TRUTH_VALUES = {"true": True, "false": False}
+_UNITS_IN_DEGREES = {"_rad": "deg", "_radps": "deg/s", "_rad_rts": "deg/√s", "_radps_rts": "deg/s/√s"}
 
 
 def number(default: float, low: float, high: float, meaning: str) -> Any:
@@ -123,7 +123,7 @@ def _from_text(settings: Settings, name: str, value: Any) -> Any:
     if not isinstance(value, str) or get_origin(hint) is Literal:
         return value
     if hint is bool:
-        return TRUTH_VALUES.get(value.lower(), value)
+        return _TRUTH_VALUES.get(value.lower(), value)
     try:
         return float(value)
     except ValueError:
@@ -170,4 +170,4 @@ def _unit(each: Field[Any]) -> str:
     """Return the unit of an angle that tables show in degrees; other units stand in the name of the field."""
     if not each.metadata.get("in_degrees"):
         return ""
-    return next(unit for suffix, unit in UNITS_IN_DEGREES.items() if each.name.endswith(suffix))
+    return next(unit for suffix, unit in _UNITS_IN_DEGREES.items() if each.name.endswith(suffix))

@@ -22,13 +22,13 @@ TERMS = (
     "A_x", "A_y", "A_z", "omega_x dot", "omega_y dot", "omega_z dot",
     "omega_x^2", "omega_y^2", "omega_z^2", "omega_x omega_y", "omega_x omega_z", "omega_y omega_z",
 )  # fmt: skip
-CENTRE = TERMS[:3]  # the specific force at the centre
-PRODUCTS = ("omega_y^2", "omega_z^2", "omega_y omega_z")  # known where gyros measure omega_y and omega_z
-UNWANTED = ("omega_y dot", "omega_z dot", "omega_x omega_y", "omega_x omega_z")  # what eq (2) keeps out
-NEGLIGIBLE = 1e-9  # m or 1: coefficients below it are rounding
+_CENTRE = TERMS[:3]  # the specific force at the centre
+_PRODUCTS = ("omega_y^2", "omega_z^2", "omega_y omega_z")  # known where gyros measure omega_y and omega_z
+_UNWANTED = ("omega_y dot", "omega_z dot", "omega_x omega_y", "omega_x omega_z")  # what eq (2) keeps out
+_NEGLIGIBLE = 1e-9  # m or 1: coefficients below it are rounding
 SATURATED = 0.999  # of the range: a converter of 11 bits and more stops within this of it
 
-X, Y, Z = np.eye(3)
+_X, _Y, _Z = np.eye(3)
 
 
 def five_accelerometers(
@@ -38,9 +38,9 @@ def five_accelerometers(
     g1, g2 about y and z.
     """
     return SpinGeometry(
-        accel_r_b_m=np.array([0 * X, 0 * X, 0 * X, d1_m * Z, d2_m * Y]),
-        accel_axis_b=np.array([X, Y, Z, Z, Z]),
-        gyro_axis_b=np.array([Y, Z]),
+        accel_r_b_m=np.array([0 * _X, 0 * _X, 0 * _X, d1_m * _Z, d2_m * _Y]),
+        accel_axis_b=np.array([_X, _Y, _Z, _Z, _Z]),
+        gyro_axis_b=np.array([_Y, _Z]),
         accel_range_mps2=np.full(5, accel_range_mps2),
     )
 
@@ -50,8 +50,8 @@ def bench(d1_m: float = 0.10, d2_m: float = 0.50, accel_range_mps2: float = 16 *
     eq (26)).
     """
     return SpinGeometry(
-        accel_r_b_m=np.array([d1_m * Z, d2_m * Y]),
-        accel_axis_b=np.array([Z, Z]),
+        accel_r_b_m=np.array([d1_m * _Z, d2_m * _Y]),
+        accel_axis_b=np.array([_Z, _Z]),
         gyro_axis_b=np.empty((0, 3)),
         accel_range_mps2=np.full(2, accel_range_mps2),
         fixed_axis=True,
@@ -89,16 +89,16 @@ def find_misplaced(geometry: SpinGeometry) -> tuple[str, ...]:
     """
     if geometry.fixed_axis:
         return ()
-    seen = np.abs(coefficients(geometry)[:, [TERMS.index(term) for term in UNWANTED]]) > NEGLIGIBLE
+    seen = np.abs(coefficients(geometry)[:, [TERMS.index(term) for term in _UNWANTED]]) > _NEGLIGIBLE
     sentences = []
     for k, terms in enumerate(seen):
         if not terms.any():
             continue
-        names = ", ".join(term for term, one in zip(UNWANTED, terms, strict=True) if one)
+        names = ", ".join(term for term, one in zip(_UNWANTED, terms, strict=True) if one)
         ways = []
-        if abs(geometry.accel_r_b_m[k, 0]) > NEGLIGIBLE:
+        if abs(geometry.accel_r_b_m[k, 0]) > _NEGLIGIBLE:
             ways.append("move it into the y-z plane (r_x = 0)")
-        if abs(geometry.accel_axis_b[k, 0]) > NEGLIGIBLE:
+        if abs(geometry.accel_axis_b[k, 0]) > _NEGLIGIBLE:
             ways.append("turn its axis square to x (theta_x = 90 deg)")
         sentences.append(f"accelerometer {k + 1} sees {names}: {' and '.join(ways)}")
     return tuple(sentences)
@@ -186,10 +186,10 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
     transverse, known = _transverse(geometry)
     free = [term for term in TERMS if term not in known]
     if geometry.fixed_axis:
-        free = [*CENTRE, "omega_x dot", "omega_x^2"]
+        free = [*_CENTRE, "omega_x dot", "omega_x^2"]
     wanted = {term: _channel(geometry, variance, term, free, known) for term in ("omega_x dot", "omega_x^2")}
     if geometry.fixed_axis and None in wanted.values():
-        free = free[len(CENTRE) :]
+        free = free[len(_CENTRE) :]
         wanted = {term: _channel(geometry, variance, term, free, known) for term in wanted}
     omega_dot, omega_squared = wanted.values()
     if omega_dot is None or omega_squared is None:
@@ -247,9 +247,9 @@ def _transverse(geometry: SpinGeometry) -> tuple[Floats, tuple[str, ...]]:
     if geometry.fixed_axis or not len(axes):
         return np.zeros((2, len(axes))), ()
     inverse = np.linalg.pinv(axes)  # (3, m)
-    given = [np.abs(inverse[i] @ axes - np.eye(3)[i]).max() < NEGLIGIBLE for i in (1, 2)]
-    weights = np.where(np.abs(inverse[1:]) > NEGLIGIBLE, inverse[1:], 0.0) * np.array(given)[:, None]
-    known = [term for term, needs in zip(PRODUCTS, ((0,), (1,), (0, 1)), strict=True) if all(given[i] for i in needs)]
+    given = [np.abs(inverse[i] @ axes - np.eye(3)[i]).max() < _NEGLIGIBLE for i in (1, 2)]
+    weights = np.where(np.abs(inverse[1:]) > _NEGLIGIBLE, inverse[1:], 0.0) * np.array(given)[:, None]
+    known = [term for term, needs in zip(_PRODUCTS, ((0,), (1,), (0, 1)), strict=True) if all(given[i] for i in needs)]
     return weights, tuple(known)
 
 
@@ -262,7 +262,7 @@ def _channel(
     weights of F are w = D^-1/2 (Xw^+)^T c for b's element c, its variance is |(Xw^+)^T c|^2, those of p are -K^T w.
     """
     seen = coefficients(geometry)
-    seen = np.where(np.abs(seen) > NEGLIGIBLE, seen, 0.0)
+    seen = np.where(np.abs(seen) > _NEGLIGIBLE, seen, 0.0)
     if term not in free:
         return None
     white = seen[:, [TERMS.index(one) for one in free]] / np.sqrt(variance)[:, None]
@@ -272,13 +272,13 @@ def _channel(
         return None
     row = np.where(np.abs(row) > 1e-10 * np.abs(row).max(), row, 0.0)
     accel = row / np.sqrt(variance)
-    products = np.array([-(accel @ seen[:, TERMS.index(one)]) if one in known else 0.0 for one in PRODUCTS])
+    products = np.array([-(accel @ seen[:, TERMS.index(one)]) if one in known else 0.0 for one in _PRODUCTS])
     return Channel(term, accel, products, float(row @ row))
 
 
 def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str], terms: Sequence[str]) -> str:
     """Return the sentence of :class:`Unobservable`: what the accelerometers cannot determine, and what to change."""
-    seen = np.abs(coefficients(geometry)) > NEGLIGIBLE
+    seen = np.abs(coefficients(geometry)) > _NEGLIGIBLE
     missing = f"the accelerometers do not fix {' and '.join(terms)}"
     for term in terms:
         if not seen[:, TERMS.index(term)].any():
@@ -286,10 +286,10 @@ def _what_lacks(geometry: SpinGeometry, free: Sequence[str], known: Sequence[str
             return f"{missing}: none sees {term}; put one off the axis, {where}"
     if find_misplaced(geometry):
         return f"{missing}: {'; '.join(find_misplaced(geometry))}"
-    unknown = [one for one in PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
+    unknown = [one for one in _PRODUCTS if one in free and seen[:, TERMS.index(one)].any()]
     remedy = "or set fixed_axis for a motor's shaft"
-    others = [one for one in free if one not in PRODUCTS]
-    are_enough = all(_channel(geometry, np.ones(len(seen)), term, others, PRODUCTS) for term in terms)
+    others = [one for one in free if one not in _PRODUCTS]
+    are_enough = all(_channel(geometry, np.ones(len(seen)), term, others, _PRODUCTS) for term in terms)
     if unknown and (are_enough or not known):
         lacking = [axis for axis in "yz" if f"omega_{axis}^2" not in known]
         gyros = "gyros about y and z" if len(lacking) == 2 else f"a gyro about {lacking[0]}"

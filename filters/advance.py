@@ -22,7 +22,7 @@ from stillpoint.filters.sample import Sample
 Advance = Callable[..., Any]
 # Stamp in ns; rate in rad/s, specific force in m/s^2, field in uT, all in b; is there a field; course in rad and speed
 # in m/s; is there a fix.
-ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
+_ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
 
 
 @cache
@@ -77,7 +77,7 @@ def _make_advance(estimator: ModuleType) -> Any:
 
 def compile_advance(estimator: ModuleType, cell: Any) -> Advance:
     """Compile :func:`_make_advance` for this cell and return the machine code's entry: no type lookup per call."""
-    return cast(Advance, _make_advance(estimator).compile((typeof(cell), *ARGUMENTS)))
+    return cast(Advance, _make_advance(estimator).compile((typeof(cell), *_ARGUMENTS)))
 
 
 @compiled_entry

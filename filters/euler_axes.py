@@ -12,7 +12,7 @@ from stillpoint.filters.rotation import Quaternion, Vector, cross
 GIMBAL = 0.02
 # And below which roll and heading begin to be: it is within 14 deg.
 STEEP = 0.25
-PER_STEEP = 1 / STEEP
+_PER_STEEP = 1 / STEEP
 
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]  # a 3 x 3 by rows
@@ -92,7 +92,7 @@ def _add_axis_error(cov: Nine, variance: float, axis: Vector) -> Nine:
 def _steep_covariance(roll: float, pitch: float, heading: float, frame: Frame) -> Nine:
     """Compute :func:`covariance` near the vertical."""
     (ux, uy, uz), across, cos_pitch = frame
-    share = cos_pitch * PER_STEEP
+    share = cos_pitch * _PER_STEEP
     mirrored = min(roll, ANY_ANGLE_RAD2) * (1.0 - share * share) / 2.0
     tilt = max(pitch - roll * cos_pitch * cos_pitch, 0.0) * (1.0 - share * share)
     cov = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

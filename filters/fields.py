@@ -22,15 +22,15 @@ from stillpoint.filters.rotation import (
 from stillpoint.filters.sample import GAP_S, Sample
 
 # Less specific force than that is free fall: its direction says nothing about up.
-FREE_FALL_MPS2 = 1.0
-FREE_FALL_M2PS4 = FREE_FALL_MPS2**2
+_FREE_FALL_MPS2 = 1.0
+FREE_FALL_M2PS4 = _FREE_FALL_MPS2**2
 # Body x within 0.006 deg of the vertical (the square of the sine) has no azimuth to speak of.
-STEEP = 1e-8
+_STEEP = 1e-8
 # A field whose horizontal part is a smaller share than that points nowhere: at the poles, or shaken along the field.
-LEAST_HORIZONTAL = 0.01
-LEAST_HORIZONTAL_SQUARE = LEAST_HORIZONTAL**2
+_LEAST_HORIZONTAL = 0.01
+_LEAST_HORIZONTAL_SQUARE = _LEAST_HORIZONTAL**2
 # Up this close to straight down: the smallest turn to the true up has no axis of its own, and the one about x is taken.
-UPSIDE_DOWN = -1 + 1e-6
+_UPSIDE_DOWN = -1 + 1e-6
 # One field stands for at most that long: after a pause of the magnetometer, a single sample is not taken at its word.
 LONGEST_HOLD_S = 1.0
 
@@ -102,7 +102,7 @@ def smooth_fields(fields: Fields, sample: Sample, kappa: float) -> tuple[Fields,
 def level_attitude(accel_b: Vector) -> Quaternion:
     """Return eq (4) as a rotation: the attitude with this up, with the body's x axis north (the paper's yaw is 0)."""
     up = scale(accel_b, 1.0 / norm(accel_b))
-    if up[1] * up[1] + up[2] * up[2] > STEEP:
+    if up[1] * up[1] + up[2] * up[2] > _STEEP:
         west = cross(up, (1.0, 0.0, 0.0))
     else:  # x is vertical, its azimuth undefined: y over west, where eq (4) has roll 0
         west = cross(cross(up, (0.0, 1.0, 0.0)), up)
@@ -130,7 +130,7 @@ def tilt_error(up_n: Vector) -> tuple[float, float]:
 def level_vector(v_n: Vector, up_n: Vector) -> Vector:
     """Apply eq (5): rotate ``v_n`` by that rotation (Rodrigues' formula); ``up_n`` is of length 1."""
     along = up_n[0] * v_n[0] + up_n[1] * v_n[1]
-    if up_n[2] < UPSIDE_DOWN:
+    if up_n[2] < _UPSIDE_DOWN:
         return v_n[0], -v_n[1], -v_n[2]
     share = v_n[2] + along / (1.0 + up_n[2])
     return v_n[0] - up_n[0] * share, v_n[1] - up_n[1] * share, along + up_n[2] * v_n[2]
@@ -143,7 +143,7 @@ def north_error(field_n: Vector, declination_rad: float) -> tuple[float, bool]:
     The declination is east of true north. False where the field has no horizontal part.
     """
     east, north, up = field_n
-    flat, least = east * east + north * north, LEAST_HORIZONTAL_SQUARE
+    flat, least = east * east + north * north, _LEAST_HORIZONTAL_SQUARE
     turn = atan2(east, north) - declination_rad
     whole, half = 2.0 * pi, pi
     if turn > half:

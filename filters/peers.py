@@ -21,9 +21,9 @@ from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 
-FIRST_S = 1.0  # of a recording: the dip of its field
-WEST_OF_NORTH = heading_rotation(np.pi / 2)  # takes North-West-Up to East-North-Up
-NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+_FIRST_S = 1.0  # of a recording: the dip of its field
+_WEST_OF_NORTH = heading_rotation(np.pi / 2)  # takes North-West-Up to East-North-Up
+_NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def madgwick(data: PeerInput, params: MadgwickParams) -> PeerTrack:
     """Run ``ahrs.filters.Madgwick``: body to North-West-Up, from specific force."""
     gains = {"gain_marg": params.gain_marg_radps, "gain_imu": params.gain_imu_radps}
     found = _ahrs("Madgwick", data, params.magnetometer, data.accel_b_mps2, gains)
-    return PeerTrack(quaternion(WEST_OF_NORTH * rotation(found)))
+    return PeerTrack(quaternion(_WEST_OF_NORTH * rotation(found)))
 
 
 def mahony(data: PeerInput, params: MahonyParams) -> PeerTrack:
@@ -154,7 +154,7 @@ def ahrs_ekf(data: PeerInput, params: AhrsEkfParams) -> PeerTrack:
     if data.mag_b_ut is not None and params.magnetometer and params.magnetic_ref == "dip":
         settings["magnetic_ref"] = _dip_deg(data)
     found = _ahrs("EKF", data, params.magnetometer, -data.accel_b_mps2, settings)
-    return PeerTrack(quaternion(NED_TO_ENU * rotation(found)))
+    return PeerTrack(quaternion(_NED_TO_ENU * rotation(found)))
 
 
 def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:
@@ -211,7 +211,7 @@ def _ahrs(name: str, data: PeerInput, magnetometer: bool, accel: Floats, setting
 
 def _dip_deg(data: PeerInput) -> float:
     """Return how far the field of the first second points below the horizon."""
-    first = slice(0, max(1, round(FIRST_S / data.interval_s)))
+    first = slice(0, max(1, round(_FIRST_S / data.interval_s)))
     assert data.mag_b_ut is not None
     up, field = data.accel_b_mps2[first], data.mag_b_ut[first]
     lengths = np.linalg.norm(up, axis=1) * np.linalg.norm(field, axis=1)

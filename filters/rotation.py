@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 # Vectors closer than that (sine of the angle, squared) to opposite, or parallel, fix no axis.
-PARALLEL_BELOW = 1e-12
+_PARALLEL_BELOW = 1e-12
 
 
 @compiled
@@ -106,7 +106,7 @@ def rotation_between(u: Vector, v: Vector) -> Quaternion:
     size = sqrt(dot(u, u) * dot(v, v))
     w = size + dot(u, v)
     x, y, z = cross(u, v)
-    if w < size * 0.5 * PARALLEL_BELOW:
+    if w < size * 0.5 * _PARALLEL_BELOW:
         w = 0.0
         if abs(u[0]) < abs(u[2]):
             x, y, z = w, u[2], -u[1]

@@ -28,7 +28,7 @@ from stillpoint.filters.sample import Track, collect_counts
 from stillpoint.filters.spin.run import SpinRun
 from stillpoint.filters.table import Estimator, Peer, SpinEstimator, find_estimator
 
-PAGE = 4096  # bytes; the least that the system gives at a time
+_PAGE = 4096  # bytes; the least that the system gives at a time
 
 
 def estimate(
@@ -218,7 +218,7 @@ def _to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
 def _allocate(shape: tuple[int, int]) -> Floats:
     """Return an array whose memory pages exist: getting them takes as long as a fast filter, and must not be timed."""
     made = np.empty(shape)
-    made.reshape(-1)[:: PAGE // made.itemsize] = 0.0
+    made.reshape(-1)[:: _PAGE // made.itemsize] = 0.0
     return made
 
 

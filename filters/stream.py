@@ -14,8 +14,8 @@ from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.sample import Output, collect_counts
 from stillpoint.filters.table import Estimator, find_estimator
 
-NO_VECTOR = (0.0, 0.0, 0.0)
-NO_FIX = (0.0, 0.0)
+_NO_VECTOR = (0.0, 0.0, 0.0)
+_NO_FIX = (0.0, 0.0)
 
 
 class Saved(NamedTuple):
@@ -93,8 +93,8 @@ class Stream:
         """
         gx, gy, gz = gyro_b_radps
         ax, ay, az = accel_b_mps2
-        mx, my, mz = NO_VECTOR if mag_b_ut is None else mag_b_ut
-        course_rad, speed_mps = NO_FIX if course is None else course
+        mx, my, mz = _NO_VECTOR if mag_b_ut is None else mag_b_ut
+        course_rad, speed_mps = _NO_FIX if course is None else course
         output: Output = self._advance(
             self._cell,
             t_ns,

@@ -28,7 +28,7 @@ from stillpoint.scoring.match import Mask, Track, match, pair_up, require_some
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
 
-LEVEL_SPREAD_RAD = 1e-4  # rms tilt change below which heading and mounting are one angle: rounding decides the rest
+_LEVEL_SPREAD_RAD = 1e-4  # rms tilt change below which heading and mounting are one angle: rounding decides the rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def _fit_heading_and_mounting(q_est: Floats, q_true: Floats) -> tuple[float, Rot
     level, turned, upright = gram[0, :, 0] + gram[1, :, 1], gram[0, :, 1] - gram[1, :, 0], gram[2, :, 2]
     up_b = true[:, 2]  # (N, 3) vertical in the truth's body axes
     mean_up_b = up_b.mean(axis=0)
-    if np.mean((up_b - mean_up_b) ** 2) * 3 < LEVEL_SPREAD_RAD**2:
+    if np.mean((up_b - mean_up_b) ** 2) * 3 < _LEVEL_SPREAD_RAD**2:
         return _smallest_mounting(_polar(upright + level), mean_up_b / np.linalg.norm(mean_up_b))
 
     def profile(heading_rad: Floats) -> Floats:
@@ -149,5 +149,5 @@ def _smallest_mounting(mounting: Floats, up_b: Floats) -> tuple[float, Rotation]
     """
     a = float(np.trace(mounting) - up_b @ mounting @ up_b)
     b = float(-np.trace(np.cross(up_b, mounting.T)))  # of [up_b]x M
-    heading_rad = float(np.arctan2(b, a)) if np.hypot(a, b) > LEVEL_SPREAD_RAD else 0.0
+    heading_rad = float(np.arctan2(b, a)) if np.hypot(a, b) > _LEVEL_SPREAD_RAD else 0.0
     return heading_rad, Rotation.from_rotvec(-heading_rad * up_b) * Rotation.from_matrix(mounting)

@@ -16,19 +16,19 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.scoring.match import Mask, Track, attitude_at, is_sparser, match
 
-USUAL_RANGE_S = 0.5  # clocks of one recording differ by less; a larger offset must be clearly better
-TURN_S = 0.1  # a turn is the rotation over this time: long against noise, under half a turn at 1800 deg/s
-COARSE_STEP_S = 0.02  # short against any swing of an arm
-COARSE_TURNS = 2_000  # enough to find the right valley
-FINE_TURNS = 20_000  # enough for 0.1 ms
-FINE_STEPS = 20
-FINE_ENOUGH_S = 1e-8
-FEWEST_TURNS = 10
-COMMON_MOTION = 0.5  # share of the shorter trajectory's motion that must overlap at an offset
-CANDIDATES = 12  # valleys of the correlation of rates that are looked into
-CLEARLY_BETTER = 0.8  # an offset is clear when its misfit is below this share of every other's
-GOOD = 0.75  # a misfit below which the best of all offsets needs no margin when it lies in the usual range
-TIE = 0.01  # misfits that differ by less are equal
+_USUAL_RANGE_S = 0.5  # clocks of one recording differ by less; a larger offset must be clearly better
+_TURN_S = 0.1  # a turn is the rotation over this time: long against noise, under half a turn at 1800 deg/s
+_COARSE_STEP_S = 0.02  # short against any swing of an arm
+_COARSE_TURNS = 2_000  # enough to find the right valley
+_FINE_TURNS = 20_000  # enough for 0.1 ms
+_FINE_STEPS = 20
+_FINE_ENOUGH_S = 1e-8
+_FEWEST_TURNS = 10
+_COMMON_MOTION = 0.5  # share of the shorter trajectory's motion that must overlap at an offset
+_CANDIDATES = 12  # valleys of the correlation of rates that are looked into
+_CLEARLY_BETTER = 0.8  # an offset is clear when its misfit is below this share of every other's
+_GOOD = 0.75  # a misfit below which the best of all offsets needs no margin when it lies in the usual range
+_TIE = 0.01  # misfits that differ by less are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def find_clock_offset_ns(estimated: Track, truth: Track, moving: Mask) -> int:
     swap = is_sparser(estimated, truth)
     sparse, dense = (estimated, truth) if swap else (truth, estimated)
     turns = _turns_of(sparse, dense, None if swap else moving)
-    if len(turns.turn) < FEWEST_TURNS:
+    if len(turns.turn) < _FEWEST_TURNS:
         raise Unobservable(
             f"{estimated.label}: overlaps the truth's motion by too little to align the clocks; align heading+mounting "
             "instead"
@@ -63,10 +63,10 @@ def find_clock_offset_ns(estimated: Track, truth: Track, moving: Mask) -> int:
 def _turns_of(sparse: Track, dense: Track, moving: Mask | None) -> _Turns:
     kept = ~sparse.unready if moving is None else moving & ~sparse.unready
     t_ns, q_nb = sparse.t_ns[kept], sparse.q_nb[kept]
-    first, last = _pairs(t_ns, sparse.step_ns, TURN_S)
+    first, last = _pairs(t_ns, sparse.step_ns, _TURN_S)
     turn = _rotation_vectors(q_nb[first], q_nb[last])
     pairs_ns = np.stack([t_ns[first], t_ns[last]])
-    return _Turns(dense, pairs_ns, turn, _changes(t_ns[first], turn), max(TURN_S, sparse.step_ns / 1e9))
+    return _Turns(dense, pairs_ns, turn, _changes(t_ns[first], turn), max(_TURN_S, sparse.step_ns / 1e9))
 
 
 def _pairs(t_ns: Times, step_ns: float, width_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -101,18 +101,18 @@ def _find_valley(turns: _Turns, label: str) -> float:
     The misfit is relative: 0 when the turns agree, about 1 when they have nothing to do with each other. An offset
     within the usual range is taken when no other fits better, so that a periodic motion keeps its nearest period.
     """
-    some = _evenly(len(turns.turn), COARSE_TURNS)
-    usual = np.linspace(-USUAL_RANGE_S, USUAL_RANGE_S, round(2 * USUAL_RANGE_S / COARSE_STEP_S) + 1)
-    around = np.arange(-turns.width_s, turns.width_s + COARSE_STEP_S / 2, COARSE_STEP_S)
+    some = _evenly(len(turns.turn), _COARSE_TURNS)
+    usual = np.linspace(-_USUAL_RANGE_S, _USUAL_RANGE_S, round(2 * _USUAL_RANGE_S / _COARSE_STEP_S) + 1)
+    around = np.arange(-turns.width_s, turns.width_s + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     grids = [usual, *(centre_s + around for centre_s in _correlate_rates(turns))]
     found = [_lowest([_misfit(turns, some, float(offset_s)) for offset_s in grid], grid) for grid in grids]
     near, near_s = found[0]
     best, offset_s = min(found)
-    if near <= best + TIE and abs(near_s) < USUAL_RANGE_S - COARSE_STEP_S / 2:
+    if near <= best + _TIE and abs(near_s) < _USUAL_RANGE_S - _COARSE_STEP_S / 2:
         best, offset_s = near, near_s
     rival = min((misfit for misfit, other_s in found if abs(other_s - offset_s) > 2 * turns.width_s), default=np.inf)
-    usual_and_good = abs(offset_s) < USUAL_RANGE_S and best < GOOD
-    if not usual_and_good and best > CLEARLY_BETTER * min(rival, 1.0) - TIE:
+    usual_and_good = abs(offset_s) < _USUAL_RANGE_S and best < _GOOD
+    if not usual_and_good and best > _CLEARLY_BETTER * min(rival, 1.0) - _TIE:
         raise Unobservable(
             f"{label}: no clock offset fits clearly better than all others (best {offset_s:+.2f} s, which leaves "
             f"{100 * min(best, 1.0):.0f} % of the turning unexplained); align heading+mounting instead, or check that "
@@ -129,7 +129,7 @@ def _lowest(misfits: list[float], grid: Floats) -> tuple[float, float]:
 def _misfit(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
     """Return the share of the turning that is unexplained at an offset, infinite where hardly any turns overlap."""
     rows, turn_e = _turns_at(turns, some, offset_s)
-    if len(rows) < FEWEST_TURNS:
+    if len(rows) < _FEWEST_TURNS:
         return np.inf
     expected = turns.turn[rows]
     left = _mounting_of_turns(turn_e, expected)[1]
@@ -137,14 +137,14 @@ def _misfit(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> float:
 
 
 def _correlate_rates(turns: _Turns) -> Floats:
-    """Return the offsets in s, at most :data:`CANDIDATES`, at which the rates of turning correlate best.
+    """Return the offsets in s, at most :data:`_CANDIDATES`, at which the rates of turning correlate best.
 
     Pearson's correlation over the overlap, for every offset on a grid at once by FFT. Offsets at which less than half
     of the motion of the shorter trajectory overlaps are left out: there a few samples agree with anything.
     """
     sparse_s, sparse = turns.pairs_ns.mean(axis=0) / 1e9, np.linalg.norm(turns.turn, axis=1)
     dense_s, dense = _rates_of(turns.dense, turns.width_s)
-    if len(dense) < FEWEST_TURNS:
+    if len(dense) < _FEWEST_TURNS:
         return np.empty(0)
     a_s, a, a_known = _on_grid(sparse_s, sparse / (np.diff(turns.pairs_ns, axis=0)[0] / 1e9), turns.width_s)
     b_s, b, b_known = _on_grid(dense_s, dense, turns.width_s)
@@ -158,13 +158,13 @@ def _correlate_rates(turns: _Turns) -> Floats:
     square_a, square_b = correlate(a**2, b_known), correlate(a_known, b**2)
     covariance = correlate(a, b) - sum_a * sum_b / count
     spread = np.maximum(square_a - sum_a**2 / count, 0) * np.maximum(square_b - sum_b**2 / count, 0)
-    enough = COMMON_MOTION * min(float(np.sum(a**2)), float(np.sum(b**2)))
-    valid = (count >= FEWEST_TURNS) & (np.minimum(square_a, square_b) >= enough)
+    enough = _COMMON_MOTION * min(float(np.sum(a**2)), float(np.sum(b**2)))
+    valid = (count >= _FEWEST_TURNS) & (np.minimum(square_a, square_b) >= enough)
     score = np.where(valid, covariance / np.sqrt(spread + 1e-12 * spread.max() + 1e-300), -np.inf)
     peaks = np.flatnonzero((score >= np.roll(score, 1)) & (score > np.roll(score, -1)) & (score > 0))
-    best = peaks[np.argsort(-score[peaks], kind="stable")[:CANDIDATES]]
+    best = peaks[np.argsort(-score[peaks], kind="stable")[:_CANDIDATES]]
     lag = np.where(best > len(b), best - size, best)
-    return np.asarray(lag * COARSE_STEP_S + (b_s - a_s))
+    return np.asarray(lag * _COARSE_STEP_S + (b_s - a_s))
 
 
 def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
@@ -178,7 +178,7 @@ def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
 
 def _on_grid(t_s: Floats, values: Floats, longest_s: float) -> tuple[float, Floats, Floats]:
     """Start of an even grid, the values on it, and 1 where they are known and 0 where a gap lies."""
-    grid = np.arange(t_s[0], t_s[-1] + COARSE_STEP_S / 2, COARSE_STEP_S)
+    grid = np.arange(t_s[0], t_s[-1] + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     right = np.clip(np.searchsorted(t_s, grid), 1, max(len(t_s) - 1, 1))
     known = (t_s[right] - t_s[right - 1] <= 2 * longest_s).astype(np.float64)
     return float(t_s[0]), np.interp(grid, t_s, values) * known, known
@@ -207,13 +207,13 @@ def _mounting_of_turns(turn_e: Floats, turn_b: Floats) -> tuple[Floats, float]:
 
 def _descend(turns: _Turns, start_s: float) -> float:
     """Return the offset in s at the bottom of the valley around ``start_s``."""
-    some = _evenly(len(turns.turn), FINE_TURNS)
-    bounds = start_s - COARSE_STEP_S, start_s + COARSE_STEP_S
+    some = _evenly(len(turns.turn), _FINE_TURNS)
+    bounds = start_s - _COARSE_STEP_S, start_s + _COARSE_STEP_S
     offset_s = start_s
-    for _ in range(FINE_STEPS):
+    for _ in range(_FINE_STEPS):
         closer_s = float(np.clip(offset_s + _clock_step(turns, some, offset_s), *bounds))
         moved_s, offset_s = abs(closer_s - offset_s), closer_s
-        if moved_s < FINE_ENOUGH_S:
+        if moved_s < _FINE_ENOUGH_S:
             break
     return offset_s
 

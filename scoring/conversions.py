@@ -14,8 +14,8 @@ from stillpoint.datasets.frames import from_xyzw, quaternion, rotation, to_xyzw
 from stillpoint.datasets.recording import Floats
 
 ABSURD_DEG = 20.0  # RMSE above which a conversion is looked for: no estimator that works is so far off all the time
-EXPLAINED = 0.25  # share of the RMSE that may remain
-MOST_SAMPLES = 1000  # evenly spread; a conversion holds for all of them or for none
+_EXPLAINED = 0.25  # share of the RMSE that may remain
+_MOST_SAMPLES = 1000  # evenly spread; a conversion holds for all of them or for none
 
 Change = Callable[[Floats], Floats]  # quaternions wxyz (N, 4) to the same
 
@@ -28,16 +28,16 @@ def _same(q: Floats) -> Floats:
     return q
 
 
-ORDERS: dict[str, Change] = {
+_ORDERS: dict[str, Change] = {
     "": _same,
     "its components are x, y, z, w where w, x, y, z was read": from_xyzw,
     "its components are w, x, y, z where x, y, z, w was read": to_xyzw,
 }
-DIRECTIONS: dict[str, Change] = {
+_DIRECTIONS: dict[str, Change] = {
     "": _same,
     "it is the inverse (it takes world vectors to the body)": lambda q: q * [1.0, -1.0, -1.0, -1.0],
 }
-AXES: dict[str, Change] = {
+_AXES: dict[str, Change] = {
     "": _same,
     "its world is North-East-Down": lambda q: quaternion(_SWAP_NE * rotation(q)),
     "its world is North-East-Down and its body forward-right-down": lambda q: quaternion(
@@ -57,20 +57,20 @@ def find_conversion(q_est: Floats, q_true: Floats, rmse_after: Callable[[Floats,
     ``rmse_after(q_est, q_true)`` aligns as the score did and returns the RMSE in deg. Nothing is looked for below
     :data:`ABSURD_DEG`.
     """
-    rows = np.unique(np.linspace(0, len(q_est) - 1, MOST_SAMPLES).astype(np.intp))
+    rows = np.unique(np.linspace(0, len(q_est) - 1, _MOST_SAMPLES).astype(np.intp))
     q_est, q_true = q_est[rows], q_true[rows]
     before = rmse_after(q_est, q_true)
     if before < ABSURD_DEG:
         return None
     tried = []
-    for parts in itertools.product(ORDERS.items(), DIRECTIONS.items(), AXES.items()):
+    for parts in itertools.product(_ORDERS.items(), _DIRECTIONS.items(), _AXES.items()):
         words = [text for text, _ in parts if text]
         q = q_est
         for _, change in parts:
             q = change(q)
         tried.append((rmse_after(q, q_true), len(words), " and ".join(words)))
     best = min(tried)[0]
-    if best > EXPLAINED * before:
+    if best > _EXPLAINED * before:
         return None
     after, _, text = min((one for one in tried if one[0] <= 1.5 * best + 0.1), key=lambda one: one[1])
     return f"{text}: converted, its error would be {after:.3g} deg instead of {before:.3g} deg"

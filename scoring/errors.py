@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.frames import EulerFrame, euler, quaternion, rotation, wrap
 from stillpoint.datasets.recording import Floats
 
-GIMBAL_RAD = np.deg2rad(80.0)  # beyond this pitch, roll and yaw errors are large for any small rotation
+_GIMBAL_RAD = np.deg2rad(80.0)  # beyond this pitch, roll and yaw errors are large for any small rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def euler_error(q_est: Floats, q_true: Floats, frame: EulerFrame) -> Floats:
 
 def near_gimbal(q_true: Floats, frame: EulerFrame) -> NDArray[np.bool_]:
     """Return where the true pitch lies beyond +-80 deg, (N,)."""
-    return np.abs(euler(q_true, frame)[:, 1]) > GIMBAL_RAD
+    return np.abs(euler(q_true, frame)[:, 1]) > _GIMBAL_RAD
 
 
 def rotation_error_b(q_est: Floats, q_true: Floats) -> Floats:

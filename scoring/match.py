@@ -13,7 +13,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference
 
 Mask = NDArray[np.bool_]
 
-SPARSER = 1.05  # ratio of median steps: rates that differ by jitter count as equal
+_SPARSER = 1.05  # ratio of median steps: rates that differ by jitter count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def is_sparser(estimated: Track, truth: Track) -> bool:
     """Return whether the estimate has clearly longer steps than the truth, so that the truth is the one to
     interpolate.
     """
-    return estimated.step_ns > SPARSER * truth.step_ns
+    return estimated.step_ns > _SPARSER * truth.step_ns
 
 
 def pair_up(estimated: Track, truth: Track, moving: Mask, offset_ns: int = 0) -> Pairs:

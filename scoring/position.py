@@ -9,7 +9,7 @@ from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, Reference
 
-CHI2_3_95 = float(chdtri(3, 0.05))
+_CHI2_3_95 = float(chdtri(3, 0.05))
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,5 @@ def score_position(estimated: Estimate | Reference, truth: Reference | Truth) ->
         rmse_m=float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
         horizontal_rmse_m=float(np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1)))),
         max_m=float(np.linalg.norm(error, axis=1).max()),
-        coverage95=float((square <= CHI2_3_95).mean()),
+        coverage95=float((square <= _CHI2_3_95).mean()),
     )

@@ -57,15 +57,15 @@ class ErrorStats:
         )
 
 
-SPLIT = ("total", "heading", "inclination")  # errors of the rotation, each >= 0
-EULER = ("roll", "pitch", "yaw")  # estimate minus truth, with a sign
+_SPLIT = ("total", "heading", "inclination")  # errors of the rotation, each >= 0
+_EULER = ("roll", "pitch", "yaw")  # estimate minus truth, with a sign
 # The flat names of JSON and of the attributes: total_rmse_deg stands for total.rmse_deg. The papers call the largest
 # absolute error of an angle its MaxAE.
-FLAT: dict[str, tuple[str, str]] = {
-    f"{part}_{figure.name}": (part, figure.name) for part in SPLIT for figure in fields(ErrorStats)
+_FLAT: dict[str, tuple[str, str]] = {
+    f"{part}_{figure.name}": (part, figure.name) for part in _SPLIT for figure in fields(ErrorStats)
 } | {
     f"{part}_{name}": (part, figure)
-    for part in EULER
+    for part in _EULER
     for name, figure in {
         "rmse_deg": "rmse_deg",
         "maxae_deg": "max_deg",
@@ -112,9 +112,9 @@ class Score:
     position: PositionScore | None = None  # where both have positions
 
     def __getattr__(self, name: str) -> float:
-        if name not in FLAT:
+        if name not in _FLAT:
             raise AttributeError(f"Score has no figure {name!r}")
-        part, figure = FLAT[name]
+        part, figure = _FLAT[name]
         return float(getattr(getattr(self, part), figure))
 
     def __str__(self) -> str:
@@ -155,9 +155,9 @@ def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence
     moving = comparison.moving
     q_est, q_true = comparison.q_est[moving], comparison.q_true[moving]
     error = attitude_error(q_est, q_true)
-    parts = {name: ErrorStats.of(np.rad2deg(getattr(error, f"{name}_rad"))) for name in SPLIT}
+    parts = {name: ErrorStats.of(np.rad2deg(getattr(error, f"{name}_rad"))) for name in _SPLIT}
     euler_rad = euler_error(q_est, q_true, frame)
-    parts |= {name: ErrorStats.of(np.rad2deg(column)) for name, column in zip(EULER, euler_rad.T, strict=True)}
+    parts |= {name: ErrorStats.of(np.rad2deg(column)) for name, column in zip(_EULER, euler_rad.T, strict=True)}
     nees, coverage = _consistency(comparison)
     return Score(
         estimated=comparison.estimated,
@@ -227,7 +227,7 @@ def score_row(score: Score) -> dict[str, Any]:
         **named,
         "align": score.alignment.kind,
         "frame": score.frame,
-        **{name: getattr(score, name) for name in (*counts, *FLAT, *judged)},
+        **{name: getattr(score, name) for name in (*counts, *_FLAT, *judged)},
         "conversion": score.conversion,
         "position": None if score.position is None else asdict(score.position),
         "turns": [asdict(turn) for turn in score.turns],

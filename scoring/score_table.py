@@ -10,23 +10,23 @@ if TYPE_CHECKING:
 
     from stillpoint.scoring.score import Score
 
-PARTS = ("total", "heading", "inclination", "roll", "pitch", "yaw")
-FIGURES = {"rmse": "rmse_deg", "mean": "mean_deg", "50 %": "p50_deg", "95 %": "p95_deg", "max": "max_deg"}
+_PARTS = ("total", "heading", "inclination", "roll", "pitch", "yaw")
+_FIGURES = {"rmse": "rmse_deg", "mean": "mean_deg", "50 %": "p50_deg", "95 %": "p95_deg", "max": "max_deg"}
 
 
 def format_score(score: "Score") -> str:
     """Return the table of a score in deg, with a title and a line about samples and alignment."""
-    lines = [f"{'':12}{''.join(f'{title:>9}' for title in FIGURES)}"]
-    lines += [f"{part:12}{''.join(f'{value:9.3f}' for value in _list_figures(score, part))}" for part in PARTS]
+    lines = [f"{'':12}{''.join(f'{title:>9}' for title in _FIGURES)}"]
+    lines += [f"{part:12}{''.join(f'{value:9.3f}' for value in _list_figures(score, part))}" for part in _PARTS]
     return "\n".join([_make_title(score), *lines, _make_footer(score)])
 
 
 def format_score_html(score: "Score") -> str:
     """Return the table of a score as HTML."""
-    head = "".join(f"<th>{title}</th>" for title in FIGURES)
+    head = "".join(f"<th>{title}</th>" for title in _FIGURES)
     rows = "".join(
         f"<tr><th>{part}</th>{''.join(f'<td>{value:.3f}</td>' for value in _list_figures(score, part))}</tr>"
-        for part in PARTS
+        for part in _PARTS
     )
     return (
         f"<table><caption>{escape(_make_title(score))}</caption><thead><tr><th></th>{head}</tr></thead>"
@@ -43,12 +43,12 @@ def make_score_frame(score: "Score") -> "pd.DataFrame":
         import pandas as pd
     except ImportError:
         raise BadParameter("to_frame: pandas is not installed; install it: pip install pandas") from None
-    rows = [_list_figures(score, part) for part in PARTS]
-    return pd.DataFrame(rows, index=pd.Index(PARTS, name="part"), columns=list(FIGURES.values()))
+    rows = [_list_figures(score, part) for part in _PARTS]
+    return pd.DataFrame(rows, index=pd.Index(_PARTS, name="part"), columns=list(_FIGURES.values()))
 
 
 def _list_figures(score: "Score", part: str) -> list[float]:
-    return [getattr(getattr(score, part), figure) for figure in FIGURES.values()]
+    return [getattr(getattr(score, part), figure) for figure in _FIGURES.values()]
 
 
 def _make_title(score: "Score") -> str:

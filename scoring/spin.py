@@ -18,14 +18,14 @@ from stillpoint.datasets.times import longest_step_ns
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 
 AngleZero = Literal["start", "mean", "turns", "none"]
-ANGLE_ZEROS: tuple[AngleZero, ...] = get_args(AngleZero)
+_ANGLE_ZEROS: tuple[AngleZero, ...] = get_args(AngleZero)
 ZERO_WORDS: dict[AngleZero, str] = {
     "start": "the angle counts from the first sample",
     "mean": "the angle is free of its mean error",
     "turns": "absolute angles, whole turns aside",
     "none": "absolute angles",
 }
-SD_95 = float(ndtri(0.975))
+_SD_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,8 @@ def compare_spin(
     estimated: Estimate | SpinReference, truth: Encoder | SpinReference, zero: AngleZero = "start", against: str = ""
 ) -> SpinComparison:
     """Return the errors at every sample of the estimate that is ready and within the truth; see :func:`score_roll`."""
-    if zero not in ANGLE_ZEROS:
-        raise BadParameter(f"zero: {zero!r} is not one of {', '.join(ANGLE_ZEROS)}")
+    if zero not in _ANGLE_ZEROS:
+        raise BadParameter(f"zero: {zero!r} is not one of {', '.join(_ANGLE_ZEROS)}")
     name = f"reference ({estimated.method})" if isinstance(estimated, SpinReference) else estimated.name
     if estimated.angle_rad is None or estimated.rate_radps is None:
         raise BadRecording(f"{name}: has no angle and rate about an axis; score its attitude instead")
@@ -206,7 +206,7 @@ def _consistency(error: Floats, sd: Floats | None) -> tuple[float | None, float 
     if sd is None or not (sd > 0).any():
         return None, None
     ratio = error[sd > 0] / sd[sd > 0]
-    return float(np.mean(ratio**2)), float(np.mean(np.abs(ratio) <= SD_95))
+    return float(np.mean(ratio**2)), float(np.mean(np.abs(ratio) <= _SD_95))
 
 
 def _median_deg(sd_rad: Floats | None) -> float | None:

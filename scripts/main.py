@@ -46,11 +46,11 @@ VERBS: dict[str, tuple[str, str]] = {
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }
-HELP, VERSION = ["--help", "-h"], ["--version"]
+_HELP, _VERSION = ["--help", "-h"], ["--version"]
 # Flags of every verb: the traceback of an error, and inputs above the limits of datasets/files/limits.py.
-DEBUG, LARGE = "--debug", "--large"
-TERMINATED = 143  # the exit code after SIGTERM
-UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
+_DEBUG, _LARGE = "--debug", "--large"
+_TERMINATED = 143  # the exit code after SIGTERM
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
 
 def app() -> "App":
@@ -64,8 +64,8 @@ def app() -> "App":
         help="Reference trajectories from recordings of a moving sensor, and scores of estimators against them.\n\n"
         "Every verb takes --debug (show the traceback of an error) and --large (read inputs above the size limits).",
         version=lambda: metadata.version("stillpoint"),
-        version_flags=VERSION,
-        help_flags=HELP,
+        version_flags=_VERSION,
+        help_flags=_HELP,
     )
     for place, (verb, (target, summary)) in enumerate(VERBS.items()):
         cli.command(f"stillpoint.scripts.verbs.{target}", name=verb, help=summary, sort_key=place)
@@ -75,12 +75,12 @@ def app() -> "App":
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line, as the console script does; never return normally."""
     tokens = list(sys.argv[1:] if argv is None else argv)
-    debug = DEBUG in tokens
-    if LARGE in tokens:
+    debug = _DEBUG in tokens
+    if _LARGE in tokens:
         from stillpoint.datasets.files import limits
 
         os.environ[limits.LARGE] = "1"
-    tokens = [token for token in tokens if token not in (DEBUG, LARGE)]
+    tokens = [token for token in tokens if token not in (_DEBUG, _LARGE)]
     if argv is None:  # a user waits; see datasets/machine_code.py, which would import numba here
         os.environ["STILLPOINT_SAY_COMPILING"] = "1"
     before = signal.signal(signal.SIGTERM, _end_by_signal)
@@ -90,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         _flush_without_waiting()
         sys.exit(130)
     except SystemExit as end:
-        if end.code == TERMINATED:
+        if end.code == _TERMINATED:
             _flush_without_waiting()
         raise
     finally:
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _end_by_signal(*_: object) -> NoReturn:
     """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
-    sys.exit(TERMINATED)
+    sys.exit(_TERMINATED)
 
 
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
@@ -109,7 +109,7 @@ def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
         _stop("the standard output is closed, so that results would be lost; redirect it to a file or to /dev/null")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be UTF-8
-    if tokens and tokens[0] not in (*VERBS, *HELP, *VERSION):
+    if tokens and tokens[0] not in (*VERBS, *_HELP, *_VERSION):
         from stillpoint.datasets.errors import nearest
 
         _stop(f"no verb {tokens[0]!r}; {nearest(tokens[0], VERBS)}")
@@ -127,7 +127,7 @@ def _run(tokens: Sequence[str], debug: bool) -> NoReturn:
     except Exception as error:
         from stillpoint.datasets.errors import StillpointError
 
-        if isinstance(error, OSError) and error.filename is None and error.errno in UNWRITABLE:
+        if isinstance(error, OSError) and error.filename is None and error.errno in _UNWRITABLE:
             _discard_output()
             _stop(f"the standard output cannot be written ({error.strerror}); what belongs there is lost: give it room")
         if isinstance(error, StillpointError):

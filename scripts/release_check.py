@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-ROOT = Path.cwd()  # make runs it in the checkout
-OUT = ROOT / "build" / "release"
-PYTHONS = ("3.11", "3.12", "3.13")
+_ROOT = Path.cwd()  # make runs it in the checkout
+_OUT = _ROOT / "build" / "release"
+_PYTHONS = ("3.11", "3.12", "3.13")
 # Licences under which a package may be used and passed on with an MIT package. A package with another one needs a
-# look, and its line in KNOWN_LICENCES.
-FREE = (
+# look, and its line in _KNOWN_LICENCES.
+_FREE = (
     "MIT",
     "BSD",
     "APACHE",
@@ -35,12 +35,12 @@ FREE = (
     "UNLICENSE",
     "HPND",
 )
-KNOWN_LICENCES: dict[str, str] = {
+_KNOWN_LICENCES: dict[str, str] = {
     "gtsam": "BSD-3-Clause; its wheel names none, its repository holds the text",
     "stillpoint": "MIT",
 }
 # The fast tests of every layer: a wrong bound of a dependency shows in them.
-TESTS = ("tests/datasets/mcap", "tests/datasets/importers", "tests/filters/test_filters.py", "tests/smoother/attitude",
+_TESTS = ("tests/datasets/mcap", "tests/datasets/importers", "tests/filters/test_filters.py", "tests/smoother/attitude",
          "tests/scoring", "tests/scripts/test_command.py")  # fmt: skip
 
 
@@ -55,13 +55,13 @@ class Outcome:
 
 def main() -> int:
     """Run all checks, write ``build/release/report.json`` and return the exit code: 1 when one failed."""
-    OUT.mkdir(parents=True, exist_ok=True)
+    _OUT.mkdir(parents=True, exist_ok=True)
     outcomes = []
     for check in (check_wheel, check_materials, check_licences, check_vulnerabilities, check_citation, check_versions):
         for outcome in check():
             outcomes.append(outcome)
             print(f"{outcome.ended:11}  {outcome.check}: {outcome.detail}", flush=True)
-    (OUT / "report.json").write_text(json.dumps([vars(outcome) for outcome in outcomes], indent=2) + "\n")
+    (_OUT / "report.json").write_text(json.dumps([vars(outcome) for outcome in outcomes], indent=2) + "\n")
     return int(any(outcome.ended == "failed" for outcome in outcomes))
 
 
@@ -70,7 +70,7 @@ def check_wheel() -> Iterator[Outcome]:
     stamp = _run(["git", "log", "-1", "--format=%ct"]).stdout.strip()
     hashes = []
     for name in ("first", "second"):
-        source, out = OUT / name / "source", OUT / name
+        source, out = _OUT / name / "source", _OUT / name
         shutil.rmtree(out, ignore_errors=True)
         source.mkdir(parents=True)
         archive = subprocess.run(["git", "archive", "HEAD"], capture_output=True, check=True).stdout
@@ -89,13 +89,13 @@ def check_wheel() -> Iterator[Outcome]:
 
 def check_materials() -> Iterator[Outcome]:
     """Write the bill of materials of this environment in CycloneDX."""
-    target = OUT / "sbom.cdx.json"
+    target = _OUT / "sbom.cdx.json"
     made = _run([_find_tool("cyclonedx-py"), "environment", sys.executable, "--output-file", str(target)])
     if made.returncode:
         yield Outcome("bill of materials", "failed", _find_last_line(made))
         return
     parts = json.loads(target.read_text()).get("components", [])
-    yield Outcome("bill of materials", "ok", f"{len(parts)} packages in {target.relative_to(ROOT)}")
+    yield Outcome("bill of materials", "ok", f"{len(parts)} packages in {target.relative_to(_ROOT)}")
 
 
 def check_licences() -> Iterator[Outcome]:
@@ -106,13 +106,13 @@ def check_licences() -> Iterator[Outcome]:
         return
     rows = json.loads(made.stdout)
     others = [f"{row['Name']} ({row['License']})" for row in rows if not _is_free(row["Name"], row["License"])]
-    (OUT / "licences.json").write_text(json.dumps(rows, indent=2) + "\n")
+    (_OUT / "licences.json").write_text(json.dumps(rows, indent=2) + "\n")
     says = f"{len(rows)} packages, all free" if not others else "look at " + ", ".join(others)
     yield Outcome("licences", "failed" if others else "ok", says)
 
 
 def _is_free(name: str, licence: str) -> bool:
-    return name.lower() in KNOWN_LICENCES or any(word in licence.upper() for word in FREE)
+    return name.lower() in _KNOWN_LICENCES or any(word in licence.upper() for word in _FREE)
 
 
 def check_vulnerabilities() -> Iterator[Outcome]:
@@ -139,7 +139,7 @@ def check_citation() -> Iterator[Outcome]:
 
 def check_versions() -> Iterator[Outcome]:
     """Run the fast tests with the lowest and the newest versions of pyproject.toml, on every Python there is."""
-    for python in PYTHONS:
+    for python in _PYTHONS:
         found = _run([_find_tool("uv"), "python", "find", "--no-python-downloads", python])
         for resolution in ("lowest-direct", "highest"):
             name = f"Python {python}, {'lowest' if resolution == 'lowest-direct' else 'newest'} versions"
@@ -150,14 +150,14 @@ def check_versions() -> Iterator[Outcome]:
 
 
 def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
-    home = OUT / "environments" / name.replace(" ", "-").replace(",", "")
+    home = _OUT / "environments" / name.replace(" ", "-").replace(",", "")
     shutil.rmtree(home, ignore_errors=True)
     uv, python = _find_tool("uv"), str(home / "bin" / "python")
     steps: list[Sequence[str]] = [
         [uv, "venv", "--quiet", "--python", interpreter, str(home)],
         [uv, "pip", "install", "--quiet", "--python", python, "--resolution", resolution, "--editable", ".[peers]",
          "pytest>=9,<10", "hypothesis>=6.150,<7"],
-        [python, "-m", "pytest", "-q", "-m", "not slow and not wheel", *TESTS],
+        [python, "-m", "pytest", "-q", "-m", "not slow and not wheel", *_TESTS],
     ]  # fmt: skip
     for step in steps:
         made = _run(step)

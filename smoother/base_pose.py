@@ -19,10 +19,10 @@ from stillpoint.datasets.settings import Settings, degrees, number
 from stillpoint.datasets.trajectory import BasePoseReturn
 from stillpoint.smoother.strapdown import GyroErrors, Swing, drift_covariance, swing, walk_steps
 
-LEVEL_FIELD_SHARE = 0.05  # level part of a field below which it shows no heading
+_LEVEL_FIELD_SHARE = 0.05  # level part of a field below which it shows no heading
 
-SHAKEN_S = 5.0  # a stretch between two rests that is shorter and turns by less is a tap or a bump
-SHAKEN_RAD = np.deg2rad(1.0)
+_SHAKEN_S = 5.0  # a stretch between two rests that is shorter and turns by less is a tap or a bump
+_SHAKEN_RAD = np.deg2rad(1.0)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def find_returns(
 def _is_same_rest(path: Swing, base: BasePose) -> bool:
     """Return whether a rest was only shaken since the one before, as by a tap: it was not put back."""
     turned_rad = (rotation(base.q_nb).inv() * rotation(path.q_nb)).magnitude()
-    return bool(np.abs(path.dt_s).sum() < SHAKEN_S and turned_rad.max(initial=0.0) < SHAKEN_RAD)
+    return bool(np.abs(path.dt_s).sum() < _SHAKEN_S and turned_rad.max(initial=0.0) < _SHAKEN_RAD)
 
 
 def closure(path: Swing, base: BasePose) -> Rotation:
@@ -129,7 +129,7 @@ def level_attitude(up_b: Floats, field_b: Floats | None) -> Rotation:
     if field_b is None:
         return Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
     east = np.cross(field_b / np.linalg.norm(field_b), up)
-    if np.linalg.norm(east) < LEVEL_FIELD_SHARE:
+    if np.linalg.norm(east) < _LEVEL_FIELD_SHARE:
         raise Unobservable("the magnetic field at rest is vertical: it shows no heading")
     east /= np.linalg.norm(east)
     return Rotation.from_matrix(np.stack([east, np.cross(up, east), up]))

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from stillpoint.datasets.errors import Unobservable
 
-NAMED = 3  # unknowns that a message names
+_NAMED = 3  # unknowns that a message names
 
 
 def require_connected(
@@ -33,7 +33,7 @@ def require_connected(
     known, number = np.unique([key for keys in factor_keys for key in keys], return_inverse=True)
     lost = np.setdiff1d(np.asarray(variables), known)
     if len(lost):
-        raise Unobservable(f"{name}: nothing is measured of {_names(lost.tolist(), describe)}; {ADVICE}")
+        raise Unobservable(f"{name}: nothing is measured of {_names(lost.tolist(), describe)}; {_ADVICE}")
     size = len(factor_keys) + len(known)
     edges = coo_array((np.ones(len(number)), (of_factor, len(factor_keys) + number)), shape=(size, size))
     parts, label = connected_components(edges, directed=False)
@@ -42,16 +42,16 @@ def require_connected(
     alone = np.isin(known, may_stand_alone) & (sizes[of_variable] == 1)
     cut_off = (of_variable != sizes.argmax()) & ~alone
     if cut_off.any():
-        raise Unobservable(f"{name}: nothing ties {_names(known[cut_off].tolist(), describe)} to the rest; {ADVICE}")
+        raise Unobservable(f"{name}: nothing ties {_names(known[cut_off].tolist(), describe)} to the rest; {_ADVICE}")
     return bool(alone.any())
 
 
-ADVICE = (
+_ADVICE = (
     "cut the recording at its gaps (stillpoint cut --drop-gap), and check that every added factor refers to states of "
     "this recording"
 )
 
 
 def _names(keys: Sequence[int], describe: Callable[[int], str]) -> str:
-    named = ", ".join(describe(key) for key in keys[:NAMED])
-    return named if len(keys) <= NAMED else f"{named} and {len(keys) - NAMED} more"
+    named = ", ".join(describe(key) for key in keys[:_NAMED])
+    return named if len(keys) <= _NAMED else f"{named} and {len(keys) - _NAMED} more"

@@ -22,11 +22,11 @@ from stillpoint.datasets.trajectory import Reference
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARTS = tuple(f"{sensor}_{'xyz'[i]}{'xyz'[j]}" for sensor in ("gyro", "accel") for i, j in PAIRS)
-DEVICE_SD = 2e-4  # by which a matrix element of one device changes from day to day
+_DEVICE_SD = 2e-4  # by which a matrix element of one device changes from day to day
 BIAS_SD_MPS2 = 0.015  # by which its accelerometer's bias does, as in 12 BROAD trials of two sensors
-ELEMENTS = (*PARTS, "accel_bias_x", "accel_bias_y", "accel_bias_z")
-LEAST_LEARNT = 0.01  # share of an element's prior variance that the data of a recording must remove to tell anything
-DRAWS, IMPROBABLE = 400, 0.005  # of recordings of one device, and the share of them that may split as clearly
+_ELEMENTS = (*PARTS, "accel_bias_x", "accel_bias_y", "accel_bias_z")
+_LEAST_LEARNT = 0.01  # share of an element's prior variance that the data of a recording must remove to tell anything
+_DRAWS, _IMPROBABLE = 400, 0.005  # of recordings of one device, and the share of them that may split as clearly
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +146,18 @@ def _find_split(found: Sequence[_Parts], biases: Floats) -> _Split:
     """
     own = np.array([np.diagonal(each.covariance) for each in found])
     prior = np.array([each.prior_var for each in found])
-    learnt = np.maximum(1 - own / prior, LEAST_LEARNT)
+    learnt = np.maximum(1 - own / prior, _LEAST_LEARNT)
     values = np.hstack([np.array([each.mean for each in found]) / learnt, biases])
-    variances = np.hstack([own / learnt + DEVICE_SD**2, np.full_like(biases, BIAS_SD_MPS2**2)])
+    variances = np.hstack([own / learnt + _DEVICE_SD**2, np.full_like(biases, BIAS_SD_MPS2**2)])
     group, gains = _best_split(values, variances)
     draw = np.random.default_rng(0)
     chance = [
         float(_best_split(draw.normal(size=values.shape) * np.sqrt(variances), variances)[1].sum())
-        for _ in range(DRAWS)
+        for _ in range(_DRAWS)
     ]
-    return _Split(group, float(gains.sum()), float(np.quantile(chance, 1 - IMPROBABLE)), ELEMENTS[int(gains.argmax())])
+    return _Split(
+        group, float(gains.sum()), float(np.quantile(chance, 1 - _IMPROBABLE)), _ELEMENTS[int(gains.argmax())]
+    )
 
 
 def _best_split(values: Floats, variances: Floats) -> tuple[NDArray[np.bool_], Floats]:

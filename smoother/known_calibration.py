@@ -12,7 +12,7 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Calibration, Reference
 
-IDENTITY = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 def corrected(recording: Recording, known: Calibration) -> Recording:
@@ -53,7 +53,7 @@ def _apply(matrix: Floats | None, values: Floats) -> Floats:
 
 
 def _matrix(matrix: Floats | None) -> Floats:
-    return IDENTITY if matrix is None else matrix
+    return _IDENTITY if matrix is None else matrix
 
 
 def _vector(vector: Floats | None) -> Floats:

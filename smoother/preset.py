@@ -17,14 +17,14 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Gps, Imu, Recording
 from stillpoint.smoother.strapdown import integrate
 
-FAR_M, FAST_MPS = 50.0, 4.0  # a vehicle goes that far, or so fast
-SLOW_TURNING_RADPS = np.deg2rad(15.0)  # RMS of the rate: nothing held by a person turns so little
-UPRIGHT_RAD = np.deg2rad(25.0)  # from the mean up for 95 % of the time: a vehicle does not turn over
-DRIVEN_MPS2 = 0.35  # level acceleration, RMS of means over a second
-WINDOW_S = 10.0  # in which the gyro keeps the level
-TURNED_OVER_RAD = np.deg2rad(30.0)
-PUSHED_MPS2 = 0.15  # RMS of the specific force's length about its median
-TURNING_RADPS = np.deg2rad(10.0)
+_FAR_M, _FAST_MPS = 50.0, 4.0  # a vehicle goes that far, or so fast
+_SLOW_TURNING_RADPS = np.deg2rad(15.0)  # RMS of the rate: nothing held by a person turns so little
+_UPRIGHT_RAD = np.deg2rad(25.0)  # from the mean up for 95 % of the time: a vehicle does not turn over
+_DRIVEN_MPS2 = 0.35  # level acceleration, RMS of means over a second
+_WINDOW_S = 10.0  # in which the gyro keeps the level
+_TURNED_OVER_RAD = np.deg2rad(30.0)
+_PUSHED_MPS2 = 0.15  # RMS of the specific force's length about its median
+_TURNING_RADPS = np.deg2rad(10.0)
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ def choose_preset(recording: Recording) -> PresetChoice:
         return PresetChoice("handheld", "the recording is too short to tell how it was moved")
     rate = float(np.sqrt(np.mean(np.sum((imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0)) ** 2, axis=1))))
     up_b, off_rad = _spread_of_up(imu)
-    if rate < SLOW_TURNING_RADPS and off_rad < UPRIGHT_RAD:
+    if rate < _SLOW_TURNING_RADPS and off_rad < _UPRIGHT_RAD:
         driven = _level_acceleration(imu, up_b)
-        if driven > DRIVEN_MPS2:
+        if driven > _DRIVEN_MPS2:
             reason = f"it turns by {np.rad2deg(rate):.0f} deg/s only, but accelerates by {driven:.1f} m/s^2 (RMS)"
             return PresetChoice("vehicle", reason)
     length = np.linalg.norm(imu.accel_b_mps2, axis=1)
     pushed = float(np.sqrt(np.mean((length - np.median(length)) ** 2)))
-    if rate > TURNING_RADPS and off_rad > TURNED_OVER_RAD and pushed < PUSHED_MPS2:
+    if rate > _TURNING_RADPS and off_rad > _TURNED_OVER_RAD and pushed < _PUSHED_MPS2:
         return PresetChoice("bench", f"it is turned over, but pushed by {pushed:.2f} m/s^2 (RMS) only")
     return PresetChoice("handheld", "nothing speaks for a vehicle or a bench")
 
@@ -68,7 +68,7 @@ def _describe_travel(gps: Gps) -> str:
     distance = float(np.percentile(np.hypot(place[:, 0], place[:, 1]), 90))
     known = gps.speed_mps[valid & np.isfinite(gps.speed_mps)]
     speed = float(np.percentile(known, 90)) if len(known) else 0.0
-    if distance < FAR_M and speed < FAST_MPS:
+    if distance < _FAR_M and speed < _FAST_MPS:
         return ""
     return f"the satellites saw it {distance:.0f} m away, at {speed:.1f} m/s"
 
@@ -90,8 +90,8 @@ def _level_acceleration(imu: Imu, up_b: Floats) -> float:
     t_s = (imu.t_ns - imu.t_ns[0]) / 1e9
     dt_s = np.diff(t_s, prepend=t_s[0])
     sizes = []
-    for start_s in np.arange(0.0, t_s[-1] - WINDOW_S, WINDOW_S):
-        rows = slice(*np.searchsorted(t_s, [start_s, start_s + WINDOW_S]))
+    for start_s in np.arange(0.0, t_s[-1] - _WINDOW_S, _WINDOW_S):
+        rows = slice(*np.searchsorted(t_s, [start_s, start_s + _WINDOW_S]))
         if rows.stop - rows.start < 10 or dt_s[rows][1:].max() > 1.0:
             continue
         mean = imu.gyro_b_radps[rows].mean(axis=0)

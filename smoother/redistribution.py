@@ -43,7 +43,7 @@ from stillpoint.smoother.strapdown import (
 )
 
 Axes = Literal["body", "earth"]
-METHOD_OF_AXES: dict[Axes, str] = {"body": "redistribution", "earth": "redistribution-earth"}
+_METHOD_OF_AXES: dict[Axes, str] = {"body": "redistribution", "earth": "redistribution-earth"}
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _redistribute_in_order(recording: Recording, params: RedistributionParams, a
         q_nb=q_nb,
         cov_b_rad2=_rotate_to_body(cov_n, q_nb),
         gyro_bias_b_radps=np.tile(base.gyro_bias_b_radps, (n, 1)),
-        method=METHOD_OF_AXES[axes],
+        method=_METHOD_OF_AXES[axes],
         name=recording.name,
         rests_ns=rests_ns,
         returns=returns.verdicts,

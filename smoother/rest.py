@@ -18,7 +18,7 @@ from stillpoint.datasets.recording import Floats, Imu, Times, rate_hz
 from stillpoint.datasets.settings import Settings, degrees, number
 
 Windows: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64]]  # first and last + 1 of each window's samples
-DENSE_SHARE = 0.6  # share of the samples of a window that must be present; fewer are beside a long gap
+_DENSE_SHARE = 0.6  # share of the samples of a window that must be present; fewer are beside a long gap
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _dense(t_s: Floats, rate: float, wide: Windows, params: RestParams) -> NDArr
     """Return where a window holds enough of the samples that the recording's rate promises."""
     first, last = wide
     inside_s = np.minimum(t_s + params.window_s / 2, t_s[-1]) - np.maximum(t_s - params.window_s / 2, t_s[0])
-    return (last - first >= DENSE_SHARE * rate * inside_s) & (last - first >= 3)
+    return (last - first >= _DENSE_SHARE * rate * inside_s) & (last - first >= 3)
 
 
 def _runs(mask: NDArray[np.bool_]) -> Times:

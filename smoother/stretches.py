@@ -16,7 +16,7 @@ from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.smoother.missing import LONG_GAP_S
 
 SHORTEST_STRETCH_S = 0.5
-FEWEST_SAMPLES = 5
+_FEWEST_SAMPLES = 5
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def leave_out_islands(recording: Recording) -> tuple[Recording, tuple[Island, ..
     edges = np.flatnonzero(np.diff(imu.t_ns) / 1e9 > _longest_bridged_s(imu.t_ns)) + 1
     first, stop = np.r_[0, edges], np.r_[edges, len(imu.t_ns)]
     length_s = (imu.t_ns[stop - 1] - imu.t_ns[first]) / 1e9
-    short = (length_s < SHORTEST_STRETCH_S) | (stop - first < FEWEST_SAMPLES)
+    short = (length_s < SHORTEST_STRETCH_S) | (stop - first < _FEWEST_SAMPLES)
     if len(first) == 1 or not short.any():
         return recording, ()
     if short.all():

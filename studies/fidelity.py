@@ -33,9 +33,9 @@ from stillpoint.studies.leaderboard.study import NONE
 from stillpoint.studies.leaderboard.verdicts import PairTable, compare_pairs, merge_rows
 from stillpoint.studies.result_store import ResultStore
 
-SPLITS = 120  # random halves of the rows
-LEAST_ROWS_IN_HALF = 2
-SEED = 0
+_SPLITS = 120  # random halves of the rows
+_LEAST_ROWS_IN_HALF = 2
+_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -214,10 +214,10 @@ def _judge_verdicts(
 
 def _split(rows: int) -> Iterator[tuple[Any, Any]]:
     """Yield random halves of the rows, and the rows of the other half; none where a half would be too small."""
-    if rows // 2 < LEAST_ROWS_IN_HALF:
+    if rows // 2 < _LEAST_ROWS_IN_HALF:
         return
-    rng = np.random.default_rng(SEED)
-    for _ in range(SPLITS):
+    rng = np.random.default_rng(_SEED)
+    for _ in range(_SPLITS):
         order = rng.permutation(rows)
         yield order[: rows // 2], order[rows // 2 :]
 

@@ -7,14 +7,14 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.names import make_drawable
 from stillpoint.studies.fidelity import Fidelity, JudgeFidelity
 
-WIDTH_IN = 3.2  # of one panel
-MARKERS = "osD^v<>Ph*Xp8"
+_WIDTH_IN = 3.2  # of one panel
+_MARKERS = "osD^v<>Ph*Xp8"
 
 
 def draw_fidelity(fidelity: Fidelity) -> Figure:
     """Return a figure with one panel per judge, logarithmic, a marker per estimator and recording."""
     judged = [judge for judge in fidelity.judges if judge.recordings]
-    figure = Figure(figsize=(WIDTH_IN * max(len(judged), 1), WIDTH_IN + 0.9), layout="constrained")
+    figure = Figure(figsize=(_WIDTH_IN * max(len(judged), 1), _WIDTH_IN + 0.9), layout="constrained")
     estimators = list(dict.fromkeys(row.estimator for row in fidelity.rows))
     axes = np.atleast_1d(figure.subplots(1, max(len(judged), 1), sharex=True, sharey=True))
     for ax, judge in zip(axes, judged, strict=False):
@@ -30,7 +30,7 @@ def _draw_judge(ax: Axes, fidelity: Fidelity, judge: JudgeFidelity, estimators: 
         rows = [r for r in fidelity.rows if (r.judge, r.estimator) == (judge.judge, estimator) and r.error is None]
         truth = np.array([r.truth_rmse_deg for r in rows], dtype=np.float64)
         judged = np.array([r.judge_rmse_deg for r in rows], dtype=np.float64)
-        marker, color = MARKERS[number % len(MARKERS)], f"C{number % 10}"
+        marker, color = _MARKERS[number % len(_MARKERS)], f"C{number % 10}"
         ax.scatter(
             truth, judged, s=12, alpha=0.7, linewidths=0, label=make_drawable(estimator), marker=marker, color=color
         )

@@ -22,7 +22,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.scoring import compare
 from stillpoint.scoring.errors import attitude_error
 
-LAYOUT_SUFFIX = ".foxglove.json"
+_LAYOUT_SUFFIX = ".foxglove.json"
 
 
 def write_one_file(
@@ -54,7 +54,7 @@ def write_one_file(
             reasons[estimate.name] = str(error)
     write_mcap(path, streams, records, {})
     layout = make_layout([stream.topic for stream in streams])
-    with write_file(path.with_name(path.name.removesuffix(".mcap") + LAYOUT_SUFFIX)) as file:
+    with write_file(path.with_name(path.name.removesuffix(".mcap") + _LAYOUT_SUFFIX)) as file:
         file.write((json.dumps(layout, indent=1) + "\n").encode())
     return reasons
 

@@ -19,7 +19,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.smoother import attitude_reference, reference
 
-KINDS = ("reference", "roll reference", "estimate")
+_KINDS = ("reference", "roll reference", "estimate")
 
 Made = Reference | SpinReference | Estimate
 
@@ -50,7 +50,7 @@ def draw_jobs(archive: Archive, count: int | None, seed: int) -> tuple[list[Rema
     The second value maps file names to reasons.
     """
     jobs, reasons = [], {}
-    for entry in archive.find(" or ".join(f"kind = '{kind}'" for kind in KINDS)):
+    for entry in archive.find(" or ".join(f"kind = '{kind}'" for kind in _KINDS)):
         job = _job_of(archive, entry)
         if isinstance(job, str):
             reasons[entry.file_name] = job

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.atomic import write_atomically
 
-FACTS = "facts"
-DECIDING = ("datasets", "filters", "smoother", "scoring", "studies")  # packages whose code decides a result
+_FACTS = "facts"
+_DECIDING = ("datasets", "filters", "smoother", "scoring", "studies")  # packages whose code decides a result
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class ResultStore:
         try:
             with np.load(self._path(key), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
-            return Result(json.loads(bytes(arrays.pop(FACTS))), arrays)
+            return Result(json.loads(bytes(arrays.pop(_FACTS))), arrays)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
 
@@ -52,7 +52,7 @@ class ResultStore:
         """Return the facts of a key without its arrays; None when it is missing or unreadable."""
         try:
             with np.load(self._path(key), allow_pickle=False) as file:
-                found: Mapping[str, Any] = json.loads(bytes(file[FACTS]))
+                found: Mapping[str, Any] = json.loads(bytes(file[_FACTS]))
                 return found
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -64,7 +64,7 @@ class ResultStore:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             with write_atomically(place) as file:
-                np.savez(file, allow_pickle=False, **{FACTS: text, **(arrays or {})})
+                np.savez(file, allow_pickle=False, **{_FACTS: text, **(arrays or {})})
         except OSError as error:
             raise BadParameter(f"{place.parent}: cannot be written ({error.strerror}); name another folder") from None
 
@@ -89,7 +89,7 @@ def key_of(**deciding: Any) -> str:
 @cache
 def product_version() -> str:
     """Return the version of stillpoint with a hash of the code that decides results."""
-    return f"{version('stillpoint')}+{hash_code(DECIDING)[:12]}"
+    return f"{version('stillpoint')}+{hash_code(_DECIDING)[:12]}"
 
 
 @cache

@@ -40,8 +40,8 @@ from stillpoint.studies.leaderboard.verdicts import merge_rows
 from stillpoint.studies.result_store import ResultStore, product_version
 
 Sampler = Literal["tpe", "random", "grid"]
-JUDGED_HZ = 25.0  # stamps of a judge that are compared: RMSE over more differ by 0.02 %
-RMSE_ATTRIBUTE = "rmse_deg"  # of a trial: one value per recording
+_JUDGED_HZ = 25.0  # stamps of a judge that are compared: RMSE over more differ by 0.02 %
+_RMSE_ATTRIBUTE = "rmse_deg"  # of a trial: one value per recording
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def _run_trials(spec: TuneSpec) -> int:
         params = {each.name: trial.suggest_float(each.name, each.low, each.high, log=each.log) for each in spec.ranges}
         rmse = bench.evaluate(params)
         nonlocal run
-        trial.set_user_attr(RMSE_ATTRIBUTE, rmse)
+        trial.set_user_attr(_RMSE_ATTRIBUTE, rmse)
         run += 1
         return _typical(rmse, bench.row_of)
 
@@ -264,7 +264,7 @@ def _summarise(spec: TuneSpec) -> Tuning:
     """Read the trials of the journal and choose."""
     bench = _Bench(spec)
     trials = [
-        TunedTrial(dict(trial.params), tuple(trial.user_attrs[RMSE_ATTRIBUTE]), float(trial.value))
+        TunedTrial(dict(trial.params), tuple(trial.user_attrs[_RMSE_ATTRIBUTE]), float(trial.value))
         for trial in _complete(_open_study(spec))
     ]
     defaults_rmse = bench.evaluate({})
@@ -407,7 +407,7 @@ def _load(spec: TuneSpec, source: Source) -> tuple[Recording, Reference | Truth,
         recording = apply_calibration(recording, load_calibration(file), source.sha256)
     t_ns = judge.trajectory.t_ns
     rate_hz = 1e9 * (len(t_ns) - 1) / max(int(t_ns[-1] - t_ns[0]), 1)
-    step = max(1, int(rate_hz // JUDGED_HZ))
+    step = max(1, int(rate_hz // _JUDGED_HZ))
     kept = slice(None, None, step)
     thin = Truth(t_ns[kept], judge.trajectory.q_nb[kept], judge.moving[kept])
     return recording, thin, judge.moving[kept]

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from stillpoint.datasets.names import make_drawable
 from stillpoint.studies.tune import ParamRange, Tuning
 
-LEAST_FOR_CONTOURS = 8  # trials; fewer are shown as points alone
-LEVELS = 12
-BEST: dict[str, Any] = {"color": "C3", "markersize": 11, "zorder": 5, "clip_on": False, "label": "best common setting"}
+_LEAST_FOR_CONTOURS = 8  # trials; fewer are shown as points alone
+_LEVELS = 12
+_BEST: dict[str, Any] = {"color": "C3", "markersize": 11, "zorder": 5, "clip_on": False, "label": "best common setting"}
 
 
 def draw_tuning(tuning: Tuning) -> Figure:
@@ -35,7 +35,7 @@ def _draw_line(ax: Axes, tuning: Tuning) -> None:
     ordered = sorted(tuning.trials, key=lambda trial: trial.params[name])
     ax.plot([t.params[name] for t in ordered], [t.typical_deg for t in ordered], ".-", linewidth=0.8)
     ax.axhline(tuning.defaults.typical_deg, color="0.5", linewidth=0.8, label="defaults")
-    ax.plot(tuning.best.params[name], tuning.best.typical_deg, "*", **BEST)
+    ax.plot(tuning.best.params[name], tuning.best.typical_deg, "*", **_BEST)
     ax.set(
         xlabel=make_drawable(name),
         ylabel="typical RMSE (deg)",
@@ -52,8 +52,8 @@ def _draw_map(figure: Figure, ax: Axes, tuning: Tuning) -> None:
     y = np.array([trial.params[second.name] for trial in usable])
     level = np.log10([trial.typical_deg for trial in usable])
     ax.set(xscale="log" if first.log else "linear", yscale="log" if second.log else "linear")
-    if len(x) >= LEAST_FOR_CONTOURS and len(tuning.ranges) == 2:
-        filled: Any = ax.tricontourf(x, y, level, levels=LEVELS, cmap="viridis_r")
+    if len(x) >= _LEAST_FOR_CONTOURS and len(tuning.ranges) == 2:
+        filled: Any = ax.tricontourf(x, y, level, levels=_LEVELS, cmap="viridis_r")
     else:
         filled = ax.scatter(x, y, c=level, s=20, cmap="viridis_r")
     bar = figure.colorbar(filled, ax=ax, label="typical RMSE (deg)")

@@ -46,14 +46,14 @@ from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 from stillpoint.datasets.files.remote import open_binary, url_of
 
 MARK = "stillpoint-archive.txt"
-MARK_TEXT = """This folder is an archive of stillpoint, format 1.
+_MARK_TEXT = """This folder is an archive of stillpoint, format 1.
 objects/ab/cdef...  files, named by the SHA-256 of their bytes (abcdef...); sha256sum checks them
 records/ab/cdef...  JSON beside each object: its file name, tags, metadata, when it was added or removed
 names/              links to the objects under the names they were added with
 catalogue.sqlite    answers queries; made from the rest by `stillpoint archive rebuild`
 """
-BATCH = 64  # files that `add` copies before it moves them in, in one transaction of the catalogue
-SHORTEST_ID = 4  # characters of a hash that name an object
+_BATCH = 64  # files that `add` copies before it moves them in, in one transaction of the catalogue
+_SHORTEST_ID = 4  # characters of a hash that name an object
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Archive:
     def add_given(self, files: Iterable[Given]) -> Iterator[Added]:
         """Add files that state what their records are to hold; otherwise as :meth:`add`."""
         files = iter(files)
-        while batch := list(islice(files, BATCH)):
+        while batch := list(islice(files, _BATCH)):
             with self._incoming() as incoming:
                 wanted: dict[str, Wanted] = {}
                 descriptions: dict[str, Description] = {}
@@ -190,7 +190,7 @@ class Archive:
 
         Raises :class:`BadParameter` when there is none, or more than one.
         """
-        if len(text) >= SHORTEST_ID and all(letter in "0123456789abcdef" for letter in text.lower()):
+        if len(text) >= _SHORTEST_ID and all(letter in "0123456789abcdef" for letter in text.lower()):
             found = self.catalogue.entries("substr(o.sha256, 1, ?) = ?", (len(text), text.lower()))
             if len(found) == 1:
                 return found[0]
@@ -344,9 +344,9 @@ class Archive:
             self.catalogue = Catalogue(self.home / FILE)
             self._sweep_links()
             records.sort(key=lambda record: (record.added, record.sha256))
-            for start in range(0, len(records), BATCH):
+            for start in range(0, len(records), _BATCH):
                 with self.catalogue.change() as connection:
-                    for record in records[start : start + BATCH]:
+                    for record in records[start : start + _BATCH]:
                         put_object(connection, record, self.describe(record), self._link(record))
         return problems
 
@@ -421,7 +421,7 @@ def create_archive(place: str | Path) -> Archive:
         home.mkdir(parents=True, exist_ok=True)
         (home / "incoming").mkdir(exist_ok=True)
         mark = home / "incoming" / MARK
-        mark.write_text(MARK_TEXT, encoding="utf-8")
+        mark.write_text(_MARK_TEXT, encoding="utf-8")
         sync_files([mark])
     except OSError as error:
         raise BadParameter(f"{storage.name}: cannot be made ({error.strerror}); name another place") from None

@@ -15,7 +15,7 @@ MANIFEST = "manifest.json"
 CHECKSUMS = "manifest-sha256.txt"
 STUDY_SUFFIX = ".study.toml"  # beside the JSON of a leaderboard: makes it anew from the bundle
 FORMAT = 1
-ACROSS_KINDS_RAD = 1e-7  # between references of two kinds of processors: forty times what was seen (docs/archive.md)
+_ACROSS_KINDS_RAD = 1e-7  # between references of two kinds of processors: forty times what was seen (docs/archive.md)
 
 
 def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]) -> dict[str, Path | bytes]:
@@ -179,10 +179,10 @@ Install stillpoint {version("stillpoint")} (`pip install .` in a checkout of tha
     sh reproduce.sh
 
 The script takes this bundle into a new archive, checks every hash, and makes every reference and estimate anew from
-the raw recordings with the recorded settings; each is compared with the one in this bundle to {ACROSS_KINDS_RAD:g} rad,
-because processors of another kind change up to 2.4e-9 rad (docs/archive.md). Leaderboards are made anew into the folder
-`remade`. The script ends with 1 where something differs, after all is done. The files were made by stillpoint
-{", ".join(made) or "(no version is recorded)"}.
+the raw recordings with the recorded settings; each is compared with the one in this bundle to
+{_ACROSS_KINDS_RAD:g} rad, because processors of another kind change up to 2.4e-9 rad (docs/archive.md).
+Leaderboards are made anew into the folder `remade`. The script ends with 1 where something differs, after all is done.
+The files were made by stillpoint {", ".join(made) or "(no version is recorded)"}.
 """
 
 
@@ -196,7 +196,7 @@ def _reproduce_script(items: Sequence[Item]) -> str:
         'stillpoint archive init "$work"',
         'stillpoint archive import . --archive "$work"',
         "differs=0",
-        f'stillpoint archive verify --archive "$work" --remake all --tolerance {ACROSS_KINDS_RAD:g} || differs=$?',
+        f'stillpoint archive verify --archive "$work" --remake all --tolerance {_ACROSS_KINDS_RAD:g} || differs=$?',
     ]
     for item in items:
         if item.entry.kind == "leaderboard":

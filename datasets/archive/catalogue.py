@@ -21,7 +21,7 @@ from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.mcap.facts import to_json
 
 FILE = "catalogue.sqlite"
-WAIT_S = 60.0  # for another process that is writing
+_WAIT_S = 60.0  # for another process that is writing
 
 DESCRIBED = (
     "version", "duration_s", "samples", "rate_hz", "sensor", "source", "licence", "citation", "date", "epoch",
@@ -45,7 +45,7 @@ def _affinity(name: str) -> str:
 
 
 _COMMON = "o.sha256, o.name, o.file_name, o.size, o.added, o.version, o.duration_s, o.samples, o.rate_hz"
-MIGRATIONS: tuple[str, ...] = (
+_MIGRATIONS: tuple[str, ...] = (
     f"""
     CREATE TABLE objects (
         sha256 TEXT PRIMARY KEY, kind TEXT NOT NULL, name TEXT NOT NULL, file_name TEXT NOT NULL, suffix TEXT NOT NULL,
@@ -90,7 +90,7 @@ MIGRATIONS: tuple[str, ...] = (
         FROM parents p JOIN objects c ON c.sha256 = p.child LEFT JOIN objects a ON a.sha256 = p.parent;
     """,
 )
-LABELLED = ("removed", "reason", "freed", "link")  # columns of `objects` that its content does not decide
+_LABELLED = ("removed", "reason", "freed", "link")  # columns of `objects` that its content does not decide
 DESCRIBED_TABLES = ("objects", "streams", "parents", "score_rows")
 TABLES = ("objects", "streams", "tags", "metadata", "parents", "score_rows")
 
@@ -117,7 +117,7 @@ class Catalogue:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self.connection = sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)
+            self.connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None)
             self.connection.row_factory = sqlite3.Row
             self.connection.execute("PRAGMA journal_mode=WAL")
             self.connection.execute("PRAGMA synchronous=NORMAL")  # it is derived: a power cut may cost a rebuild
@@ -162,13 +162,13 @@ class Catalogue:
 
     def _migrate(self) -> None:
         version = self.connection.execute("PRAGMA user_version").fetchone()[0]
-        if version > len(MIGRATIONS):
+        if version > len(_MIGRATIONS):
             raise BadFile(f"{self.path}: is of a newer stillpoint (schema {version}); install that")
-        while version < len(MIGRATIONS):
+        while version < len(_MIGRATIONS):
             with self.change() as connection:
                 version = connection.execute("PRAGMA user_version").fetchone()[0]  # another process may have done it
-                if version < len(MIGRATIONS):
-                    for statement in MIGRATIONS[version].split(";"):
+                if version < len(_MIGRATIONS):
+                    for statement in _MIGRATIONS[version].split(";"):
                         connection.execute(statement)
                     connection.execute(f"PRAGMA user_version={version + 1}")
                     version += 1
@@ -217,7 +217,7 @@ def digest_rows(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
 @cache
 def _described_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """The columns of a row that its content decides, in order."""
-    return tuple(sorted(set(names) - set(LABELLED)))
+    return tuple(sorted(set(names) - set(_LABELLED)))
 
 
 def _comparable(value: Any) -> str:

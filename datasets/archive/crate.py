@@ -10,7 +10,7 @@ from typing import Any
 from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, cited
 from stillpoint.datasets.errors import BadParameter
 
-MEDIA_TYPES = {
+_MEDIA_TYPES = {
     ".mcap": "application/octet-stream",  # MCAP has no registered type
     ".json": "application/json",
     ".csv": "text/csv",
@@ -20,7 +20,7 @@ MEDIA_TYPES = {
     ".sh": "text/x-shellscript",
     ".txt": "text/plain",
 }
-SPDX = {
+_SPDX = {
     "cc by 4.0": "CC-BY-4.0",
     "cc by-sa 4.0": "CC-BY-SA-4.0",
     "cc0 1.0": "CC0-1.0",
@@ -30,13 +30,13 @@ SPDX = {
     "mit": "MIT",
     "eupl 1.2": "EUPL-1.2",
 }
-MCAP_FORMAT = "https://mcap.dev/spec"
+_MCAP_FORMAT = "https://mcap.dev/spec"
 _MISSING = "{} needs the extra publish ({}); install it: pip install 'stillpoint[publish]'"
 
 
 def _licence_url(licence: str) -> str | None:
     """Return the page of a licence at SPDX, None for one that is not known here."""
-    known = SPDX.get(licence.lower()) or (licence if licence in SPDX.values() else None)
+    known = _SPDX.get(licence.lower()) or (licence if licence in _SPDX.values() else None)
     return None if known is None else f"https://spdx.org/licenses/{known}"
 
 
@@ -85,7 +85,7 @@ def make_ro_crate(items: Sequence[Item], about: About, texts: Mapping[str, bytes
         }
         file.properties().update(properties)
         if item.path.endswith(".mcap"):
-            file["conformsTo"] = {"@id": MCAP_FORMAT}
+            file["conformsTo"] = {"@id": _MCAP_FORMAT}
         if item.licences:
             file["license"] = [licences[licence] for licence in item.licences]
         based_on = [files[parent] for _, parent in item.parents if parent in files]
@@ -157,7 +157,7 @@ def _identifier(text: str) -> str:
 
 
 def _media_type(path: str) -> str:
-    return next((kind for suffix, kind in MEDIA_TYPES.items() if path.endswith(suffix)), "application/octet-stream")
+    return next((kind for suffix, kind in _MEDIA_TYPES.items() if path.endswith(suffix)), "application/octet-stream")
 
 
 def _to_bytes(content: Any) -> bytes:

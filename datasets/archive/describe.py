@@ -19,7 +19,7 @@ from stillpoint.datasets.recording import Times, rate_hz
 from stillpoint.datasets.times import find_gaps
 from stillpoint.datasets.trajectory import total_sd_rad
 
-LARGEST_JSON = 64 << 20  # bytes: score tables take kilobytes; a larger JSON file is kept as a source
+_LARGEST_JSON = 64 << 20  # bytes: score tables take kilobytes; a larger JSON file is kept as a source
 _SPREAD_TOPIC = {"reference": "/reference/attitude", "roll reference": "/reference/roll_sd"}
 
 
@@ -172,8 +172,8 @@ def _main_clock(log: Log, kind: str) -> Times:
 def _describe_json(path: Path, file_name: str) -> Description:
     """Return a table of scores (``score --json``), a leaderboard, or any other JSON file, which is kept as a source."""
     with open_binary(path) as file:
-        data = file.read(LARGEST_JSON + 1)
-    if len(data) > LARGEST_JSON:
+        data = file.read(_LARGEST_JSON + 1)
+    if len(data) > _LARGEST_JSON:
         return Description("source", file_name)
     try:
         content = json.loads(data)

@@ -21,8 +21,8 @@ from stillpoint.datasets.archive.locks import OwnLock, lock_of_dead_process
 from stillpoint.datasets.archive.record import Record, record_from_bytes, record_to_bytes
 from stillpoint.datasets.errors import BadFile
 
-BLOCK = 1 << 20  # bytes that are copied at once
-SYNCS_AT_ONCE = 16
+_BLOCK = 1 << 20  # bytes that are copied at once
+_SYNCS_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Incoming:
         digest, size = hashlib.sha256(), 0
         try:
             with given.open() as source, open(target, "xb") as kept:
-                while (block := source.read(BLOCK)) and size <= given.largest:
+                while (block := source.read(_BLOCK)) and size <= given.largest:
                     digest.update(block)
                     kept.write(block)
                     size += len(block)
@@ -134,7 +134,7 @@ def sync_files(paths: Iterable[Path]) -> None:
         finally:
             os.close(handle)
 
-    with ThreadPoolExecutor(SYNCS_AT_ONCE) as pool:
+    with ThreadPoolExecutor(_SYNCS_AT_ONCE) as pool:
         list(pool.map(sync, paths))
 
 

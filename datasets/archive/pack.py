@@ -21,10 +21,10 @@ from stillpoint.datasets.errors import BadFile, BadParameter
 from stillpoint.datasets.files.atomic import write_atomically, write_folder_atomically
 from stillpoint.datasets.files.remote import open_binary
 
-BLOCK = 1 << 20
-LARGEST_MANIFEST = 256 << 20  # bytes: 600 bytes an object, so 400,000 objects
+_BLOCK = 1 << 20
+_LARGEST_MANIFEST = 256 << 20  # bytes: 600 bytes an object, so 400,000 objects
 LARGEST_BUNDLE = 1 << 40  # bytes, unpacked, unless the user says more
-LARGEST_RATIO = 200  # unpacked over packed of a zip's member: MCAP files are packed already, texts reach 20
+_LARGEST_RATIO = 200  # unpacked over packed of a zip's member: MCAP files are packed already, texts reach 20
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # the first that zip knows: the same bundle gives the same bytes
 
 
@@ -64,7 +64,7 @@ def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
     for path, content in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         with open(folder / path, "xb") as out, _opened(content) as source:
-            shutil.copyfileobj(source, out, BLOCK)
+            shutil.copyfileobj(source, out, _BLOCK)
 
 
 def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
@@ -75,7 +75,7 @@ def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
             info.compress_type = zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             with _opened(content) as source, out.open(info, "w", force_zip64=True) as member:
-                shutil.copyfileobj(source, member, BLOCK)
+                shutil.copyfileobj(source, member, _BLOCK)
 
 
 def _write_tar(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
@@ -119,9 +119,9 @@ class Bundle:
 
     def _read_manifest(self, largest: int) -> list[Member]:
         with self._open(MANIFEST) as file:
-            data = file.read(LARGEST_MANIFEST + 1)
-        if len(data) > LARGEST_MANIFEST:
-            raise BadFile(f"{self.place}: its manifest has more than {LARGEST_MANIFEST} bytes")
+            data = file.read(_LARGEST_MANIFEST + 1)
+        if len(data) > _LARGEST_MANIFEST:
+            raise BadFile(f"{self.place}: its manifest has more than {_LARGEST_MANIFEST} bytes")
         try:
             content = json.loads(data)
             if content["format"] != FORMAT:
@@ -192,7 +192,7 @@ def _open_in_zip(place: Path, archive: zipfile.ZipFile, path: str) -> IO[bytes]:
         info = archive.getinfo(path)
     except KeyError:
         raise BadFile(f"{place}: has no file {path}; it is no whole bundle") from None
-    if info.file_size > BLOCK and info.file_size > LARGEST_RATIO * max(info.compress_size, 1):
+    if info.file_size > _BLOCK and info.file_size > _LARGEST_RATIO * max(info.compress_size, 1):
         raise BadFile(f"{place}: {path} unpacks to {info.file_size} bytes from {info.compress_size}: refused")
     return archive.open(info)
 

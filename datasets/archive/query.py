@@ -15,7 +15,7 @@ from typing import Any
 from stillpoint.datasets.archive.catalogue import DESCRIBED, NUMBERS, SCORE_FIGURES
 from stillpoint.datasets.errors import BadParameter, nearest
 
-GRAMMAR = r"""
+_GRAMMAR = r"""
 start: alternatives
 ?alternatives: conditions ("or"i conditions)*
 ?conditions: condition ("and"i condition)*
@@ -32,7 +32,7 @@ WORD.2: /(?!(and|or|not)\b)[\w.+*\/-]+/i
 QUOTED: /'[^']*'/ | /"[^"]*"/
 %ignore /\s+/
 """
-FIELDS = {
+_FIELDS = {
     **{name: f"o.{name}" for name in ("kind", "name", "file_name", "size", "added", "problem", *DESCRIBED)},
     "rate": "o.rate_hz",
     "duration": "o.duration_s",
@@ -42,10 +42,10 @@ FIELDS = {
     "latitude": "o.latitude_deg",
     "longitude": "o.longitude_deg",
 }
-OF_STREAMS = {
+_OF_STREAMS = {
     "rate": "rate_hz", "samples": "samples", "length": "length_s", "gaps": "gaps", "longest_gap": "longest_gap_s",
 }  # fmt: skip
-LABELS = ("has", "tag", "kind", "id", "is")
+_LABELS = ("has", "tag", "kind", "id", "is")
 _SQL = {"=": "=", "!=": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
 _CONTAINS = "instr(lower({}), lower(?)) > 0"
 
@@ -86,7 +86,7 @@ def parse_query(text: str) -> Condition:
 def _parser() -> Any:
     from lark import Lark
 
-    return Lark(GRAMMAR, parser="lalr")
+    return Lark(_GRAMMAR, parser="lalr")
 
 
 @cache
@@ -142,8 +142,8 @@ def _compare_field(name: str, operator: str, value: str) -> Condition:
     head, dot, rest = name.partition(".")
     if head == "meta" and dot:
         return _within("metadata", "key", rest, _compare("t.value", operator, value, number=_is_number(value)))
-    if head in OF_STREAMS and dot:
-        column = f"t.{OF_STREAMS[head]}"
+    if head in _OF_STREAMS and dot:
+        column = f"t.{_OF_STREAMS[head]}"
         return _within("streams", "stream", rest, _compare(column, operator, _number(name, value), number=True))
     if head == "tag":
         return _match_label("tag", value) if operator == "=" else _tag_condition(operator, value)
@@ -152,9 +152,9 @@ def _compare_field(name: str, operator: str, value: str) -> Condition:
         return Condition(
             f"EXISTS (SELECT 1 FROM score_rows t WHERE t.sha256 = o.sha256 AND {test.sql})", test.parameters
         )
-    if name not in FIELDS:
-        raise BadParameter(f"query: no field {name!r}; {nearest(name, [*FIELDS, *SCORE_FIGURES])}; or meta.KEY")
-    column = FIELDS[name]
+    if name not in _FIELDS:
+        raise BadParameter(f"query: no field {name!r}; {nearest(name, [*_FIELDS, *SCORE_FIGURES])}; or meta.KEY")
+    column = _FIELDS[name]
     if column.removeprefix("o.") in NUMBERS:
         return _compare(column, operator, _number(name, value), number=True)
     return _compare(column, operator, value, number=False)
@@ -174,9 +174,9 @@ def _match_label(name: str, value: str) -> Condition:
         return Condition("o.problem != ''")
     if name == "is":
         raise BadParameter(f"query: is:{value} is not known; write is:removed or is:damaged")
-    if name in FIELDS or "." in name:
+    if name in _FIELDS or "." in name:
         return _compare_field(name, "=", value)
-    raise BadParameter(f"query: no label {name}:; {nearest(name, [*LABELS, *FIELDS])}")
+    raise BadParameter(f"query: no label {name}:; {nearest(name, [*_LABELS, *_FIELDS])}")
 
 
 def _compare(column: str, operator: str, value: Any, number: bool) -> Condition:

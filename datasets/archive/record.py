@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 from stillpoint.datasets.errors import BadFile
 
 SHA256 = re.compile(r"[0-9a-f]{64}")
-SUFFIX = re.compile(r"\.[a-z0-9]{1,10}")
-FORMAT = 1
+_SUFFIX = re.compile(r"\.[a-z0-9]{1,10}")
+_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def sha256_of_key(key: str) -> str:
 def suffix_of(file_name: str) -> str:
     """Return the suffix under which an object with this name is kept; ".bin" when the name has no plain one."""
     suffix = "." + file_name.rpartition(".")[2].lower() if "." in file_name.strip(".") else ""
-    return suffix if SUFFIX.fullmatch(suffix) else ".bin"
+    return suffix if _SUFFIX.fullmatch(suffix) else ".bin"
 
 
 def now() -> str:
@@ -71,7 +71,7 @@ def now() -> str:
 
 def record_to_bytes(record: Record) -> bytes:
     """Return the JSON of a record, with its checksum."""
-    plain = {"format": FORMAT, **asdict(record), "tags": sorted(record.tags), "metadata": dict(record.metadata)}
+    plain = {"format": _FORMAT, **asdict(record), "tags": sorted(record.tags), "metadata": dict(record.metadata)}
     return (json.dumps({**plain, "check": _check(plain)}, indent=1, ensure_ascii=True) + "\n").encode()
 
 
@@ -80,13 +80,13 @@ def record_from_bytes(data: bytes, where: str) -> Record:
     try:
         plain = json.loads(data)
         check, written_format = plain.pop("check"), plain["format"]
-        if written_format != FORMAT:
+        if written_format != _FORMAT:
             raise BadFile(f"{where}: is a record of format {written_format}; install a newer stillpoint")
         if check != _check(plain):
             raise ValueError("its checksum differs")
         del plain["format"]
         record = Record(**{**plain, "tags": tuple(plain["tags"])})
-        if not SHA256.fullmatch(record.sha256) or not SUFFIX.fullmatch(record.suffix):
+        if not SHA256.fullmatch(record.sha256) or not _SUFFIX.fullmatch(record.suffix):
             raise ValueError("it names no object")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadFile(f"{where}: this record is damaged ({error}); run stillpoint archive repair") from error

@@ -10,7 +10,7 @@ from stillpoint.datasets.archive.catalogue import Entry
 from stillpoint.datasets.archive.record import Record
 from stillpoint.datasets.errors import BadParameter
 
-FOLDERS = {
+_FOLDERS = {
     "recording": "recordings",
     "reference": "references",
     "roll reference": "references",
@@ -22,7 +22,7 @@ INDEX_COLUMNS = (
     "path", "sha256", "size", "kind", "name", "licence", "duration_s", "samples", "rate_hz", "sensor", "source",
     "date", "method", "estimator", "sd_median_deg",
 )  # fmt: skip
-LICENCE_KEY = "licence"  # of the metadata: the licence of a file that does not say its own
+_LICENCE_KEY = "licence"  # of the metadata: the licence of a file that does not say its own
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _licences_of(archive: Archive, entry: Entry) -> tuple[str, ...]:
 
 def _licences(archive: Archive, entry: Entry, seen: set[str]) -> set[str]:
     seen.add(entry.sha256)
-    stated = archive.labels(entry.sha256)[1].get(LICENCE_KEY) or entry.columns.get("licence")
+    stated = archive.labels(entry.sha256)[1].get(_LICENCE_KEY) or entry.columns.get("licence")
     if stated:
         return {str(stated)}
     near: Iterable[Entry] = [kept for _, parent in archive.parents(entry.sha256) if (kept := archive.entry(parent))]
@@ -139,10 +139,10 @@ def _paths(entries: Sequence[Entry]) -> Mapping[str, str]:
     taken: set[str] = set()
     for entry in entries:
         name = PurePosixPath(entry.file_name.replace("\\", "/")).name or entry.sha256
-        path = f"data/{FOLDERS.get(entry.kind, 'sources')}/{name}"
+        path = f"data/{_FOLDERS.get(entry.kind, 'sources')}/{name}"
         if path.lower() in taken:  # file systems that do not tell cases apart count as well
             stem, dot, rest = name.partition(".")
-            path = f"data/{FOLDERS.get(entry.kind, 'sources')}/{stem}~{entry.sha256[:8]}{dot}{rest}"
+            path = f"data/{_FOLDERS.get(entry.kind, 'sources')}/{stem}~{entry.sha256[:8]}{dot}{rest}"
         taken.add(path.lower())
         paths[entry.sha256] = path
     return paths

@@ -15,8 +15,8 @@ from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
 from stillpoint.datasets.archive.storage import FolderStorage
 from stillpoint.datasets.errors import BadFile
 
-GROUP = 16  # objects that a thread takes at a time: handing over a small one costs as much as hashing it
-MADE = ("reference", "roll reference", "estimate", "score", "leaderboard")  # kinds that are made from others
+_GROUP = 16  # objects that a thread takes at a time: handing over a small one costs as much as hashing it
+_MADE = ("reference", "roll reference", "estimate", "score", "leaderboard")  # kinds that are made from others
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def verify_archive(archive: Archive, thorough: bool = False) -> Verified:
     present = [record for sha256, record in kept.items() if sha256 in objects]
     rows = _load_rows(archive, faults)
     known = {} if thorough else _trusted_descriptions(present, rows)
-    groups = [present[start : start + GROUP] for start in range(0, len(present), GROUP)]
+    groups = [present[start : start + _GROUP] for start in range(0, len(present), _GROUP)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:  # hashing and reading do not hold the interpreter's lock
         found = pool.map(lambda group: [_check_object(archive, one, known.get(one.sha256)) for one in group], groups)
         checked = [one for group in found for one in group]
@@ -242,7 +242,7 @@ def _check_provenance(
     """
     for sha256, one in described.items():
         record = records[sha256]
-        if one.kind not in MADE or record.removed:
+        if one.kind not in _MADE or record.removed:
             continue
         where = f"{archive.storage.name}/{record.object_key}"
         for name, parent in one.parents:

@@ -15,11 +15,11 @@ import numpy as np
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Times
 
-PER_DECADE = 10  # cluster times
+_PER_DECADE = 10  # cluster times
 FLOOR = 0.664  # sqrt(2 ln 2 / pi): the floor of the deviation over the bias instability
-FEWEST_CLUSTERS = 9  # from which a deviation is good to about 25 %
-SHORTEST_S = 60.0
-EVEN_SHARE = 0.1  # of the median step, by which nearly all steps may differ from it
+_FEWEST_CLUSTERS = 9  # from which a deviation is good to about 25 %
+_SHORTEST_S = 60.0
+_EVEN_SHARE = 0.1  # of the median step, by which nearly all steps may differ from it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +41,11 @@ def find_allan_deviation(t_ns: Times, values: Floats) -> AllanDeviation:
     Raises :class:`Unobservable` for less than SHORTEST_S, and for stamps that are not even.
     """
     length_s = float(t_ns[-1] - t_ns[0]) / 1e9 if len(t_ns) else 0.0
-    if length_s < SHORTEST_S:
-        raise Unobservable(f"a rest of {length_s:.0f} s is too short for an Allan deviation; give {SHORTEST_S:.0f} s")
+    if length_s < _SHORTEST_S:
+        raise Unobservable(f"a rest of {length_s:.0f} s is too short for an Allan deviation; give {_SHORTEST_S:.0f} s")
     step_s = np.diff(t_ns) / 1e9
     step = float(np.median(step_s))
-    if np.mean(np.abs(step_s - step) > EVEN_SHARE * step) > 0.05 or step_s.max() > 5 * step:
+    if np.mean(np.abs(step_s - step) > _EVEN_SHARE * step) > 0.05 or step_s.max() > 5 * step:
         raise Unobservable("the stamps of the rest are not even; an Allan deviation needs an even clock without gaps")
     tau_s, deviation = overlapping_deviation(values, length_s / (len(t_ns) - 1))
     lowest = deviation.argmin(axis=0)
@@ -63,8 +63,8 @@ def find_allan_deviation(t_ns: Times, values: Floats) -> AllanDeviation:
 def overlapping_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
     """Return cluster times (T,) in s and overlapping Allan deviations (T, k) of samples (N, k) every ``step_s``."""
     n = len(values)
-    most = max(1, n // FEWEST_CLUSTERS)
-    count = max(2, int(PER_DECADE * np.log10(most)) + 1)
+    most = max(1, n // _FEWEST_CLUSTERS)
+    count = max(2, int(_PER_DECADE * np.log10(most)) + 1)
     sizes = np.unique(np.round(np.geomspace(1, most, count)).astype(np.int64))
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values - values.mean(axis=0), axis=0)]) * step_s
     rows = []

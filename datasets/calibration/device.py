@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.trajectory import Calibration
 
 SUFFIX = ".calibration.toml"
-KIND = "device calibration"
+_KIND = "device calibration"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def write_device(path: Path, device: DeviceFile) -> None:
     lines = [
         "# stillpoint reference --calibration THIS.toml and estimate --calibration THIS.toml apply it:",
         "# corrected = matrix (measured - bias). The gyro's bias is found anew in each recording.",
-        f'kind = "{KIND}"',
+        f'kind = "{_KIND}"',
         f"sensor = {_quoted(device.sensor)}",
         f"first_date = {_quoted(min(known, default=''))}",
         f"last_date = {_quoted(max(known, default=''))}",
@@ -84,8 +84,8 @@ def read_device(path: Path) -> DeviceFile:
     """Return what a calibration file holds; raises :class:`BadFile` for any other file."""
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
-        if given.get("kind") != KIND:
-            raise ValueError(f"its kind is {given.get('kind')!r}, not {KIND!r}")
+        if given.get("kind") != _KIND:
+            raise ValueError(f"its kind is {given.get('kind')!r}, not {_KIND!r}")
         gyro, accel = given["gyro"], given["accel"]
         return DeviceFile(
             sensor=str(given["sensor"]),

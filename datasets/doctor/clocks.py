@@ -7,25 +7,25 @@ from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.datasets.times import longest_step_ns
 
-GAP_S = 0.05  # a shorter step is no gap, whatever the median
-BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
-JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
-LOST_SHARE = 0.01  # of the samples
-CUT = ("the file is cut short", "the end of the file is cut off")  # how the notes begin that a reader leaves
-PLAUSIBLE_HZ, USUAL_HZ = (2.0, 50_000.0), (10.0, 10_000.0)
-UNITS_OF_TIME = {  # what a rate is multiplied by when the unit of the stamps is put right
+_GAP_S = 0.05  # a shorter step is no gap, whatever the median
+_BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
+_JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
+_LOST_SHARE = 0.01  # of the samples
+_CUT = ("the file is cut short", "the end of the file is cut off")  # how the notes begin that a reader leaves
+_PLAUSIBLE_HZ, _USUAL_HZ = (2.0, 50_000.0), (10.0, 10_000.0)
+_UNITS_OF_TIME = {  # what a rate is multiplied by when the unit of the stamps is put right
     1e3: "are ms that were read as s (or us as ms, ns as us)",
     1e6: "are us that were read as s (or ns as ms)",
     1e9: "are ns that were read as s",
     1e-3: "are s that were read as ms (or ms as us, us as ns)",
 }
-OVERLAP_SHARE = 0.9  # of the IMU's time that a magnetometer should cover
-SAMPLED = ("imu", "mag", "spin")  # evenly sampled sensors; truth, gps and encoder may pause
+_OVERLAP_SHARE = 0.9  # of the IMU's time that a magnetometer should cover
+_SAMPLED = ("imu", "mag", "spin")  # evenly sampled sensors; truth, gps and encoder may pause
 
 
 def list_losses(info: Info) -> list[str]:
     """Return what was lost when the file of a recording was cut, in words."""
-    return [note for note in info.notes if note.startswith(CUT)]
+    return [note for note in info.notes if note.startswith(_CUT)]
 
 
 def check_losses(recording: Recording) -> list[Finding]:
@@ -52,15 +52,15 @@ def _check_stream(name: str, t_ns: Times) -> list[Finding]:
     steps_s = np.diff(t_ns) / 1e9
     median = float(np.median(steps_s))
     mean = float(np.mean(steps_s[steps_s < LONGEST_BURST_S])) if (steps_s < LONGEST_BURST_S).any() else median
-    bursts = name in SAMPLED and median < BURST_SHARE * mean
-    limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, GAP_S)
+    bursts = name in _SAMPLED and median < _BURST_SHARE * mean
+    limit = LONGEST_BURST_S if bursts else max(longest_step_ns(t_ns) / 1e9, _GAP_S)
     gaps = steps_s > limit
     findings = [_rate(name, t_ns, mean if bursts else median), *_check_unit(name, mean if bursts else median)]
     if gaps.any():
         findings.append(_gaps(name, t_ns, steps_s, gaps))
     if bursts:
         findings.append(_bursts(name, median, mean, float(steps_s[~gaps].max())))
-    elif name in SAMPLED:
+    elif name in _SAMPLED:
         findings += _regularity(name, steps_s[~gaps], median)
     return findings
 
@@ -74,11 +74,11 @@ def _rate(name: str, t_ns: Times, step_s: float) -> Finding:
 def _check_unit(name: str, step_s: float) -> list[Finding]:
     """Report stamps of an IMU whose unit is wrong: no IMU samples so slowly or so fast."""
     rate = 1 / step_s
-    if name != "imu" or PLAUSIBLE_HZ[0] <= rate <= PLAUSIBLE_HZ[1]:
+    if name != "imu" or _PLAUSIBLE_HZ[0] <= rate <= _PLAUSIBLE_HZ[1]:
         return []
     message = f"imu: {rate:.4g} Hz is no rate of an IMU"
-    for factor, advice in UNITS_OF_TIME.items():
-        if USUAL_HZ[0] <= rate * factor <= USUAL_HZ[1]:
+    for factor, advice in _UNITS_OF_TIME.items():
+        if _USUAL_HZ[0] <= rate * factor <= _USUAL_HZ[1]:
             message += f"; {rate * factor:.4g} Hz is, if the stamps {advice}: import again with that unit of time"
             break
     else:
@@ -94,7 +94,7 @@ def _gaps(name: str, t_ns: Times, steps_s: Floats, gaps: np.ndarray) -> Finding:
         f"{steps_s[longest]:.3f} s, {at_s:.2f} s after the start"
     )
     values = {"gaps": float(gaps.sum()), "longest_s": float(steps_s[longest]), "at_s": at_s}
-    if name not in SAMPLED:
+    if name not in _SAMPLED:
         return Finding(f"{name}-gap", "fact", message, values=values)
     advice = (
         "; nothing can fill it: cut the recording there (stillpoint cut --drop-gap), or trust no attitude across it"
@@ -118,7 +118,7 @@ def _regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
     jitter_s = float(steps_s[~whole].std()) if (~whole).any() else 0.0
     lost = int((np.round(ratio[whole]) - 1).sum())
     findings = []
-    if jitter_s > JITTER_SHARE * median:
+    if jitter_s > _JITTER_SHARE * median:
         remedy = Remedy("line", name, f"{name}: evenly spaced stamps by a line through the jittered ones")
         message = (
             f"{name}: steps vary by {1e3 * jitter_s:.2f} ms (sd) about {1e3 * median:.2f} ms: the stamps are not the "
@@ -128,7 +128,7 @@ def _regularity(name: str, steps_s: Floats, median: float) -> list[Finding]:
     message = f"{name}: steps vary by {1e3 * jitter_s:.3f} ms (sd) about {1e3 * median:.3f} ms"
     findings.append(Finding(f"{name}-steps", "fact", message, values={"jitter_s": jitter_s}))
     if lost:
-        many = lost > LOST_SHARE * (len(steps_s) + lost)
+        many = lost > _LOST_SHARE * (len(steps_s) + lost)
         message = f"{name}: {lost} samples are missing one by one"
         advice = "; look for what loses them when recording" if many else ""
         findings.append(
@@ -154,7 +154,7 @@ def _check_overlap(recording: Recording) -> list[Finding]:
                 "shift one of them, or import again with one zero"
             )
             findings.append(Finding(f"{name}-apart", "error", message, values=values))
-        elif name == "mag" and common < OVERLAP_SHARE * whole:
+        elif name == "mag" and common < _OVERLAP_SHARE * whole:
             message = f"{name}: covers {common:.1f} of the IMU's {whole:.1f} s; outside there is no heading from it"
             findings.append(Finding(f"{name}-overlap", "warning", message, values=values))
     return findings

@@ -23,20 +23,20 @@ from stillpoint.datasets.doctor.witness import CANDIDATES, MIN_ADVANTAGE, MIN_GA
 from stillpoint.datasets.frames import from_xyzw, local_from_enu, quaternion, rotation, to_xyzw
 from stillpoint.datasets.recording import Floats, Imu, Truth
 
-SLOW_WINDOW_S = 0.5
-LEAST_TURN_RAD = np.deg2rad(180.0)  # less turning in all says nothing about a mismatch
-LEAST_EXPLAINED = 0.3  # share of the turning that truth and gyro have in common
-TURNED_RAD = np.deg2rad(25.0)  # a smaller turn of body or world is an error of mounting or levelling
-UNTURNED = 0.01  # weight of "the bodies are not turned", of the correlation of the rates
-OVERLAP = 2.0  # windows of rates that share data
-FORCE_STEP_S = 0.1
-FORCE_NOISE = 0.15  # of gravity: motion leaves so much beside it
-WORST_FORCE = 0.25  # of gravity: where even the best fit leaves more, translation hides gravity
-NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size say where down is
-FORCE_OVERLAP = 5.0
-FORCE_ADVANTAGE = 0.1
-LEAST_FORCE = 0.5  # of gravity: a mean force that is smaller has no direction
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion wxyz
+_SLOW_WINDOW_S = 0.5
+_LEAST_TURN_RAD = np.deg2rad(180.0)  # less turning in all says nothing about a mismatch
+_LEAST_EXPLAINED = 0.3  # share of the turning that truth and gyro have in common
+_TURNED_RAD = np.deg2rad(25.0)  # a smaller turn of body or world is an error of mounting or levelling
+_UNTURNED = 0.01  # weight of "the bodies are not turned", of the correlation of the rates
+_OVERLAP = 2.0  # windows of rates that share data
+_FORCE_STEP_S = 0.1
+_FORCE_NOISE = 0.15  # of gravity: motion leaves so much beside it
+_WORST_FORCE = 0.25  # of gravity: where even the best fit leaves more, translation hides gravity
+_NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size say where down is
+_FORCE_OVERLAP = 5.0
+_FORCE_ADVANTAGE = 0.1
+_LEAST_FORCE = 0.5  # of gravity: a mean force that is smaller has no direction
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion wxyz
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class Reading:
 _INVERSE = Remedy("conjugate", "truth", "truth: q -> inverse of q")
 _FROM_XYZW = Remedy("reorder", "truth", "truth: x, y, z, w -> w, x, y, z")
 _TO_XYZW = Remedy("reorder-back", "truth", "truth: components read as x, y, z, w -> w, x, y, z")
-READINGS = (
+_READINGS = (
     Reading("", "", lambda q: q, ()),
-    Reading("inverse", "its attitude takes n to the body (it is the inverse)", lambda q: q * CONJUGATE, (_INVERSE,)),
+    Reading("inverse", "its attitude takes n to the body (it is the inverse)", lambda q: q * _CONJUGATE, (_INVERSE,)),
     Reading("xyzw", "it has its components as x, y, z, w", from_xyzw, (_FROM_XYZW,)),
     Reading("wxyz", "its components were taken for x, y, z, w and are w, x, y, z", to_xyzw, (_TO_XYZW,)),
 )
@@ -72,16 +72,16 @@ class TruthView:
     @property
     def mounted(self) -> bool:
         """Return whether the IMU is clearly turned against the body of the truth."""
-        return self.mounting.magnitude() > TURNED_RAD and not self.mirrored
+        return self.mounting.magnitude() > _TURNED_RAD and not self.mirrored
 
     @cached_property
     def frame(self) -> str | None:
         """Name of the world of the truth where its z does not point up, else None."""
-        if self.up_n[2] > np.cos(TURNED_RAD):
+        if self.up_n[2] > np.cos(_TURNED_RAD):
             return None
-        if self.up_n[2] < -np.cos(TURNED_RAD):
+        if self.up_n[2] < -np.cos(_TURNED_RAD):
             return "left-handed" if self._mirror_axis is not None else "North-East-Down"
-        return "y up" if self.up_n[1] > np.cos(TURNED_RAD) else "turned"
+        return "y up" if self.up_n[1] > np.cos(_TURNED_RAD) else "turned"
 
     @property
     def mirrored(self) -> bool:
@@ -158,7 +158,7 @@ class TruthView:
             up = ", ".join(f"{value:+.2f}" for value in self.up_n)
             message = (
                 f"truth: gravity points along ({up}) of its world, not along z: "
-                f"{replace(self, reading=READINGS[0]).words}; {world.text.split(': ', 1)[1]}"
+                f"{replace(self, reading=_READINGS[0]).words}; {world.text.split(': ', 1)[1]}"
             )
             found.append(Finding("truth-world-frame", "error", message, world))
         if self.mounted:
@@ -178,7 +178,7 @@ class TruthView:
 
 def turn_truth(truth: Truth, view: TruthView) -> Truth:
     """Return the truth in the body axes of the IMU, for tests that compare it with the sensors axis by axis."""
-    if view.mounting.magnitude() < TURNED_RAD or view.mirrored:
+    if view.mounting.magnitude() < _TURNED_RAD or view.mirrored:
         return truth
     return replace(truth, q_nb=quaternion(rotation(truth.q_nb) * view.mounting))
 
@@ -191,9 +191,9 @@ class TruthFits:
         self.gyro = gyro_series(imu, self.origin_ns)
         self.force = vector_series(imu.t_ns, imu.accel_b_mps2, self.origin_ns)
         self.lag_s = self._find_lag(truth)
-        self.rates = [self._fit_rates(truth, reading) for reading in READINGS]  # (losses (2, n), rotations (2, 3, 3))
+        self.rates = [self._fit_rates(truth, reading) for reading in _READINGS]  # (losses (2, n), rotations (2, 3, 3))
         self.informative = self._is_informative()
-        self._forces = [self._forces_of(truth, reading) for reading in READINGS] if self.informative else []
+        self._forces = [self._forces_of(truth, reading) for reading in _READINGS] if self.informative else []
         self._tables: dict[tuple[int, int], tuple[Floats, Floats]] = {}
 
     def _spans(self, truth: Truth) -> tuple[Floats, Floats, Floats]:
@@ -233,7 +233,7 @@ class TruthFits:
         weight = np.ones(len(turned))
         for _ in range(2):
             correlation = (target * weight[:, None]).T @ turned
-            prior = UNTURNED * np.linalg.norm(correlation) * np.eye(3)  # decides about axes that hardly turn
+            prior = _UNTURNED * np.linalg.norm(correlation) * np.eye(3)  # decides about axes that hardly turn
             u, _, vt = np.linalg.svd(correlation + prior)
             best = u @ vt
             flip = np.diag([1.0, 1.0, -1.0])
@@ -250,12 +250,12 @@ class TruthFits:
         The turns are in rad, summed over the windows of rates; the share is that of the best reading.
         """
         shares, turns = [0.0], (0.0, 0.0)
-        for reading in READINGS:
+        for reading in _READINGS:
             start, end, rate = self._spans(replace(truth, q_nb=reading.change(truth.q_nb)))
             if len(start) < FEWEST:
                 return 0.0, 0.0, 0.0
             measured = self.gyro.smooth_between(start + self.lag_s, end + self.lag_s) / (end - start)[:, None]
-            bins = np.floor(start / SLOW_WINDOW_S).astype(np.int64)
+            bins = np.floor(start / _SLOW_WINDOW_S).astype(np.int64)
             target, turned = (mean_per_bin(bins, one - np.median(one, axis=0)) for one in (rate, measured))
             u, singular, vt = np.linalg.svd(target.T @ turned)
             common = singular[0] + singular[1] + np.sign(np.linalg.det(u @ vt)) * singular[2]
@@ -276,23 +276,23 @@ class TruthFits:
         if len({len(row) for row in rows}) > 1:  # cannot be: the stamps are the same for all readings
             rows = [row[: min(map(len, rows))] for row in rows]
         table = np.array(rows)
-        excess = excess_over_best(table, OVERLAP)
+        excess = excess_over_best(table, _OVERLAP)
         near = table.mean(axis=1) - table.mean(axis=1).min() < MIN_ADVANTAGE
-        return np.where(near, 0.0, excess).reshape(len(READINGS), 2)
+        return np.where(near, 0.0, excess).reshape(len(_READINGS), 2)
 
     def _forces_of(self, truth: Truth, reading: Reading) -> tuple[Floats, Floats]:
         """Return attitudes (m, 3, 3) at calm times about 0.1 s apart, and the specific force (m, 3) in g there."""
         t_s = (truth.t_ns - self.origin_ns) / 1e9
-        kept = np.flatnonzero(np.diff(np.floor(t_s / FORCE_STEP_S), prepend=-1) > 0)
-        half = FORCE_STEP_S / 2
+        kept = np.flatnonzero(np.diff(np.floor(t_s / _FORCE_STEP_S), prepend=-1) > 0)
+        half = _FORCE_STEP_S / 2
         at_s = t_s[kept] + self.lag_s
         whole = (at_s - half > self.force.t_s[0]) & (at_s + half < self.force.t_s[-1])
         whole &= ~self.force.touches_gap(at_s - half, at_s + half)
         kept, at_s = kept[whole], at_s[whole]
-        felt = self.force.smooth_between(at_s - half, at_s + half) / FORCE_STEP_S
+        felt = self.force.smooth_between(at_s - half, at_s + half) / _FORCE_STEP_S
         size = np.linalg.norm(felt, axis=1)
         usual = float(np.median(size)) + 1e-300 if len(size) else 1.0
-        calm = np.abs(size / usual - 1) < NEAR_GRAVITY
+        calm = np.abs(size / usual - 1) < _NEAR_GRAVITY
         return rotation(reading.change(truth.q_nb[kept[calm]])).as_matrix(), felt[calm] / usual
 
     def _force_table(self, place: int, parity: int) -> tuple[Floats, Floats]:
@@ -306,7 +306,7 @@ class TruthFits:
                 world = np.einsum("mij,kjl,ml->kmi", to_world, CANDIDATES, felt)
                 mean = np.median(world, axis=1)
                 off = ((world - mean[:, None]) ** 2).sum(axis=2)
-                self._tables[place, parity] = np.log(off + FORCE_NOISE**2), mean
+                self._tables[place, parity] = np.log(off + _FORCE_NOISE**2), mean
         return self._tables[place, parity]
 
     @cached_property
@@ -315,19 +315,19 @@ class TruthFits:
 
         None where the force says nothing: too few calm samples, or translation hides gravity.
         """
-        tables = [self._force_table(place, parity)[0] for place in range(len(READINGS)) for parity in range(2)]
+        tables = [self._force_table(place, parity)[0] for place in range(len(_READINGS)) for parity in range(2)]
         rows = np.concatenate(tables)
-        if rows.shape[1] == 0 or rows.mean(axis=1).min() > np.log(FORCE_NOISE**2 + WORST_FORCE**2):
+        if rows.shape[1] == 0 or rows.mean(axis=1).min() > np.log(_FORCE_NOISE**2 + _WORST_FORCE**2):
             return None
-        near = rows.mean(axis=1) - rows.mean(axis=1).min() < FORCE_ADVANTAGE
-        excess = excess_over_best(rows, FORCE_OVERLAP)
-        return np.where(near, 0.0, excess).reshape(len(READINGS), 2, 48)
+        near = rows.mean(axis=1) - rows.mean(axis=1).min() < _FORCE_ADVANTAGE
+        excess = excess_over_best(rows, _FORCE_OVERLAP)
+        return np.where(near, 0.0, excess).reshape(len(_READINGS), 2, 48)
 
     def views(self, gyro: Floats, accel: Floats) -> Iterator[TruthView]:
         """Yield the view of each reading when gyro and accelerometer measure in these wrong axes (3, 3)."""
         parity = 0 if np.linalg.det(gyro) > 0 else 1
         turn = index_of(gyro @ accel.T)  # takes measured forces to the axes of the measured rates
-        for place, reading in enumerate(READINGS):
+        for place, reading in enumerate(_READINGS):
             mounting = Rotation.from_matrix(self.rates[place][1][parity] @ gyro)
             mean = self._force_table(place, parity)[1][turn]
             misfit = float(self.rate_misfit[place, parity])
@@ -335,7 +335,7 @@ class TruthFits:
             if self.force_misfit is not None:
                 misfit += float(self.force_misfit[place, parity, turn])
                 size = float(np.linalg.norm(mean))
-                up_n = mean / size if size > LEAST_FORCE else up_n
+                up_n = mean / size if size > _LEAST_FORCE else up_n
             yield TruthView(reading, mounting, up_n, misfit)
 
 
@@ -345,7 +345,7 @@ def check_truth_mismatch(fits: TruthFits, truth: Truth, gyro_confirmed: bool) ->
     The truth is dropped only where another sensor confirms the gyro.
     """
     share, truth_rad, gyro_rad = fits.explained(truth)
-    if max(truth_rad, gyro_rad) < LEAST_TURN_RAD or share > LEAST_EXPLAINED:
+    if max(truth_rad, gyro_rad) < _LEAST_TURN_RAD or share > _LEAST_EXPLAINED:
         return []
     message = (
         f"truth: turns by {np.rad2deg(truth_rad):.0f} deg in all while the gyro turns by "

@@ -26,8 +26,8 @@ from stillpoint.datasets.doctor.values import check_steps, check_values
 from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times
 
-MOST_FAULTS = 6  # of axes and scales in one recording
-UNUSABLE = ("gyro-stuck", "accel-stuck", "imu-short")  # nothing about motion can be tested after these
+_MOST_FAULTS = 6  # of axes and scales in one recording
+_UNUSABLE = ("gyro-stuck", "accel-stuck", "imu-short")  # nothing about motion can be tested after these
 
 
 def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
@@ -43,7 +43,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     case.run(check_spin)
     if recording.imu is None:
         return case.diagnosis()
-    if any(finding.code in UNUSABLE for finding in case.findings):
+    if any(finding.code in _UNUSABLE for finding in case.findings):
         case.found([Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")])
         return case.diagnosis()
     case.run(check_truth_values)
@@ -93,7 +93,7 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
 
     Returns what the sensors say of the gyro, and the lag of the accelerometer by the positions of the truth.
     """
-    for _ in range(MOST_FAULTS):
+    for _ in range(_MOST_FAULTS):
         imu = case.now.require_imu()
         witnesses = [] if case.now.mag is None else [ask_mag(imu, case.now.mag)]
         witnesses.insert(0, ask_accel(imu, _bias(imu, case.rests_ns, witnesses)))

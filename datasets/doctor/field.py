@@ -13,16 +13,16 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Recording, Times
 
-IRON_SHARE = 0.3  # of the field: more turns the heading by up to 17 deg
-DISTURBED, DISTURBED_SHARE = 0.2, 0.25  # a field off by so much, for so much of the time
-DIP_SIDE = 0.17  # sine of the dip (10 deg) beyond which the field clearly points down or up
-NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size say where down is
-FEWEST_SAMPLES, FEWEST_AT_REST = 50, 5
-MOST_SAMPLES = 3000
-EVEN_DIP_DEG = 30.0  # dips of rests that differ by more are of different fields, or of wrong axes
+_IRON_SHARE = 0.3  # of the field: more turns the heading by up to 17 deg
+_DISTURBED, _DISTURBED_SHARE = 0.2, 0.25  # a field off by so much, for so much of the time
+_DIP_SIDE = 0.17  # sine of the dip (10 deg) beyond which the field clearly points down or up
+_NEAR_GRAVITY = 0.1  # only samples whose force is this close to gravity's size say where down is
+_FEWEST_SAMPLES, _FEWEST_AT_REST = 50, 5
+_MOST_SAMPLES = 3000
+_EVEN_DIP_DEG = 30.0  # dips of rests that differ by more are of different fields, or of wrong axes
 # Nats against a sign of the dip: where the place is known, where it is not and most users live in the north, and where
 # the rests contradict each other, so that no sign is right (less than a wrong sensor costs: it proves none).
-WRONG_SIGN, SOUTHERN, UNEVEN = 20.0, 5.0, 4.9
+_WRONG_SIGN, _SOUTHERN, _UNEVEN = 20.0, 5.0, 4.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +46,15 @@ class Dips:
     def penalty(self, accel: Floats, mag: Floats) -> float:
         """Return the nats against these wrong axes by the sign of the dip, judged in each rest."""
         sines = self.sines(accel, mag)
-        up, down = bool((sines > DIP_SIDE).any()), bool((sines < -DIP_SIDE).any())
+        up, down = bool((sines > _DIP_SIDE).any()), bool((sines < -_DIP_SIDE).any())
         if up and down:
-            return UNEVEN
+            return _UNEVEN
         if self.expected_rad is None:
-            return SOUTHERN if up else 0.0
+            return _SOUTHERN if up else 0.0
         expected = -np.sin(self.expected_rad)
-        if abs(expected) < DIP_SIDE:
+        if abs(expected) < _DIP_SIDE:
             return 0.0
-        return WRONG_SIGN if (up and expected < 0) or (down and expected > 0) else 0.0
+        return _WRONG_SIGN if (up and expected < 0) or (down and expected > 0) else 0.0
 
 
 def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) -> Dips | None:
@@ -67,16 +67,16 @@ def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) ->
     t_s, at_s = (imu.t_ns - imu.t_ns[0]) / 1e9, (mag.t_ns - imu.t_ns[0]) / 1e9
     force = np.stack([np.interp(at_s, t_s, column) for column in imu.accel_b_mps2.T], axis=1)
     size, length = np.linalg.norm(force, axis=1), np.linalg.norm(field, axis=1)
-    calm = (np.abs(size / (np.median(size) + 1e-300) - 1) < NEAR_GRAVITY) & (at_s >= 0) & (at_s <= t_s[-1])
+    calm = (np.abs(size / (np.median(size) + 1e-300) - 1) < _NEAR_GRAVITY) & (at_s >= 0) & (at_s <= t_s[-1])
     calm &= (length > 0) & (size > 0)
     group = np.full(len(at_s), -1)
     for place, (first, last) in enumerate(rests_ns):
         group[(mag.t_ns >= first) & (mag.t_ns <= last)] = place
     resting = calm & (group >= 0)
-    kept = resting if resting.sum() >= FEWEST_AT_REST else calm
-    if kept.sum() < FEWEST_AT_REST or (kept is calm and kept.sum() < FEWEST_SAMPLES):
+    kept = resting if resting.sum() >= _FEWEST_AT_REST else calm
+    if kept.sum() < _FEWEST_AT_REST or (kept is calm and kept.sum() < _FEWEST_SAMPLES):
         return None
-    rows = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_SAMPLES)]
+    rows = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // _MOST_SAMPLES)]
     force, field = force[rows] / size[rows, None], field[rows] / length[rows, None]
     return Dips(
         force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), _expected_dip(recording)
@@ -130,7 +130,7 @@ def _report_dip(dips: Dips | None) -> list[Finding]:
     each = dips.dips_deg()
     dip_deg, spread_deg = float(np.median(each)), float(np.ptp(each))
     values = {"dip_deg": dip_deg, "spread_deg": spread_deg}
-    if spread_deg > EVEN_DIP_DEG:
+    if spread_deg > _EVEN_DIP_DEG:
         message = (
             f"mag: the field dips by {each.min():.0f} to {each.max():.0f} deg below the horizon from rest to rest: "
             "iron or currents nearby, or wrong axes that no sign mends; do not trust the heading from it"
@@ -174,7 +174,7 @@ def _hard_iron(iron: Floats, size: float) -> Finding:
     share = float(np.linalg.norm(iron)) / size
     message = f"mag: hard iron ({', '.join(f'{h:.1f}' for h in iron)}) uT beside a field of {size:.1f} uT"
     values = {"hard_iron_ut": float(np.linalg.norm(iron)), "field_ut": size}
-    if share <= IRON_SHARE:
+    if share <= _IRON_SHARE:
         return Finding("hard-iron", "fact", message, values=values)
     text = f"mag less hard iron ({', '.join(f'{h:.2f}' for h in iron)}) uT"
     remedy = Remedy("offset", "mag", text, tuple(float(h) for h in iron))
@@ -182,16 +182,16 @@ def _hard_iron(iron: Floats, size: float) -> Finding:
 
 
 def _size(field: Floats, size: float) -> Finding:
-    off = np.abs(np.linalg.norm(field, axis=1) / size - 1) > DISTURBED
+    off = np.abs(np.linalg.norm(field, axis=1) / size - 1) > _DISTURBED
     share = float(off.mean())
     message = (
-        f"mag: field of {size:.1f} uT; {100 * share:.0f} % of the samples are off by more than {100 * DISTURBED:.0f} %"
+        f"mag: field of {size:.1f} uT; {100 * share:.0f} % of the samples are off by more than {100 * _DISTURBED:.0f} %"
     )
     values = {"field_ut": size, "disturbed_share": share}
     if not FIELD_RANGE_UT[0] <= size <= FIELD_RANGE_UT[1]:
         advice = "; the Earth has 20-70 uT: calibrate the magnetometer"
         return Finding("field-size", "warning", message + advice, values=values)
-    if share > DISTURBED_SHARE:
+    if share > _DISTURBED_SHARE:
         advice = "; iron or currents nearby: do not trust the heading from it"
         return Finding("field-disturbed", "warning", message + advice, values=values)
     return Finding("field-size", "fact", message, values=values)

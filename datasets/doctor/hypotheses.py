@@ -25,18 +25,18 @@ from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, complexity, 
 from stillpoint.datasets.recording import Floats
 
 # Penalties, in nats. A factor of 150 in likelihood (5 nats) is what the data must bring for one wrong sensor.
-TRUTH, MOUNTING = 1.0, 1.0  # each convention of the truth, each turn of the whole IMU against the truth's body
-SENSOR, PER_AXIS = 4.0, 1.0  # a wrong sensor, and each axis of it that is moved or flipped
-ALL_LEFT_HANDED = 10.0  # axes of all sensors mirrored alike: one decision of whoever wrote the driver
-CHAIN = 6.0  # a world turned by no convention, two wrong conventions of the truth, a mounting beside mirrored axes
-COINCIDENCE = 10.0  # a wrong truth and a wrong sensor at once
-CLEAR = 4.8  # the winner must be better by so much
-SCALE_LIMIT = 0.1  # relative: more is no calibration error of a working gyro
-ACCEL_ALONE, MAG_ALONE = 0.2, 0.6  # ... when one sensor alone says so, which translation or a short turn may fool
-AGREEMENT = 0.1  # two scales that differ by less agree
-DEG_PER_RAD = 180 / np.pi
-NAMES = {"gyro": "gyro", "accel": "accelerometer", "mag": "magnetometer", "truth": "truth"}
-IDENTITY = np.eye(3)
+_TRUTH, _MOUNTING = 1.0, 1.0  # each convention of the truth, each turn of the whole IMU against the truth's body
+_SENSOR, _PER_AXIS = 4.0, 1.0  # a wrong sensor, and each axis of it that is moved or flipped
+_ALL_LEFT_HANDED = 10.0  # axes of all sensors mirrored alike: one decision of whoever wrote the driver
+_CHAIN = 6.0  # a world turned by no convention, two wrong conventions of the truth, a mounting beside mirrored axes
+_COINCIDENCE = 10.0  # a wrong truth and a wrong sensor at once
+_CLEAR = 4.8  # the winner must be better by so much
+_SCALE_LIMIT = 0.1  # relative: more is no calibration error of a working gyro
+_ACCEL_ALONE, _MAG_ALONE = 0.2, 0.6  # ... when one sensor alone says so, which translation or a short turn may fool
+_AGREEMENT = 0.1  # two scales that differ by less agree
+_DEG_PER_RAD = 180 / np.pi
+_NAMES = {"gyro": "gyro", "accel": "accelerometer", "mag": "magnetometer", "truth": "truth"}
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +51,10 @@ class Fault:
     def corrections(self) -> list[tuple[str, Floats]]:
         """Return each wrong sensor with the matrix that corrects it."""
         wrong = (("gyro", self.gyro), ("accel", self.accel), ("mag", self.mag))
-        return [(name, matrix.T) for name, matrix in wrong if not np.array_equal(matrix, IDENTITY)]
+        return [(name, matrix.T) for name, matrix in wrong if not np.array_equal(matrix, _IDENTITY)]
 
 
-NO_FAULT = Fault(IDENTITY, IDENTITY, IDENTITY, 0.0)
+_NO_FAULT = Fault(_IDENTITY, _IDENTITY, _IDENTITY, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def compare_hypotheses(
             found.append(Hypothesis(fault, view, total, total + penalty + _truth_penalty(fault, view)))
     found.sort(key=lambda one: (one.cost, len(one.fault.corrections())))
     best = found[0]
-    rivals = [one for one in found[1:] if one.cost < best.cost + CLEAR and one.key != best.key]
+    rivals = [one for one in found[1:] if one.cost < best.cost + _CLEAR and one.key != best.key]
     return Verdict(best, tuple(rivals))
 
 
@@ -127,34 +127,34 @@ def _truth_penalty(fault: Fault, view: TruthView) -> float:
     A cyclic order of the components is the inverse quaternion between two other constant rotations, and a mirrored
     axis is another one seen through a mounting: what is explained by one convention need not be by a chain of them.
     """
-    penalty = TRUTH * view.changes + MOUNTING * view.mounted
+    penalty = _TRUTH * view.changes + _MOUNTING * view.mounted
     if view.wrong and fault.corrections():
-        penalty += COINCIDENCE
+        penalty += _COINCIDENCE
     unnamed = view.frame == "turned"
     chained = view.changes > 1 or (view.mounted and len(fault.corrections()) > 1)
-    return penalty + CHAIN * (unnamed + chained)
+    return penalty + _CHAIN * (unnamed + chained)
 
 
 def _list_faults(has_mag: bool) -> Iterator[Fault]:
     """Yield the faults that are compared: none, one sensor, inverted axes beside a wrong gyro, all left-handed."""
-    yield NO_FAULT
+    yield _NO_FAULT
     for matrix in CANDIDATES[1:]:
-        cost = SENSOR + PER_AXIS * _changed(matrix)
-        yield Fault(matrix, IDENTITY, IDENTITY, cost)
-        yield Fault(IDENTITY, matrix, IDENTITY, cost)
-        yield Fault(matrix, -IDENTITY, IDENTITY, cost + SENSOR + PER_AXIS)
+        cost = _SENSOR + _PER_AXIS * _changed(matrix)
+        yield Fault(matrix, _IDENTITY, _IDENTITY, cost)
+        yield Fault(_IDENTITY, matrix, _IDENTITY, cost)
+        yield Fault(matrix, -_IDENTITY, _IDENTITY, cost + _SENSOR + _PER_AXIS)
         if has_mag:
-            yield Fault(IDENTITY, IDENTITY, matrix, cost)
-            yield Fault(matrix, IDENTITY, -IDENTITY, cost + SENSOR + PER_AXIS)
+            yield Fault(_IDENTITY, _IDENTITY, matrix, cost)
+            yield Fault(matrix, _IDENTITY, -_IDENTITY, cost + _SENSOR + _PER_AXIS)
     for axis in range(3):
         mirror = np.eye(3)
         mirror[axis, axis] = -1.0
-        yield Fault(mirror, mirror, mirror if has_mag else IDENTITY, ALL_LEFT_HANDED)
+        yield Fault(mirror, mirror, mirror if has_mag else _IDENTITY, _ALL_LEFT_HANDED)
 
 
 def _changed(matrix: Floats) -> int:
     """Return how many axes are moved or flipped; a sign that is wrong for all three is one mistake."""
-    return 1 if np.array_equal(matrix, -IDENTITY) else complexity(matrix)[0]
+    return 1 if np.array_equal(matrix, -_IDENTITY) else complexity(matrix)[0]
 
 
 def _imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
@@ -169,8 +169,8 @@ def _imu_misfit(fault: Fault, excess: dict[str, Floats]) -> float:
 def _sign_penalty(fault: Fault, dips: Dips | None, accel_up: float | None) -> float:
     """Return the nats against the signs of gravity and field: by the dip of the field and by a known base pose."""
     penalty = 0.0 if dips is None else dips.penalty(fault.accel, fault.mag)
-    if accel_up is not None and np.array_equal(np.abs(fault.accel), IDENTITY):
-        sign = -1.0 if np.array_equal(fault.accel, -IDENTITY) else 1.0
+    if accel_up is not None and np.array_equal(np.abs(fault.accel), _IDENTITY):
+        sign = -1.0 if np.array_equal(fault.accel, -_IDENTITY) else 1.0
         penalty += 20.0 if sign * accel_up < -0.85 else 0.0  # more than 150 deg off: no pose is stated so badly
     return penalty
 
@@ -212,7 +212,7 @@ def _report_sensor(sensor: str, correction: Floats, agreeing: str) -> Finding:
     """Return the finding about one sensor in wrong axes."""
     text = describe(sensor, correction)
     remedy = Remedy("matrix", sensor, text, _flatten(correction))
-    inverted = np.array_equal(correction, -IDENTITY)
+    inverted = np.array_equal(correction, -_IDENTITY)
     if inverted and sensor == "gyro":
         message = (
             f"gyro: turns the other way about every axis than {agreeing}: left-handed rates, or left-handed axes of "
@@ -235,12 +235,12 @@ def _name_agreeing(best: Hypothesis, witnesses: Sequence[Witness]) -> str:
     names += ["truth"] if best.view is not None and best.view.frame is None and not best.view.wrong else []
     if wrong & {"accel", "mag"} and not wrong & {"gyro"}:
         names = [*names, "gyro"]
-    return " and ".join(f"the {NAMES[name]}" for name in dict.fromkeys(names)) or "the dip of the field"
+    return " and ".join(f"the {_NAMES[name]}" for name in dict.fromkeys(names)) or "the dip of the field"
 
 
 def _describe(hypothesis: Hypothesis) -> str:
     """Say in a few words what is wrong under a hypothesis."""
-    parts = [f"the {NAMES[name]} is wrong ({describe(name, m)})" for name, m in hypothesis.fault.corrections()]
+    parts = [f"the {_NAMES[name]} is wrong ({describe(name, m)})" for name, m in hypothesis.fault.corrections()]
     if hypothesis.view is not None and hypothesis.view.wrong:
         parts.append(f"the truth is wrong ({hypothesis.view.words})")
     elif hypothesis.view is not None and hypothesis.view.mounted:
@@ -259,17 +259,17 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
     if found is None:
         return None
     scale, who = found
-    said = " and ".join(f"{NAMES[name]} ({scales[name]:.4g})" for name in who)
-    if abs(scale * DEG_PER_RAD - 1) < 0.15:
-        factor = 1 / DEG_PER_RAD
+    said = " and ".join(f"{_NAMES[name]} ({scales[name]:.4g})" for name in who)
+    if abs(scale * _DEG_PER_RAD - 1) < 0.15:
+        factor = 1 / _DEG_PER_RAD
         message = f"gyro: in deg/s by the {said}: multiply by {factor:.6g}"
-        remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _flatten(factor * IDENTITY))
+        remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _flatten(factor * _IDENTITY))
         return Finding("gyro-units", "error", message, remedy, {"scale": scale})
     message = (
         f"gyro: rates must be multiplied by {scale:.4g} to fit the {said}: a wrong range or unit of the gyro, or a "
         f"time base that is wrong by this factor; multiply by {scale:.4g}, or the steps of time if the rate is wrong"
     )
-    remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", _flatten(scale * IDENTITY))
+    remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", _flatten(scale * _IDENTITY))
     sure = len(who) > 1 or who == ["truth"]
     return Finding("gyro-scale", "error", message, remedy if sure else None, {"scale": scale})
 
@@ -280,14 +280,14 @@ def _agreed_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
 
     if "truth" in scales:
         others = [name for name in ("mag", "accel") if name in scales]
-        denied = others and all(off(scales[name]) < AGREEMENT for name in others)
-        return (scales["truth"], ["truth"]) if off(scales["truth"]) > SCALE_LIMIT and not denied else None
+        denied = others and all(off(scales[name]) < _AGREEMENT for name in others)
+        return (scales["truth"], ["truth"]) if off(scales["truth"]) > _SCALE_LIMIT and not denied else None
     if "accel" in scales and "mag" in scales:
-        both = off(scales["accel"] / scales["mag"]) < AGREEMENT
-        sure = min(off(scales["accel"]), off(scales["mag"])) > SCALE_LIMIT  # each by itself: one may be far off alone
+        both = off(scales["accel"] / scales["mag"]) < _AGREEMENT
+        sure = min(off(scales["accel"]), off(scales["mag"])) > _SCALE_LIMIT  # each by itself: one may be far off alone
         mean = float(np.sqrt(scales["accel"] * scales["mag"]))
         return (mean, ["accel", "mag"]) if both and sure else None
-    for name, limit in (("accel", ACCEL_ALONE), ("mag", MAG_ALONE)):
+    for name, limit in (("accel", _ACCEL_ALONE), ("mag", _MAG_ALONE)):
         if name in scales and off(scales[name]) > limit:
             return scales[name], [name]
     return None
@@ -298,13 +298,13 @@ def report_tested_axes(witnesses: Sequence[Witness]) -> list[Finding]:
     findings = []
     for one in witnesses:
         if one.choice is None:
-            message = f"axes: not tested by the {NAMES[one.name]}: too little turning that it could see"
+            message = f"axes: not tested by the {_NAMES[one.name]}: too little turning that it could see"
             findings.append(Finding("axes-not-tested", "fact", message))
             continue
         tested = [axis for axis, seen in zip("xyz", one.choice.tested, strict=True) if seen]
         untested = [axis for axis in "xyz" if axis not in tested]
         scale = one.scale or float("nan")
-        message = f"axes: the {NAMES[one.name]} turns as gyro {', '.join(tested) or 'none'} says (scale {scale:.3f})"
+        message = f"axes: the {_NAMES[one.name]} turns as gyro {', '.join(tested) or 'none'} says (scale {scale:.3f})"
         if untested:
             message += f"; not tested: {', '.join(untested)}, as there is no rotation about it that shows"
         findings.append(Finding("axes-tested", "fact", message, values={"scale": scale}))

@@ -9,16 +9,16 @@ from stillpoint.datasets.doctor.finding import Finding, Remedy
 from stillpoint.datasets.recording import Floats, Recording, Times, rate_hz
 
 REACH_S = 0.25  # lags up to this are looked for
-COARSE_S = 0.025
-FINER = 5  # each search has steps so many times shorter than the one before
-SEARCHES = 3
-BLOCKS = 10  # the recording is cut into so many parts, for the standard error
-SIGMAS = 5.0  # a lag is told from zero from so many standard errors on
-MIN_CONTRAST = 0.1  # share of the loss that the best lag takes away from the worst; below, nothing is said
+_COARSE_S = 0.025
+_FINER = 5  # each search has steps so many times shorter than the one before
+_SEARCHES = 3
+_BLOCKS = 10  # the recording is cut into so many parts, for the standard error
+_SIGMAS = 5.0  # a lag is told from zero from so many standard errors on
+_MIN_CONTRAST = 0.1  # share of the loss that the best lag takes away from the worst; below, nothing is said
 # What a lag may be off by beside its standard error, measured where the lag is known (docs/doctor.md).
-TRUTH_S = 0.001
-ACCEL_S = 0.015  # translation that goes with turning looks like a lag of gravity
-MAG_S = 0.020  # so does a field that changes with the place
+_TRUTH_S = 0.001
+_ACCEL_S = 0.015  # translation that goes with turning looks like a lag of gravity
+_MAG_S = 0.020  # so does a field that changes with the place
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Lag:
     @property
     def clear(self) -> bool:
         """Well above its standard error."""
-        return abs(self.lag_s) > SIGMAS * self.sd_s
+        return abs(self.lag_s) > _SIGMAS * self.sd_s
 
 
 def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
@@ -40,28 +40,28 @@ def find_lag(loss: Callable[[float], Floats | None]) -> Lag | None:
     A coarse search over +-0.25 s, then two finer ones, then a parabola. The standard error is a jackknife over ten
     parts of the recording, or more where the minimum is blunt: see :func:`_unsure_s`.
     """
-    grids = [np.arange(-REACH_S, REACH_S + COARSE_S / 2, COARSE_S)]
+    grids = [np.arange(-REACH_S, REACH_S + _COARSE_S / 2, _COARSE_S)]
     tables: list[Floats] = []
-    for search in range(SEARCHES):
+    for search in range(_SEARCHES):
         table = _table(loss, grids[-1])
         if table is None:
             return None
         tables.append(table)
         total = table.sum(axis=1)
-        if search == 0 and (total.max() <= 0 or (total.max() - total.min()) / total.max() < MIN_CONTRAST):
+        if search == 0 and (total.max() <= 0 or (total.max() - total.min()) / total.max() < _MIN_CONTRAST):
             return None
-        if search < SEARCHES - 1:
-            step = COARSE_S / FINER ** (search + 1)
-            grid = grids[-1][int(total.argmin())] + step * np.arange(1 - FINER, FINER)
+        if search < _SEARCHES - 1:
+            step = _COARSE_S / _FINER ** (search + 1)
+            grid = grids[-1][int(total.argmin())] + step * np.arange(1 - _FINER, _FINER)
             grids.append(grid[np.abs(grid) <= REACH_S])
     bounds = _bounds(tables[0])
     parts = _parts(tables[-1], bounds)
     best = _bottom(grids[-1], total)
     without = np.array([_bottom(grids[-1], total - part) for part in parts.T])
-    jackknife = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
+    jackknife = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((without - without.mean()) ** 2)))
     lowest = parts[int(total.argmin())]
     unsure = max(_unsure_s(grid - best, _parts(one, bounds) - lowest) for grid, one in zip(grids, tables, strict=True))
-    return Lag(best, max(jackknife, unsure / SIGMAS))
+    return Lag(best, max(jackknife, unsure / _SIGMAS))
 
 
 def _unsure_s(away_s: Floats, more: Floats) -> float:
@@ -70,14 +70,14 @@ def _unsure_s(away_s: Floats, more: Floats) -> float:
     Around a smooth minimum the excess grows as d^2 and its scatter as d: it is half as many standard errors above zero
     as d is standard errors of the lag. Where noise ripples the loss, several minima compete, and the farthest counts.
     """
-    scatter = np.sqrt(BLOCKS) * more.std(axis=1, ddof=1)
-    return float(np.abs(away_s[more.sum(axis=1) <= SIGMAS / 2 * scatter]).max(initial=0.0))
+    scatter = np.sqrt(_BLOCKS) * more.std(axis=1, ddof=1)
+    return float(np.abs(away_s[more.sum(axis=1) <= _SIGMAS / 2 * scatter]).max(initial=0.0))
 
 
 def _bounds(table: Floats) -> Times:
     """Return where the parts of the recording meet, (BLOCKS - 1,), so that each tells equally much of the lag."""
     told = np.cumsum(np.ptp(table, axis=0))
-    return np.searchsorted(told / told[-1], np.linspace(0, 1, BLOCKS + 1)[1:-1])
+    return np.searchsorted(told / told[-1], np.linspace(0, 1, _BLOCKS + 1)[1:-1])
 
 
 def _parts(table: Floats, bounds: Times) -> Floats:
@@ -112,11 +112,11 @@ def check_lags(
     findings = [] if gyro is None else [_gyro_against_truth(recording, gyro)]
     if accel_by_truth is not None and gyro is not None:
         both = Lag(accel_by_truth.lag_s - gyro.lag_s, (accel_by_truth.sd_s**2 + gyro.sd_s**2) ** 0.5)
-        findings.append(_against_gyro("accel", "accelerometer", both, 2 * TRUTH_S, "by way of the truth"))
+        findings.append(_against_gyro("accel", "accelerometer", both, 2 * _TRUTH_S, "by way of the truth"))
     elif accel_by_gravity is not None:
-        findings.append(_against_gyro("accel", "accelerometer", accel_by_gravity, ACCEL_S, "by gravity"))
+        findings.append(_against_gyro("accel", "accelerometer", accel_by_gravity, _ACCEL_S, "by gravity"))
     if mag is not None:
-        findings.append(_against_gyro("mag", "magnetometer", mag, MAG_S, "by the field"))
+        findings.append(_against_gyro("mag", "magnetometer", mag, _MAG_S, "by the field"))
     return findings
 
 
@@ -128,7 +128,7 @@ def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
         f"gyro: stamps are {_ms(lag.lag_s + half_s)} late (+) against the truth, +-{1e3 * lag.sd_s:.1f} ms; "
         f"half a step ({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
     )
-    if abs(lag.lag_s) < TRUTH_S + SIGMAS * lag.sd_s:
+    if abs(lag.lag_s) < _TRUTH_S + _SIGMAS * lag.sd_s:
         return Finding("gyro-truth-lag", "fact", message + ", which leaves nothing to mend", None, values)
     remedy = Remedy("shift", "truth", f"truth shifted by {_ms(lag.lag_s)}", (lag.lag_s,))
     advice = f"; {_ms(lag.lag_s)} remain: shift the truth by them"
@@ -143,7 +143,7 @@ def _against_gyro(sensor: str, name: str, lag: Lag, systematic_s: float, how: st
     )
     code = f"{sensor}-gyro-lag"
     doubtful = abs(lag.lag_s) > 0.9 * REACH_S
-    if doubtful or abs(lag.lag_s) < systematic_s + SIGMAS * lag.sd_s:
+    if doubtful or abs(lag.lag_s) < systematic_s + _SIGMAS * lag.sd_s:
         return Finding(code, "fact", message, None, values)
     remedy = Remedy("shift", sensor, f"{sensor} shifted by {_ms(-lag.lag_s)}", (-lag.lag_s,))
     return Finding(code, "warning", message + f"; shift it by {_ms(-lag.lag_s)}", remedy, values)

@@ -11,14 +11,14 @@ from stillpoint.datasets.doctor.witness import Witness
 from stillpoint.datasets.recording import Floats, Imu, Recording, Times, rate_hz
 from stillpoint.datasets.times import is_inside
 
-BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
+_BIAS_RADPS = np.deg2rad(2.0)  # above it attitude drifts by a full circle in three minutes
 # White noise per sqrt(Hz) above which a MEMS sensor is not at its best: ten times what data sheets promise.
-NOISE = {"gyro": np.deg2rad(0.1), "accel": 0.02, "mag": 1.0}
-UNITS = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
-MAG_BIAS_RADPS, MAG_GAIN = np.deg2rad(3.0), 1.5  # by the magnetometer alone only above these is a warning given
-FEWEST_SAMPLES = 50
-CALM_SPREAD = 0.01  # of the force's size: the smoothed force of a calm second varies by less
-SMOOTH_S = 0.1
+_NOISE = {"gyro": np.deg2rad(0.1), "accel": 0.02, "mag": 1.0}
+_UNITS = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
+_MAG_BIAS_RADPS, _MAG_GAIN = np.deg2rad(3.0), 1.5  # by the magnetometer alone only above these is a warning given
+_FEWEST_SAMPLES = 50
+_CALM_SPREAD = 0.01  # of the force's size: the smoothed force of a calm second varies by less
+_SMOOTH_S = 0.1
 
 
 def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -> list[Finding]:
@@ -32,7 +32,7 @@ def check_noise(recording: Recording, rests_ns: Times, witnesses: Sequence[Witne
     findings = []
     for name, t_ns, values in columns:
         still = is_inside(t_ns, spans)
-        if still.sum() >= FEWEST_SAMPLES:
+        if still.sum() >= _FEWEST_SAMPLES:
             findings.append(_noise(name, values, still, rate_hz(t_ns), where))
     if not findings:
         findings.append(Finding("noise-not-tested", "fact", "noise: not tested, as nothing rests"))
@@ -54,12 +54,12 @@ def white_noise(values: Floats, still: np.ndarray) -> Floats:
 def _noise(name: str, values: Floats, still: np.ndarray, rate: float, where: str) -> Finding:
     sd = white_noise(values, still)
     density = float(np.max(sd) / np.sqrt(rate))
-    factor, unit = UNITS[name]
+    factor, unit = _UNITS[name]
     message = (
         f"{name}: white noise {factor * float(np.max(sd)):.3g} {unit} a sample on the worst axis, "
         f"{factor * density:.2g} {unit}/sqrt(Hz), {where}"
     )
-    noisy = np.isfinite(density) and density > NOISE[name]
+    noisy = np.isfinite(density) and density > _NOISE[name]
     values_out = {"density": density, "sd": float(np.max(sd))}
     if noisy:
         advice = "; look for vibration, or a damaged or wrongly set sensor"
@@ -71,8 +71,8 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
     imu = recording.require_imu()
     still = is_inside(imu.t_ns, rests_ns)
     how, bias = "at rest", None
-    sure = any(one.name == "mag" and one.choice is not None and one.choice.gain > MAG_GAIN for one in witnesses)
-    if still.sum() >= FEWEST_SAMPLES:
+    sure = any(one.name == "mag" and one.choice is not None and one.choice.gain > _MAG_GAIN for one in witnesses)
+    if still.sum() >= _FEWEST_SAMPLES:
         bias = imu.gyro_b_radps[still].mean(axis=0)
     else:
         for name, words in (("truth", "by the truth"), ("mag", "by the magnetometer")):
@@ -85,10 +85,10 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
     shown = ", ".join(f"{b:.2f}" for b in np.rad2deg(bias))
     values = {"bias_radps": size}
     message = f"gyro: bias ({shown}) deg/s {how}"
-    if size <= BIAS_RADPS:
+    if size <= _BIAS_RADPS:
         return [Finding("gyro-bias", "fact", message, values=values)]
     if how == "by the magnetometer":
-        if not sure or size <= MAG_BIAS_RADPS:
+        if not sure or size <= _MAG_BIAS_RADPS:
             return [Finding("gyro-bias", "fact", message + ", roughly", values=values)]
         advice = ", known to a few deg/s only; let the sensor rest at the start of a recording"
         return [Finding("gyro-bias", "warning", message + advice, values=values)]
@@ -98,14 +98,14 @@ def _bias(recording: Recording, rests_ns: Times, witnesses: Sequence[Witness]) -
 
 def calm_seconds(imu: Imu) -> Times:
     """Return the first and last stamps of whole seconds in which the smoothed specific force keeps still, (S, 2)."""
-    tenth = _bins(imu.t_ns, SMOOTH_S)
+    tenth = _bins(imu.t_ns, _SMOOTH_S)
     first, mean = _means(tenth, imu.accel_b_mps2)
-    second = tenth[first] // round(1 / SMOOTH_S)
+    second = tenth[first] // round(1 / _SMOOTH_S)
     starts, middle = _means(second, mean)
     _, square = _means(second, mean**2)
     spread = np.sqrt(np.maximum((square - middle**2).sum(axis=1), 0.0))
-    whole = np.diff(starts, append=len(second)) == round(1 / SMOOTH_S)
-    calm = np.flatnonzero(whole & (spread < CALM_SPREAD * np.linalg.norm(middle, axis=1)))
+    whole = np.diff(starts, append=len(second)) == round(1 / _SMOOTH_S)
+    calm = np.flatnonzero(whole & (spread < _CALM_SPREAD * np.linalg.norm(middle, axis=1)))
     ends = np.append(first[starts[1:]], len(imu.t_ns)) - 1
     return np.stack([imu.t_ns[first[starts[calm]]], imu.t_ns[ends[calm]]], axis=1)
 

@@ -13,7 +13,7 @@ from stillpoint.datasets.errors import BadParameter, BadRecording
 from stillpoint.datasets.frames import from_xyzw, quaternion, rotation, to_xyzw
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
 
-SENSORS = {"gyro": "gyro_b_radps", "accel": "accel_b_mps2"}
+_SENSORS = {"gyro": "gyro_b_radps", "accel": "accel_b_mps2"}
 LONGEST_BURST_S = 1.0  # a longer step between stamps is a gap, not the wait for the next burst
 
 
@@ -64,7 +64,7 @@ def _with(recording: Recording, stream: str, value: Imu | Mag | Truth | None) ->
 def _change(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     if remedy.kind not in _KINDS:
         raise BadParameter(f"no remedy {remedy.kind!r}; there are {', '.join(_KINDS)}")
-    stream = "imu" if remedy.target in SENSORS else remedy.target
+    stream = "imu" if remedy.target in _SENSORS else remedy.target
     if getattr(recording, stream, None) is None:
         raise BadParameter(f"{recording.name}: remedy {remedy.text!r} needs the stream {stream}, which is missing")
     return _KINDS[remedy.kind](recording, remedy)
@@ -74,9 +74,9 @@ def _values(recording: Recording, target: str) -> Floats:
     if target == "mag":
         assert recording.mag is not None
         return recording.mag.mag_b_ut
-    if target not in SENSORS:
+    if target not in _SENSORS:
         raise BadParameter(f"a remedy for {target!r} cannot change vectors; name gyro, accel or mag")
-    return np.asarray(getattr(recording.require_imu(), SENSORS[target]))
+    return np.asarray(getattr(recording.require_imu(), _SENSORS[target]))
 
 
 def _with_values(recording: Recording, target: str, values: Floats) -> Recording:
@@ -104,7 +104,7 @@ def _offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
 
 def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     by_ns = round(remedy.values[0] * 1e9)
-    if remedy.target in SENSORS:
+    if remedy.target in _SENSORS:
         return _shift_within_imu(recording, remedy.target, by_ns)
     stream = getattr(recording, remedy.target)
     keep = stream.t_ns + by_ns >= 0
@@ -121,9 +121,9 @@ def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Re
     seconds, at = (imu.t_ns - imu.t_ns[0]) / 1e9, (source_ns[keep] - imu.t_ns[0]) / 1e9
     moved = {
         name: np.stack([np.interp(at, seconds, column) for column in getattr(imu, name).T], axis=1)
-        if name == SENSORS[sensor]
+        if name == _SENSORS[sensor]
         else getattr(imu, name)[keep]
-        for name in SENSORS.values()
+        for name in _SENSORS.values()
     }
     said = f"interpolated at the other sensor's stamps, {len(keep) - int(keep.sum())} samples at the ends dropped"
     return replace(recording, imu=Imu(imu.t_ns[keep], moved["gyro_b_radps"], moved["accel_b_mps2"])), said

@@ -11,10 +11,10 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
 from stillpoint.datasets.spin import SpinChannels, channels, find_saturated, measure
 
-LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
-SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm
-CERTAIN = 5.0  # standard errors
-SLOWEST_RADPS = 3.0  # below it a squared rate tells nothing about a scale
+_LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
+_SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm
+_CERTAIN = 5.0  # standard errors
+_SLOWEST_RADPS = 3.0  # below it a squared rate tells nothing about a scale
 
 
 def check_spin(recording: Recording) -> Iterator[Finding]:
@@ -46,7 +46,7 @@ def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator
         return
     share = float(counts.max()) / len(spin.t_ns)
     listed = ", ".join(f"{n} of accelerometer {k + 1}" for k, n in enumerate(counts) if n)
-    severity: Severity = "warning" if share > LOST_SHARE else "fact"
+    severity: Severity = "warning" if share > _LOST_SHARE else "fact"
     yield Finding(f"spin-{what}", severity, f"spin: values that {text}: {listed}", values={"share": share})
 
 
@@ -58,18 +58,18 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
         return
     middle = float(np.median(squared))
     error = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(squared - middle))) / np.sqrt(len(squared))
-    if middle < -CERTAIN * error and middle < -(SLOWEST_RADPS**2):
+    if middle < -_CERTAIN * error and middle < -(_SLOWEST_RADPS**2):
         message = f"spin: the squared rate is {middle:.4g} rad^2/s^2 in the median: turn the sign of the radial one"
         yield Finding("spin-radial-sign", "error", message, values={"omega_squared_radps2": middle})
         return
     if encoder is None:
         return
     rate = np.interp(spin.t_ns, encoder.t_ns, encoder.rate_radps)
-    fast = samples.omega_squared_valid & (np.abs(rate) > SLOWEST_RADPS)
+    fast = samples.omega_squared_valid & (np.abs(rate) > _SLOWEST_RADPS)
     if fast.sum() < 10:
         return
     scale = float(np.sqrt(max(np.median(samples.omega_squared_radps2[fast] / rate[fast] ** 2), 0.0)))
-    if abs(scale - 1) > SCALE_LIMIT:
+    if abs(scale - 1) > _SCALE_LIMIT:
         message = (
             f"spin: the rate by the accelerometers is {scale:.3f} times the encoder's: check the radial arm "
             f"({100 * (scale**2 - 1):+.1f} %), its unit, and the counts of a turn"
@@ -89,7 +89,7 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
     turning = np.diff(encoder.rate_radps) / (np.diff(encoder.t_ns) / 1e9)
     seen = np.interp(middle_ns, spin.t_ns[known], samples.omega_dot_radps2[known])
     alike = _correlation(seen, turning, np.interp(middle_ns, encoder.t_ns, encoder.angle_rad))
-    if alike < -CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
+    if alike < -_CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
         message = f"spin: the tangential one goes against the encoder (correlation {alike:.2f}): turn its sign"
         yield Finding("spin-tangential-sign", "error", message, values={"correlation": alike})
 

@@ -12,13 +12,13 @@ from stillpoint.datasets.doctor.witness import CANDIDATES, Witness, choose, inde
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Imu, Recording, Truth
 
-RATE_WINDOW_S = 0.04
-FORCE_WINDOW_S = 0.06  # half of the span of the second difference of the positions
+_RATE_WINDOW_S = 0.04
+_FORCE_WINDOW_S = 0.06  # half of the span of the second difference of the positions
 FEWEST = 50
-HELD_RADPS = np.deg2rad(5.0)  # faster than any bias leaves the median
-FROZEN_S, FEWEST_HELD = 0.3, 5
-SLIP_WINDOW_S = 1.0
-SLIP_RAD, SLIP_RATIO, MOST_SLIPS = np.deg2rad(10.0), 10.0, 0.3  # a second that parts by less spoils no score
+_HELD_RADPS = np.deg2rad(5.0)  # faster than any bias leaves the median
+_FROZEN_S, _FEWEST_HELD = 0.3, 5
+_SLIP_WINDOW_S = 1.0
+_SLIP_RAD, _SLIP_RATIO, _MOST_SLIPS = np.deg2rad(10.0), 10.0, 0.3  # a second that parts by less spoils no score
 
 
 def ask_truth(imu: Imu, truth: Truth) -> Witness:
@@ -66,7 +66,7 @@ def truth_rates(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]:
     if len(t_s) < FEWEST:
         return np.zeros(0), np.zeros(0), np.zeros((0, 3))
     step = float(np.median(np.diff(t_s)))
-    pair = max(1, round(RATE_WINDOW_S / step))
+    pair = max(1, round(_RATE_WINDOW_S / step))
     first = np.arange(0, len(t_s) - pair, max(1, pair // 2))
     first = first[np.abs(t_s[first + pair] - t_s[first] - pair * step) < 0.5 * step]
     if len(first) == 0:
@@ -83,7 +83,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     at_s, expected, swing = _truth_forces(truth, origin)
-    half = FORCE_WINDOW_S / 2
+    half = _FORCE_WINDOW_S / 2
     inside = (at_s - half - REACH_S > force.t_s[0]) & (at_s + half + REACH_S < force.t_s[-1])
     inside &= ~force.touches_gap(at_s - half - REACH_S, at_s + half + REACH_S)
     at_s, expected, swing = at_s[inside], expected[inside], swing[inside]
@@ -91,7 +91,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
         return None
 
     def measured(lag_s: float) -> Floats:
-        return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / FORCE_WINDOW_S
+        return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / _FORCE_WINDOW_S
 
     usual = 0.1 * STANDARD_GRAVITY_MPS2
     # The accelerometer's axes (9), the arm from the tracked point to it (3), its bias (3).
@@ -119,7 +119,7 @@ def _truth_forces(truth: Truth, origin_ns: int) -> tuple[Floats, Floats, Floats]
     if len(t_s) < FEWEST:
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3))
     step = float(np.median(np.diff(t_s)))
-    reach = max(1, round(FORCE_WINDOW_S / 2 / step))
+    reach = max(1, round(_FORCE_WINDOW_S / 2 / step))
     middle = np.arange(reach, len(t_s) - reach, max(1, reach))
     middle = middle[np.abs(t_s[middle + reach] - t_s[middle - reach] - 2 * reach * step) < 0.5 * step]
     position = np.zeros((len(t_s), 3)) if truth.position_n_m is None else truth.position_n_m
@@ -151,14 +151,14 @@ def check_truth_values(recording: Recording) -> list[Finding]:
 
 def _check_frozen(imu: Imu, truth: Truth) -> list[Finding]:
     away = np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1)
-    turning = np.concatenate([[0], np.cumsum(away > HELD_RADPS)])
+    turning = np.concatenate([[0], np.cumsum(away > _HELD_RADPS)])
     same = repeats(truth.q_nb)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = np.maximum(edges[::2] - 1, 0), edges[1::2] - 1  # the sample that is held, and its last repeat
     begin, end = np.searchsorted(imu.t_ns, truth.t_ns[first]), np.searchsorted(imu.t_ns, truth.t_ns[last])
     share = (turning[end] - turning[begin]) / np.maximum(end - begin, 1)
     seconds = (truth.t_ns[last] - truth.t_ns[first]) / 1e9
-    held = (seconds >= FROZEN_S) & (last - first >= FEWEST_HELD) & (share > 0.5)
+    held = (seconds >= _FROZEN_S) & (last - first >= _FEWEST_HELD) & (share > 0.5)
     if not held.any():
         return []
     first, last, seconds = first[held], last[held], seconds[held]
@@ -193,10 +193,10 @@ def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
     if len(start) < FEWEST:
         return []
     off = rate - gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
-    bins = np.floor(start / SLIP_WINDOW_S).astype(np.int64)
-    parted = SLIP_WINDOW_S * np.linalg.norm(mean_per_bin(bins, off - np.median(off, axis=0)), axis=1)
-    slipped = parted > max(SLIP_RATIO * float(np.median(parted)), SLIP_RAD)
-    if not 0 < slipped.mean() < MOST_SLIPS:
+    bins = np.floor(start / _SLIP_WINDOW_S).astype(np.int64)
+    parted = _SLIP_WINDOW_S * np.linalg.norm(mean_per_bin(bins, off - np.median(off, axis=0)), axis=1)
+    slipped = parted > max(_SLIP_RATIO * float(np.median(parted)), _SLIP_RAD)
+    if not 0 < slipped.mean() < _MOST_SLIPS:
         return []
     at_s = float(start[np.searchsorted(bins, np.unique(bins)[int(np.argmax(parted))])])
     worst_deg, total_deg = float(np.rad2deg(parted.max())), float(np.rad2deg(parted[slipped].sum()))

@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.times import find_gaps
 
-GRID_HZ = 100.0  # fast enough for a hand: at 1000 deg/s the midpoint rule over 10 ms errs by 0.25 %
-WINDOW_S = 0.25
-FEWEST_WINDOWS, MOST_WINDOWS = 12, 1500
+_GRID_HZ = 100.0  # fast enough for a hand: at 1000 deg/s the midpoint rule over 10 ms errs by 0.25 %
+_WINDOW_S = 0.25
+FEWEST_WINDOWS, _MOST_WINDOWS = 12, 1500
 
-SWING_S = 2.0
-MOST_SWINGS = 120
+_SWING_S = 2.0
+_MOST_SWINGS = 120
 MODES = 6  # patterns of force in a window, in order of the displacement they cause; the rest is below 0.1 %
 
 # (a x b)_k = LEVI_CIVITA[k, l, i] a_l b_i
@@ -112,13 +112,13 @@ class Grid:
     def __init__(self, gyro: Series, vector: Series, reach_s: float) -> None:
         """``reach_s``: no window looks further than that over the ends, so that each lag within has the same ones."""
         self.vector = vector
-        self.step_s = max(1 / GRID_HZ, min(vector.step_s, 2 / GRID_HZ))
+        self.step_s = max(1 / _GRID_HZ, min(vector.step_s, 2 / _GRID_HZ))
         self.width_s = max(self.step_s, vector.step_s)
         margin = reach_s + self.width_s
         begin, end = max(gyro.t_s[0], vector.t_s[0]) + margin, min(gyro.t_s[-1], vector.t_s[-1]) - margin
         self.t_s = np.arange(begin, end, self.step_s)
         self.turn = gyro.between(self.t_s[:-1], self.t_s[1:])
-        length = max(2, round(WINDOW_S / self.step_s))
+        length = max(2, round(_WINDOW_S / self.step_s))
         self.length_s = length * self.step_s
         first = np.arange(0, len(self.t_s) - length, max(1, length // 3))
         start, stop = self.t_s[first], self.t_s[first + length] if len(first) else self.t_s[:0]
@@ -131,7 +131,7 @@ class Grid:
         self._keep(stands_out(size))
 
     def _keep(self, rows: NDArray[np.bool_]) -> None:
-        stride = max(1, int(rows.sum()) // MOST_WINDOWS)
+        stride = max(1, int(rows.sum()) // _MOST_WINDOWS)
         self.first, self.last = self.first[rows][::stride], self.last[rows][::stride]
 
     def __len__(self) -> int:
@@ -212,10 +212,10 @@ class Swings:
     def __init__(self, gyro: Series, force: Series, bias_b_radps: Floats, reach_s: float) -> None:
         """``reach_s``: no window looks further than that over the ends, so that each lag within has the same ones."""
         self.force = force
-        self.step_s = max(1 / GRID_HZ, gyro.step_s)
+        self.step_s = max(1 / _GRID_HZ, gyro.step_s)
         margin = reach_s + 2 * self.step_s
         t = np.arange(gyro.t_s[0] + margin, gyro.t_s[-1] - margin, self.step_s)
-        length = max(round(SWING_S / self.step_s), 1)
+        length = max(round(_SWING_S / self.step_s), 1)
         starts = np.arange(0, len(t) - length, length)
         if length < 3 * MODES:  # too slow a sensor for what happens in two seconds
             starts = starts[:0]
@@ -224,7 +224,7 @@ class Swings:
         turn = gyro.between(t[:-1], t[1:]) - bias_b_radps * self.step_s
         rows = starts[:, None] + np.arange(length)
         turned = np.linalg.norm(turn[rows], axis=2).sum(axis=1)
-        most = np.sort(np.argsort(-turned, kind="stable")[:MOST_SWINGS])
+        most = np.sort(np.argsort(-turned, kind="stable")[:_MOST_SWINGS])
         most = most[turned[most] > 0.1 * np.quantile(turned, 0.95)] if len(most) else most
         self.rows = rows[most]
         self.turn = turn[self.rows]

@@ -9,16 +9,16 @@ from stillpoint.datasets.plausible import FASTEST_GYRO_RADPS
 from stillpoint.datasets.recording import Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
 
-UNITS_OF_FORCE = {
+_UNITS_OF_FORCE = {
     "g": STANDARD_GRAVITY_MPS2,
     "milli-g": STANDARD_GRAVITY_MPS2 / 1000,
     "cm/s^2": 0.01,
     "g twice": 1 / STANDARD_GRAVITY_MPS2,
 }
-UNITS_OF_FIELD = {"tesla": 1e6, "gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3}
-GRAVITY_FACT, GRAVITY_UNIT = 0.03, 0.15  # relative: below the first a fact, above the second another unit
-MOVING_UNIT = 1.2  # without rest: the median size in motion may be off by this (running: 0.6)
-FIELD_UNIT_UT = (12.0, 120.0)  # outside, another unit is looked for: half and twice what the Earth has
+_UNITS_OF_FIELD = {"tesla": 1e6, "gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3}
+_GRAVITY_FACT, _GRAVITY_UNIT = 0.03, 0.15  # relative: below the first a fact, above the second another unit
+_MOVING_UNIT = 1.2  # without rest: the median size in motion may be off by this (running: 0.6)
+_FIELD_UNIT_UT = (12.0, 120.0)  # outside, another unit is looked for: half and twice what the Earth has
 
 
 def check_gyro_size(recording: Recording) -> list[Finding]:
@@ -43,15 +43,15 @@ def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
     size = max(float(np.median(norm)), 1e-300)
     where = "at rest" if at_rest else "in the median (nothing rests)"
     values = {"size_mps2": size}
-    tolerance = GRAVITY_UNIT if at_rest else MOVING_UNIT
+    tolerance = _GRAVITY_UNIT if at_rest else _MOVING_UNIT
     off = size / STANDARD_GRAVITY_MPS2 - 1
     if -tolerance / (1 + tolerance) <= off <= tolerance:
         message = f"accel: {size:.4g} m/s^2 {where} ({100 * off:+.1f} % of 9.807)"
-        if not at_rest or abs(off) <= GRAVITY_FACT:
+        if not at_rest or abs(off) <= _GRAVITY_FACT:
             return [Finding("gravity-size", "fact", message, values=values)]
         advice = ": a scale or a bias error; calibrate the accelerometer in six poses"
         return [Finding("gravity-size", "warning", message + advice, values=values)]
-    for unit, factor in UNITS_OF_FORCE.items():
+    for unit, factor in _UNITS_OF_FORCE.items():
         if abs(np.log(size * factor / STANDARD_GRAVITY_MPS2)) < np.log(1 + tolerance):
             remedy = Remedy("matrix", "accel", f"accel * {factor:.6g} ({unit} -> m/s^2)", _scaling(factor))
             message = f"accel: {size:.4g} {where}, not 9.8 m/s^2: it is in {unit}; multiply by {factor:.6g}"
@@ -71,12 +71,12 @@ def check_field_unit(recording: Recording, hard_iron_b_ut: Floats | None) -> lis
     if size <= 0:
         message = "mag: every sample is zero or the same; leave the magnetometer out"
         return [Finding("mag-stuck", "error", message, Remedy("drop-stream", "mag", "magnetometer dropped: no field"))]
-    if FIELD_UNIT_UT[0] <= size <= FIELD_UNIT_UT[1]:
+    if _FIELD_UNIT_UT[0] <= size <= _FIELD_UNIT_UT[1]:
         return []
     if recording.info.mag_uncalibrated and not known:
         return []
-    for unit, factor in UNITS_OF_FIELD.items():
-        if FIELD_UNIT_UT[0] <= size * factor <= FIELD_UNIT_UT[1]:
+    for unit, factor in _UNITS_OF_FIELD.items():
+        if _FIELD_UNIT_UT[0] <= size * factor <= _FIELD_UNIT_UT[1]:
             remedy = Remedy("matrix", "mag", f"mag * {factor:g} ({unit} -> uT)", _scaling(factor))
             message = f"mag: the field is {size:.4g} {how}, not 20-70 uT: it is in {unit}; multiply by {factor:g}"
             return [Finding("mag-units", "error", message, remedy, values)]

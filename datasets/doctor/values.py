@@ -10,16 +10,16 @@ from stillpoint.datasets.doctor.remedy import repeats
 from stillpoint.datasets.doctor.turning import stands_out
 from stillpoint.datasets.recording import Floats, Recording, Times
 
-CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
-CLIPPED_SPAN = 0.1  # of the column's range: as many samples as half of those so near below must lie on the extreme
-ENTRY_STEPS = 3.0  # a value enters the extreme by more than so many steps within two samples
-CLIPPED_STEPS = 20.0  # the extreme is further than so many steps of the converter from the median
-HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
-HELD_STEPS = 3.0  # ... while the others move on by more than so many steps of the converter
-FROZEN_S, FROZEN_SAMPLES = 0.3, 10  # a run of equal samples in motion, longer than both
-COARSE = {"gyro": np.deg2rad(0.5), "accel": 0.05, "mag": 1.0}  # steps above these hide slow motion
-SPIN_AT_REST_MPS2, SPIN_AT_REST_RADPS = 15.0, 0.3  # below both, a spinning body may as well lie still
-TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
+_CLIPPED_SAMPLES = 5  # fewer at the extreme may be chance
+_CLIPPED_SPAN = 0.1  # of the column's range: as many samples as half of those so near below must lie on the extreme
+_ENTRY_STEPS = 3.0  # a value enters the extreme by more than so many steps within two samples
+_CLIPPED_STEPS = 20.0  # the extreme is further than so many steps of the converter from the median
+_HELD_SHARE = 0.2  # of the samples in motion that repeat the one before
+_HELD_STEPS = 3.0  # ... while the others move on by more than so many steps of the converter
+_FROZEN_S, _FROZEN_SAMPLES = 0.3, 10  # a run of equal samples in motion, longer than both
+_COARSE = {"gyro": np.deg2rad(0.5), "accel": 0.05, "mag": 1.0}  # steps above these hide slow motion
+_SPIN_AT_REST_MPS2, _SPIN_AT_REST_RADPS = 15.0, 0.3  # below both, a spinning body may as well lie still
+_TO_SHOW = {"gyro": (180 / np.pi, "deg/s"), "accel": (1.0, "m/s^2"), "mag": (1.0, "uT")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,11 @@ class _Sensor:
     @property
     def axes(self) -> list[str]:
         """Names of the columns."""
-        return ["x", "y", "z"] if self.name in TO_SHOW else [f"{k + 1}" for k in range(self.values.shape[1])]
+        return ["x", "y", "z"] if self.name in _TO_SHOW else [f"{k + 1}" for k in range(self.values.shape[1])]
 
     def show(self, value: float) -> str:
         """Return a value with its unit."""
-        factor, unit = TO_SHOW.get(self.name, (1.0, "m/s^2" if "accel" in self.name else "rad/s"))
+        factor, unit = _TO_SHOW.get(self.name, (1.0, "m/s^2" if "accel" in self.name else "rad/s"))
         return f"{factor * value:.4g} {unit}"
 
 
@@ -79,8 +79,8 @@ def _sensors(recording: Recording) -> list[_Sensor]:
             sensors.append(_Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
     if recording.spin is not None:
         spin = recording.spin
-        pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > SPIN_AT_REST_MPS2
-        turning = np.linalg.norm(np.nan_to_num(spin.gyro_radps), axis=1) > SPIN_AT_REST_RADPS
+        pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > _SPIN_AT_REST_MPS2
+        turning = np.linalg.norm(np.nan_to_num(spin.gyro_radps), axis=1) > _SPIN_AT_REST_RADPS
         for name, values in (("spin-accel", spin.accel_mps2), ("spin-gyro", spin.gyro_radps)):
             whole = np.isfinite(values).all(axis=1)
             if values.shape[1] and whole.any():
@@ -123,14 +123,14 @@ def _clipped(sensor: _Sensor) -> list[Finding]:
             extreme = float(toward.max())
             on_limit = toward == extreme
             at = int((on_limit & sensor.moving).sum())
-            near = (toward < extreme) & (toward > extreme - CLIPPED_SPAN * span)
+            near = (toward < extreme) & (toward > extreme - _CLIPPED_SPAN * span)
             below = int((near & sensor.moving).sum())
-            far = extreme - np.median(toward) > CLIPPED_STEPS * step
+            far = extreme - np.median(toward) > _CLIPPED_STEPS * step
             # A natural peak is reached slowly, the end of the range in full motion.
             enters = np.flatnonzero(on_limit[2:] & ~on_limit[1:-1]) + 2
-            fast = len(enters) > 0 and np.median(toward[enters] - toward[enters - 2]) > ENTRY_STEPS * step
+            fast = len(enters) > 0 and np.median(toward[enters] - toward[enters - 2]) > _ENTRY_STEPS * step
             together = bool((on_limit[1:] & on_limit[:-1]).any())
-            if at >= CLIPPED_SAMPLES and at > 0.5 * below and far and fast and together:
+            if at >= _CLIPPED_SAMPLES and at > 0.5 * below and far and fast and together:
                 message = (
                     f"{sensor.name} {name}: {at} samples lie on {sensor.show(sign * extreme)}, the end of the range: "
                     "the motion was larger; set a larger range, and trust no attitude after them"
@@ -146,7 +146,7 @@ def _frozen(sensor: _Sensor) -> list[Finding]:
     first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
     seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
     moving = np.array([sensor.moving[a : b + 1].mean() > 0.5 for a, b in zip(first, last, strict=True)], dtype=np.bool_)
-    frozen = moving & (seconds >= FROZEN_S) & (last - first + 1 >= FROZEN_SAMPLES)
+    frozen = moving & (seconds >= _FROZEN_S) & (last - first + 1 >= _FROZEN_SAMPLES)
     if not frozen.any() or _slow_for_its_steps(sensor, same, sensor.moving):
         return []
     first, last = first[frozen], last[frozen]
@@ -169,7 +169,7 @@ def _held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     # A stretch of doubled samples is a fault as well, however short beside the recording.
     pairs = same & sensor.moving
     stretch = _share_around(pairs, 40) > 0.4
-    where = sensor.moving if share >= HELD_SHARE else stretch & sensor.moving
+    where = sensor.moving if share >= _HELD_SHARE else stretch & sensor.moving
     if not where.any() or _slow_for_its_steps(sensor, same, where):
         return []
     if sensor.stream == "mag":
@@ -191,7 +191,7 @@ def _slow_for_its_steps(sensor: _Sensor, same: NDArray[np.bool_], where: NDArray
     changes = np.abs(np.diff(sensor.values, axis=0))[(where & ~same)[1:]]
     if len(changes) == 0 or not step.any():
         return False
-    return bool(np.median((changes / np.where(step > 0, step, np.inf)).max(axis=1)) < HELD_STEPS)
+    return bool(np.median((changes / np.where(step > 0, step, np.inf)).max(axis=1)) < _HELD_STEPS)
 
 
 def _together(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
@@ -205,11 +205,11 @@ def _other(sensor: str, recording: Recording) -> Floats:
 
 
 def _coarse(sensor: _Sensor) -> list[Finding]:
-    if sensor.name not in COARSE:
+    if sensor.name not in _COARSE:
         return []
     steps = [_smallest_step(column) for column in sensor.values.T]
     step = max(steps)
-    if step <= COARSE[sensor.name]:
+    if step <= _COARSE[sensor.name]:
         return []
     message = (
         f"{sensor.name}: values come in steps of {sensor.show(step)}: slower changes are invisible; "

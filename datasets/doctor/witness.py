@@ -29,14 +29,14 @@ from stillpoint.datasets.recording import Floats, Imu, Mag
 
 # Log-likelihoods, in nats. Measured on 22 real recordings: see docs/doctor.md.
 MIN_GAIN = 0.3  # per window, over "the gyro has nothing to do with it": below, nothing is said
-MIN_FAULT_GAIN = 0.6  # ... and below this no fault is claimed
+_MIN_FAULT_GAIN = 0.6  # ... and below this no fault is claimed
 MIN_ADVANTAGE = 0.15  # per window, of another candidate over the identity: below, the axes are right
-TIE_NATS, TIE_SIGMA = 5.0, 4.0  # closer to the best than either: as good, and the simplest of them is taken
-OVERLAP = 3.0  # windows start every third of their length
-STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
-FEWEST_SWINGS = 6
-HAND_TREMOR_M = 0.02  # displacements below this tell nothing
-CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
+_TIE_NATS, _TIE_SIGMA = 5.0, 4.0  # closer to the best than either: as good, and the simplest of them is taken
+_OVERLAP = 3.0  # windows start every third of their length
+_STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
+_FEWEST_SWINGS = 6
+_HAND_TREMOR_M = 0.02  # displacements below this tell nothing
+_CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
 
 
 def _signed_permutations() -> Floats:
@@ -59,7 +59,7 @@ def complexity(matrix: Floats) -> tuple[int, int]:
 
 
 CANDIDATES: Floats = _signed_permutations()  # (48, 3, 3), the identity first, then by complexity
-IDENTITY = 0
+_IDENTITY = 0
 
 
 def index_of(matrix: Floats) -> int:
@@ -99,15 +99,15 @@ def choose(loss: Floats, null: Floats, overlap: float) -> Choice | None:
     if gain < MIN_GAIN or not _is_worse(null - loss[best], overlap):
         return None
     chosen = next(k for k in range(len(loss)) if k == best or not _is_worse(loss[k] - loss[best], overlap))
-    if mean[IDENTITY] - mean[best] < MIN_ADVANTAGE:
-        chosen = IDENTITY
-    if chosen != IDENTITY and gain < MIN_FAULT_GAIN:
+    if mean[_IDENTITY] - mean[best] < MIN_ADVANTAGE:
+        chosen = _IDENTITY
+    if chosen != _IDENTITY and gain < _MIN_FAULT_GAIN:
         return None
     flips = [index_of(CANDIDATES[chosen] @ np.diag(sign)) for sign in 1 - 2 * np.eye(3)]
     tested = [_is_worse(loss[k] - loss[chosen], overlap) for k in flips]
     excess = excess_over_best(loss, overlap)
-    if chosen == IDENTITY:
-        excess[IDENTITY] = 0.0
+    if chosen == _IDENTITY:
+        excess[_IDENTITY] = 0.0
     return Choice(CANDIDATES[chosen], gain, (tested[0], tested[1], tested[2]), excess)
 
 
@@ -124,7 +124,7 @@ def _is_worse(difference: Floats, overlap: float) -> bool:
     """Is the first of two candidates clearly worse, by the differences of their losses over the windows?"""
     error = difference.std() * np.sqrt(overlap / len(difference))
     nats = difference.sum() / overlap
-    return bool(difference.mean() > TIE_SIGMA * error or nats > TIE_NATS)
+    return bool(difference.mean() > _TIE_SIGMA * error or nats > _TIE_NATS)
 
 
 @dataclass(frozen=True)
@@ -156,11 +156,11 @@ def ask_mag(imu: Imu, mag: Mag) -> Witness:
     fits = [_fit(at, matrix, centre, weight) for matrix in CANDIDATES]
     _, null = solve(_bias_columns(at, centre), at.change, weight)
     noise = min(float(np.median(residual)) for _, residual in fits)
-    floor = noise**2 + (CALIBRATION * np.linalg.norm(at.change, axis=1)) ** 2 + 1e-300
+    floor = noise**2 + (_CALIBRATION * np.linalg.norm(at.change, axis=1)) ** 2 + 1e-300
     nothing = np.log(null**2 + floor)
     # A scale below zero is the opposite candidate with one above.
     losses = [np.log(residual**2 + floor) if found[0] > 0 else nothing for found, residual in fits]
-    choice = choose(np.array(losses), nothing, OVERLAP)
+    choice = choose(np.array(losses), nothing, _OVERLAP)
     if choice is None:
         return Witness("mag", None)
 
@@ -177,16 +177,16 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
-    if len(swings) < FEWEST_SWINGS:
+    if len(swings) < _FEWEST_SWINGS:
         return Witness("accel", None)
     seen = swings.at_lag(0.0)
-    floor = HAND_TREMOR_M**2
+    floor = _HAND_TREMOR_M**2
 
     def loss(matrices: Floats) -> Floats:
         return np.log(displacement(seen, matrices) + floor)
 
     nothing = loss(np.zeros((1, 3, 3)))[0]
-    usual = float(STEPS_OF_SCALE[int(loss(STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
+    usual = float(_STEPS_OF_SCALE[int(loss(_STEPS_OF_SCALE[:, None, None] * np.eye(3)).mean(axis=1).argmin())])
     for scale in (1.0, np.pi / 180, usual):
         losses = loss(scale * CANDIDATES)
         choice = choose(losses, nothing, overlap=1.0)
@@ -194,7 +194,7 @@ def ask_accel(imu: Imu, bias_b_radps: Floats) -> Witness:
             break
     if choice is None:
         return Witness("accel", None, losses=(loss(CANDIDATES) - nothing).sum(axis=1))
-    for factors in (STEPS_OF_SCALE, STEPS_OF_SCALE**0.1):
+    for factors in (_STEPS_OF_SCALE, _STEPS_OF_SCALE**0.1):
         scales = scale * factors
         scale = float(scales[int(loss(scales[:, None, None] * choice.matrix).sum(axis=1).argmin())])
     return Witness("accel", choice, scale, losses=(losses - nothing).sum(axis=1))

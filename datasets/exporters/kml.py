@@ -8,7 +8,7 @@ from stillpoint.datasets.earth import geodetic
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.trajectory import Reference
 
-POINTS_PER_S = 10.0  # at most: a map shows no more
+_POINTS_PER_S = 10.0  # at most: a map shows no more
 
 
 def kml_text(made: Reference) -> str:
@@ -18,7 +18,7 @@ def kml_text(made: Reference) -> str:
     """
     if made.position_n_m is None or made.origin_lat_lon_alt is None:
         raise BadRecording(f"{made.name}: has no positions; a reference has them where its recording has satellites")
-    cell = np.floor((made.t_ns - made.t_ns[0]) / 1e9 * POINTS_PER_S)
+    cell = np.floor((made.t_ns - made.t_ns[0]) / 1e9 * _POINTS_PER_S)
     rows = np.flatnonzero(np.diff(cell, prepend=-1.0))
     lat_deg, lon_deg, height_m = geodetic(made.position_n_m[rows], made.origin_lat_lon_alt)
     points = " ".join(

@@ -7,8 +7,8 @@ import numpy as np
 from stillpoint.datasets.recording import Encoder, Floats, Piece, Recording, Spin
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
-XYZ, WXYZ = "xyz", ("qw", "qx", "qy", "qz")
-UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
+_XYZ, _WXYZ = "xyz", ("qw", "qx", "qy", "qz")
+_UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 
 ROWS_AT_ONCE = 1 << 14  # of a text: numbers as Python objects take ten times the memory of the column
 
@@ -27,16 +27,16 @@ def tables_of(thing: Recording | Piece | Reference | SpinReference | Estimate) -
         assert thing.velocity_n_mps is not None
         assert thing.position_cov_n_m2 is not None
         assert thing.velocity_cov_n_m2ps2 is not None
-        table |= _columns([f"{axis}_m" for axis in XYZ], thing.position_n_m)
-        table |= _columns([f"v{axis}_mps" for axis in XYZ], thing.velocity_n_mps)
-        table |= {f"cov_{XYZ[i]}{XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in UPPER}
-        table |= {f"cov_v{XYZ[i]}v{XYZ[j]}_m2ps2": thing.velocity_cov_n_m2ps2[:, i, j] for i, j in UPPER}
+        table |= _columns([f"{axis}_m" for axis in _XYZ], thing.position_n_m)
+        table |= _columns([f"v{axis}_mps" for axis in _XYZ], thing.velocity_n_mps)
+        table |= {f"cov_{_XYZ[i]}{_XYZ[j]}_m2": thing.position_cov_n_m2[:, i, j] for i, j in _UPPER}
+        table |= {f"cov_v{_XYZ[i]}v{_XYZ[j]}_m2ps2": thing.velocity_cov_n_m2ps2[:, i, j] for i, j in _UPPER}
     if not isinstance(thing, SpinReference) and thing.q_nb is not None:
-        table |= _columns(WXYZ, thing.q_nb)
+        table |= _columns(_WXYZ, thing.q_nb)
         if thing.cov_b_rad2 is not None:
-            table |= {f"cov_{XYZ[i]}{XYZ[j]}_rad2": thing.cov_b_rad2[:, i, j] for i, j in UPPER}
+            table |= {f"cov_{_XYZ[i]}{_XYZ[j]}_rad2": thing.cov_b_rad2[:, i, j] for i, j in _UPPER}
         if thing.gyro_bias_b_radps is not None:
-            table |= _columns([f"gyro_bias_{axis}_radps" for axis in XYZ], thing.gyro_bias_b_radps)
+            table |= _columns([f"gyro_bias_{axis}_radps" for axis in _XYZ], thing.gyro_bias_b_radps)
     for name in ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
         column = getattr(thing, name, None)
         table |= {} if column is None else {name: column}
@@ -74,7 +74,7 @@ def _streams(recording: Recording | Piece) -> Mapping[str, Table]:
     if recording.spin is not None:
         tables["spin"] = _spin(recording.spin)
     if (truth := recording.truth) is not None:
-        tables["truth"] = {"t_ns": truth.t_ns, **_columns(WXYZ, truth.q_nb)}
+        tables["truth"] = {"t_ns": truth.t_ns, **_columns(_WXYZ, truth.q_nb)}
         if truth.position_n_m is not None:
             tables["truth"] |= _columns(("x_m", "y_m", "z_m"), truth.position_n_m)
         tables["truth"]["moving"] = truth.moving

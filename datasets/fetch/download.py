@@ -14,9 +14,9 @@ from stillpoint.datasets.files.atomic import write_atomically
 if TYPE_CHECKING:
     from pooch import HTTPDownloader, Pooch
 
-SUMS = "SHA256SUMS"  # in the format of the command sha256sum
-RETRIES = 2  # of a file whose download broke off or was damaged
-TIMEOUT_S = 30.0
+_SUMS = "SHA256SUMS"  # in the format of the command sha256sum
+_RETRIES = 2  # of a file whose download broke off or was damaged
+_TIMEOUT_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,14 @@ def fetch_trials(
         raise BadParameter(f"{base}: is no address of a server; begin it with http:// or https://")
     paths = list(dict.fromkeys((*source.shared, *(path for trial in trials for path in source.files(trial)))))
     pinned = read_pinned_sums(source)
-    known = _read_sums(folder / SUMS) | pinned
+    known = _read_sums(folder / _SUMS) | pinned
     store = pooch.create(
         path=folder,
         base_url=base,
         registry={path: _name_algorithm(known.get(path)) for path in paths},
-        retry_if_failed=RETRIES,
+        retry_if_failed=_RETRIES,
     )
-    downloader = pooch.HTTPDownloader(timeout=TIMEOUT_S)
+    downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
     all_fetched = []
     for path in paths:
         target = folder / path
@@ -84,7 +84,7 @@ def fetch_trials(
         if first_seen:
             known[path] = _find_sum(target)
             own = {each: value for each, value in known.items() if each not in pinned}
-            _write_sums(folder / SUMS, own)
+            _write_sums(folder / _SUMS, own)
         all_fetched.append(Fetched(target, not there, first_seen))
         report(all_fetched[-1])
     return all_fetched
@@ -92,7 +92,7 @@ def fetch_trials(
 
 def read_pinned_sums(source: Source) -> dict[str, str]:
     """Return path and SHA-256 of the files of a dataset that stillpoint was developed with."""
-    text = resources.files("stillpoint.datasets.fetch").joinpath(SUMS).read_text(encoding="utf-8")
+    text = resources.files("stillpoint.datasets.fetch").joinpath(_SUMS).read_text(encoding="utf-8")
     all_sums = _parse_sums(text)
     prefix = f"{source.name}/"
     return {path.removeprefix(prefix): value for path, value in all_sums.items() if path.startswith(prefix)}
@@ -110,7 +110,7 @@ def _fetch_file(store: "Pooch", path: str, downloader: "HTTPDownloader", base: s
         ) from None
     except ValueError:  # of pooch, for a sum that differs
         raise BadSource(
-            f"{base}{path}: what came has another SHA-256 than is known, {1 + RETRIES} times; it was thrown away: "
+            f"{base}{path}: what came has another SHA-256 than is known, {1 + _RETRIES} times; it was thrown away: "
             "try again later, or from another --mirror"
         ) from None
     except OSError as error:

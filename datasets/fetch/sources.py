@@ -13,10 +13,10 @@ from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.importers.broad import CITATION as BROAD_CITATION
 from stillpoint.datasets.importers.tyrex import CITATION as TYREX_CITATION
 
-GITHUB = "https://raw.githubusercontent.com"
-NO_LICENCE = "none stated by the authors"
+_GITHUB = "https://raw.githubusercontent.com"
+_NO_LICENCE = "none stated by the authors"
 
-BROAD_TRIALS = (
+_BROAD_TRIALS = (
     "01_undisturbed_slow_rotation_A",
     "02_undisturbed_slow_rotation_B",
     "03_undisturbed_slow_rotation_C",
@@ -59,22 +59,28 @@ BROAD_TRIALS = (
 )
 
 # Tyrex: three persons, three phones, six motions with and eight without magnets.
-PERSONS, PHONES = ("Guillaume", "Jakob", "Thibaud"), ("Nexus5", "iPhone4S", "iPhone5")
-WALKED = ("AR", "BackPocket", "FrontPocket", "Phoning", "Swinging", "Texting")
-MOTIONS = tuple(f"Dist_{one}" for one in WALKED) + tuple(
-    f"NoDist_{one}" for one in sorted((*WALKED, "RunningHand", "RunningPocket"))
+_PERSONS, _PHONES = ("Guillaume", "Jakob", "Thibaud"), ("Nexus5", "iPhone4S", "iPhone5")
+_WALKED = ("AR", "BackPocket", "FrontPocket", "Phoning", "Swinging", "Texting")
+_MOTIONS = tuple(f"Dist_{one}" for one in _WALKED) + tuple(
+    f"NoDist_{one}" for one in sorted((*_WALKED, "RunningHand", "RunningPocket"))
 )
-TYREX_TRIALS = tuple("_".join(parts) for parts in product(PERSONS, PHONES, MOTIONS))
-OF_BOTH = ("accelerometer.txt", "gyroscope.txt", "magnetometer-calibrated.txt", "magnetometer.txt", "timeAlignment.txt")
-OF_SYSTEM = {"android": ("record.properties", "rotation-vector.txt"), "ios": ("attitude.txt", "description.txt")}
+_TYREX_TRIALS = tuple("_".join(parts) for parts in product(_PERSONS, _PHONES, _MOTIONS))
+_OF_BOTH = (
+    "accelerometer.txt",
+    "gyroscope.txt",
+    "magnetometer-calibrated.txt",
+    "magnetometer.txt",
+    "timeAlignment.txt",
+)
+_OF_SYSTEM = {"android": ("record.properties", "rotation-vector.txt"), "ios": ("attitude.txt", "description.txt")}
 
 # RepoIMU: the T-stick. Tests 2 to 11 have three trials each, tests 2 and 6 have two. Its pendulum is left out: its
 # samples stand twice in the files.
-REPOIMU_TRIALS = (
+_REPOIMU_TRIALS = (
     "TStick_Test01_Static",
     *(f"TStick_Test{test:02d}_Trial{trial}" for test in range(2, 12) for trial in range(1, 3 if test in (2, 6) else 4)),
 )
-REPOIMU_CITATION = (
+_REPOIMU_CITATION = (
     "A. Szczesna, P. Skurowski, P. Pruszowski, D. Peszor, M. Paszkuta, K. Wojciechowski: Reference Data Set for "
     "Accuracy Evaluation of Orientation Estimation Algorithms for Inertial Motion Capture Systems. ICCVG, 2016. "
     "doi:10.1007/978-3-319-46418-3_45"
@@ -125,7 +131,7 @@ def _find_tyrex_folder(trial: str) -> str:
 
 def _list_tyrex_files(trial: str) -> tuple[str, ...]:
     folder = _find_tyrex_folder(trial)
-    names = (*OF_BOTH, *OF_SYSTEM[folder.split("/")[1]])
+    names = (*_OF_BOTH, *_OF_SYSTEM[folder.split("/")[1]])
     return (*(f"{folder}/{name}" for name in sorted(names)), f"datasets/qualisys/{trial}.mat")
 
 
@@ -133,10 +139,10 @@ _ALL = (
     Source(
         name="broad",
         title="BROAD: 39 trials of an IMU with optical truth",
-        address=f"{GITHUB}/dlaidig/broad/afbaa4d75c4cd7c8ca76b8145b1812312d87fb7f/",
+        address=f"{_GITHUB}/dlaidig/broad/afbaa4d75c4cd7c8ca76b8145b1812312d87fb7f/",
         licence="CC BY 4.0",
         citation=BROAD_CITATION,
-        trials=BROAD_TRIALS,
+        trials=_BROAD_TRIALS,
         files=lambda trial: (f"data_mat/{trial}.mat",),
         item=lambda trial: f"data_mat/{trial}.mat",
         kind="broad",
@@ -145,10 +151,10 @@ _ALL = (
     Source(
         name="tyrex",
         title="Tyrex: 126 trials of three phones with optical truth",
-        address=f"{GITHUB}/tyrex-team/benchmarks-attitude-smartphones/7b070df5231ac78910ab076eeb026d2d8152a246/",
+        address=f"{_GITHUB}/tyrex-team/benchmarks-attitude-smartphones/7b070df5231ac78910ab076eeb026d2d8152a246/",
         licence="CeCILL 2.1",
         citation=TYREX_CITATION,
-        trials=TYREX_TRIALS,
+        trials=_TYREX_TRIALS,
         files=_list_tyrex_files,
         item=_find_tyrex_folder,
         kind="tyrex",
@@ -157,10 +163,10 @@ _ALL = (
     Source(
         name="repoimu",
         title="RepoIMU: 29 trials of an IMU on a stick with optical truth",
-        address=f"{GITHUB}/agnieszkaszczesna/RepoIMU/e8101898804b5191ac707db2080f347cbc8bbc6e/",
-        licence=NO_LICENCE,
-        citation=REPOIMU_CITATION,
-        trials=REPOIMU_TRIALS,
+        address=f"{_GITHUB}/agnieszkaszczesna/RepoIMU/e8101898804b5191ac707db2080f347cbc8bbc6e/",
+        licence=_NO_LICENCE,
+        citation=_REPOIMU_CITATION,
+        trials=_REPOIMU_TRIALS,
         files=lambda trial: (f"TStick/{trial}.csv",),
         item=lambda trial: f"TStick/{trial}.csv",
         kind="csv",
@@ -172,8 +178,8 @@ _ALL = (
                 "accel": "6,7,8:m/s^2",
                 "gyro": "9,10,11:rad/s",
                 "mag": "12,13,14:49.6*uT",
-                "licence": NO_LICENCE,
-                "citation": REPOIMU_CITATION,
+                "licence": _NO_LICENCE,
+                "citation": _REPOIMU_CITATION,
             }
         ),
     ),

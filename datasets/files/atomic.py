@@ -15,8 +15,8 @@ from functools import cache
 from pathlib import Path
 from typing import IO
 
-SUFFIX = ".part"
-BUFFER_BYTES = 1 << 20
+_SUFFIX = ".part"
+_BUFFER_BYTES = 1 << 20
 
 
 @contextmanager
@@ -30,7 +30,7 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     _remove_stale_parts_once(target.parent)
     part = target.with_name(_make_part_name(target.name))
     try:
-        with open(part, "xb", buffering=BUFFER_BYTES) as file:
+        with open(part, "xb", buffering=_BUFFER_BYTES) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -67,7 +67,7 @@ def write_folder_atomically(path: Path) -> Iterator[Path]:
 def remove_stale_parts(folder: Path) -> int:
     """Remove the parts that dead processes of this host left in a folder; return how many there were."""
     removed = 0
-    for part in folder.glob(f".*{SUFFIX}"):
+    for part in folder.glob(f".*{_SUFFIX}"):
         if _is_stale(part.name):
             try:
                 if part.is_dir():
@@ -88,12 +88,12 @@ def _remove_stale_parts_once(folder: Path) -> int:
 def _make_part_name(name: str) -> str:
     pid = os.getpid()
     kept = name[:120]  # the whole must stay within the 255 bytes of a file name
-    return f".{kept}.{secrets.token_hex(3)}.{_get_host()}.{pid}.{_read_start(pid)}{SUFFIX}"
+    return f".{kept}.{secrets.token_hex(3)}.{_get_host()}.{pid}.{_read_start(pid)}{_SUFFIX}"
 
 
 def _is_stale(name: str) -> bool:
     """Return whether the process that wrote the part of this name ran on this host and no longer runs."""
-    words = name.removesuffix(SUFFIX).rsplit(".", 3)
+    words = name.removesuffix(_SUFFIX).rsplit(".", 3)
     if len(words) < 4 or words[1] != _get_host() or not (words[2].isdigit() and words[3].isdigit()):
         return False
     pid, start = int(words[2]), int(words[3])

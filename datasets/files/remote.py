@@ -14,10 +14,10 @@ from typing import IO, Any
 from stillpoint.datasets.errors import BadFile, BadParameter
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/{1,2}(?!/)", re.IGNORECASE)  # a single letter is a drive of Windows
-ATTEMPTS = 5  # of one range, before a lost connection is an error
-FIRST_WAIT_S = 0.1  # after the first attempt; doubled after each further one
-BLOCK = 1 << 20  # bytes that are hashed at once
-READ_AHEAD = 4 << 20  # bytes that a sequential reader asks for at once
+_ATTEMPTS = 5  # of one range, before a lost connection is an error
+_FIRST_WAIT_S = 0.1  # after the first attempt; doubled after each further one
+_BLOCK = 1 << 20  # bytes that are hashed at once
+_READ_AHEAD = 4 << 20  # bytes that a sequential reader asks for at once
 
 
 def is_url(path: Path | str) -> bool:
@@ -51,14 +51,14 @@ def open_binary(path: Path | str) -> IO[bytes]:
     """Open a file to read it from start to end, local or behind a URL; raises ``OSError`` or :class:`BadFile`."""
     if not is_url(path):
         return open(str(path).removeprefix("file://"), "rb")
-    return io.BufferedReader(RangedFile(path), READ_AHEAD)
+    return io.BufferedReader(RangedFile(path), _READ_AHEAD)
 
 
 def hash_file(path: Path | str) -> str:
     """Return the SHA-256 of a file, local or remote; raises ``OSError`` or :class:`BadFile`."""
     digest = hashlib.sha256()
     with open_binary(path) as file:
-        while block := file.read(BLOCK):
+        while block := file.read(_BLOCK):
             digest.update(block)
     return digest.hexdigest()
 
@@ -141,16 +141,16 @@ class RangedFile(io.RawIOBase):
         return len(data)
 
     def _retry(self, attempt: Any) -> Any:
-        for k in range(ATTEMPTS):
+        for k in range(_ATTEMPTS):
             try:
                 return attempt()
             except (FileNotFoundError, PermissionError) as error:
                 raise BadFile(f"{self.url}: cannot be opened ({error}); check the name and your rights") from error
             except Exception as error:  # each protocol has exceptions of its own for a lost connection
-                if k == ATTEMPTS - 1:
+                if k == _ATTEMPTS - 1:
                     raise BadFile(
-                        f"{self.url}: cannot be read after {ATTEMPTS} attempts ({type(error).__name__}: {error}); "
+                        f"{self.url}: cannot be read after {_ATTEMPTS} attempts ({type(error).__name__}: {error}); "
                         "check the connection"
                     ) from error
-                time.sleep(FIRST_WAIT_S * 2**k)
+                time.sleep(_FIRST_WAIT_S * 2**k)
         raise AssertionError("unreachable")

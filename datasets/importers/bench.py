@@ -26,32 +26,32 @@ from stillpoint.datasets.importers.series import (
 )
 from stillpoint.datasets.recording import Floats, Info, Mag, Recording
 
-GYRO, ACCEL, MAG = "mpu6050_gyroscope.mat", "mpu6050_accelerometer.mat", "hmc5883l_compass.mat"
-WHAT = {GYRO: "gyro", ACCEL: "accelerometer", MAG: "mag"}
+_GYRO, _ACCEL, _MAG = "mpu6050_gyroscope.mat", "mpu6050_accelerometer.mat", "hmc5883l_compass.mat"
+_WHAT = {_GYRO: "gyro", _ACCEL: "accelerometer", _MAG: "mag"}
 
 
 def find_bench(source: Path) -> list[Path]:
     """Return the folders of logs at or below a source. Raises :class:`BadSource`."""
-    return find_folders(source, GYRO, "name the folder of a log")
+    return find_folders(source, _GYRO, "name the folder of a log")
 
 
 def read_bench(folder: Path, options: Options) -> Imported:
     """Return the log of a folder. Raises :class:`BadSource`."""
     log = Log()
-    received = {name: _rows(folder / name) for name in WHAT}
+    received = {name: _rows(folder / name) for name in _WHAT}
     # The log starts with a backlog that drains over seconds: the first samples were taken before the first receipt.
-    fitted = {name: fit_even_times(rows[0], WHAT[name], log) for name, rows in received.items()}
+    fitted = {name: fit_even_times(rows[0], _WHAT[name], log) for name, rows in received.items()}
     early_s = max(0.0, -min(float(t_s[0]) for t_s in fitted.values()))
     if early_s:
         log.converted(f"all clocks moved by {1e3 * early_s:.3f} ms so that none starts before zero")
     series = {
-        name: sort_by_time(drop_incomplete_rows(Series(t_ns, rows[1:4].T), WHAT[name], log), WHAT[name], log)
+        name: sort_by_time(drop_incomplete_rows(Series(t_ns, rows[1:4].T), _WHAT[name], log), _WHAT[name], log)
         for name, rows in received.items()
         for t_ns in [seconds_to_ns(fitted[name] + early_s)]
     }
-    gyro = Series(series[GYRO].t_ns, RATE["deg/s"] * series[GYRO].values)
-    accel = Series(series[ACCEL].t_ns, FORCE["g"] * series[ACCEL].values)
-    mag = Mag(series[MAG].t_ns, FIELD["gauss"] * series[MAG].values)
+    gyro = Series(series[_GYRO].t_ns, RATE["deg/s"] * series[_GYRO].values)
+    accel = Series(series[_ACCEL].t_ns, FORCE["g"] * series[_ACCEL].values)
+    mag = Mag(series[_MAG].t_ns, FIELD["gauss"] * series[_MAG].values)
     log.converted("gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665); mag gauss -> uT (x 100)")
     log.noted("axes and signs are the log's own: ask the doctor about them")
     log.noted("the temperature (mpu6050_temperature.mat) is not imported")

@@ -21,7 +21,7 @@ from stillpoint.datasets.importers.series import Log, find_finite_rows
 from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording, Truth
 
-FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4, "opt_pos": 3, "movement": 1, "sampling_rate": 1}
+_FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4, "opt_pos": 3, "movement": 1, "sampling_rate": 1}
 CITATION = (
     "D. Laidig, M. Caruso, A. Cereatti, T. Seel: BROAD - A Benchmark for Robust Inertial Orientation Estimation. "
     "Data 6(7):72, 2021. doi:10.3390/data6070072"
@@ -82,18 +82,18 @@ def _read_fields(file: Path) -> dict[str, Floats]:
     with reading(file, "a BROAD trial"):
         if file.suffix == ".hdf5":
             with h5py.File(file) as trial:
-                raw = {key: read_array(trial[key], file) for key in FIELDS if key in trial}
-                raw |= {key: trial.attrs[key] for key in FIELDS if key in trial.attrs}
+                raw = {key: read_array(trial[key], file) for key in _FIELDS if key in trial}
+                raw |= {key: trial.attrs[key] for key in _FIELDS if key in trial.attrs}
         else:
-            raw = {key: value for key, value in load_mat(file).items() if key in FIELDS}
-    missing = [key for key in FIELDS if key not in raw]
+            raw = {key: value for key, value in load_mat(file).items() if key in _FIELDS}
+    missing = [key for key in _FIELDS if key not in raw]
     if missing:
         raise BadSource(
             f"{file}: has no {', '.join(missing)}; it is not a BROAD trial: name one of data_mat or data_hdf5"
         )
     fields = {key: to_floats(value, f"{file}: {key}") for key, value in raw.items()}
     n = len(fields["imu_gyr"])
-    for key, width in FIELDS.items():
+    for key, width in _FIELDS.items():
         wanted = 1 if key == "sampling_rate" else n * width
         if fields[key].size != wanted:
             raise BadSource(f"{file}: {key} has {fields[key].size} values, not {wanted}; download it again")

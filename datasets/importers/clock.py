@@ -14,23 +14,23 @@ from stillpoint.datasets.errors import BadParameter, BadSource
 from stillpoint.datasets.recording import LAST_T_NS, Recording, Times, rate_hz
 
 TIME_EXPONENT: dict[str, int] = {"s": 0, "ms": -3, "us": -6, "ns": -9}
-TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_TIME_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 ISO = "iso"  # the unit of ISO 8601 dates and times
-TIME_OF_DAY = re.compile(r"([0-2]?\d):([0-5]\d):([0-5]\d)(?:\.(\d+))?")
-DAY_NS = 86_400_000_000_000
+_TIME_OF_DAY = re.compile(r"([0-2]?\d):([0-5]\d):([0-5]\d)(?:\.(\d+))?")
+_DAY_NS = 86_400_000_000_000
 UNIX_FROM_NS = 10**17  # stamps beyond 1973 count from 1970; no device runs for three years
-EPOCHS_S = (6e8, 2**31)  # 1989 to 2038: a number in this range of seconds is a date
+_EPOCHS_S = (6e8, 2**31)  # 1989 to 2038: a number in this range of seconds is a date
 BLANK = ("", "nan", "null", "none", "na", "n/a", "-nan")
 
 # Rates outside are no inertial sensor's: the slowest loggers give 5 Hz, the fastest accelerometers 27 kHz.
-RATES_HZ = (2.0, 30_000.0)
-LONGEST_S = 31 * 86_400.0
-USUAL_HZ = (10.0, 2000.0)  # where a proposed unit should lead
-DISORDER_NS = 1_000_000_000  # packets overtake each other by less; a larger step back is a clock that was set
-COUNTER_BITS = (16, 24, 32)  # widths of the counters that wrap
-WILD_NS = 1_000_000_000  # a stamp that lies this far from its neighbours, between which it does not fit, is an error
-WILD_EDGE_NS = 86_400_000_000_000  # a first or last stamp has neighbours on one side only: a day
-MEDIAN_OF = 9  # stamps; up to four wild ones in a row are recognised
+_RATES_HZ = (2.0, 30_000.0)
+_LONGEST_S = 31 * 86_400.0
+_USUAL_HZ = (10.0, 2000.0)  # where a proposed unit should lead
+_DISORDER_NS = 1_000_000_000  # packets overtake each other by less; a larger step back is a clock that was set
+_COUNTER_BITS = (16, 24, 32)  # widths of the counters that wrap
+_WILD_NS = 1_000_000_000  # a stamp that lies this far from its neighbours, between which it does not fit, is an error
+_WILD_EDGE_NS = 86_400_000_000_000  # a first or last stamp has neighbours on one side only: a day
+_MEDIAN_OF = 9  # stamps; up to four wild ones in a row are recognised
 
 
 class Notes(Protocol):
@@ -89,7 +89,7 @@ def _parse_iso(cell: str) -> int:
     A date without a zone is taken as UTC.
     """
     text = cell.strip().replace(",", ".")
-    if match := TIME_OF_DAY.fullmatch(text):
+    if match := _TIME_OF_DAY.fullmatch(text):
         hours, minutes, seconds, digits = match.groups()
         whole_s = 3600 * int(hours) + 60 * int(minutes) + int(seconds)
         return whole_s * 1_000_000_000 + int(((digits or "") + "0" * 9)[:9])
@@ -112,8 +112,8 @@ def _propose_unit(cell: str, column: str, declared: str, flag: str) -> str:
     except ValueError:
         return ""
     for unit, exponent in TIME_EXPONENT.items():
-        if unit != declared and EPOCHS_S[0] < value * 10.0**exponent < EPOCHS_S[1]:
-            return f"this looks like {TIME_NAMES[unit]}" + (f": {flag} {column}:{unit}" if flag else "")
+        if unit != declared and _EPOCHS_S[0] < value * 10.0**exponent < _EPOCHS_S[1]:
+            return f"this looks like {_TIME_NAMES[unit]}" + (f": {flag} {column}:{unit}" if flag else "")
     return ""
 
 
@@ -128,14 +128,14 @@ def check_rate(clock: Clock, where: str) -> None:
     if len(rising) == 0:
         return
     rate_hz = 1e9 / float(np.median(rising))
-    if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+    if _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
         return
     advice = "check its unit, or give --units-unchecked"
     for unit, exponent in TIME_EXPONENT.items():
         if clock.unit in TIME_EXPONENT and exponent != TIME_EXPONENT[clock.unit]:
             proposed_hz = rate_hz * 10.0 ** (TIME_EXPONENT[clock.unit] - exponent)
-            if USUAL_HZ[0] <= proposed_hz <= USUAL_HZ[1]:
-                advice = f"this looks like {TIME_NAMES[unit]} ({proposed_hz:.4g} Hz): --time {clock.name}:{unit}"
+            if _USUAL_HZ[0] <= proposed_hz <= _USUAL_HZ[1]:
+                advice = f"this looks like {_TIME_NAMES[unit]} ({proposed_hz:.4g} Hz): --time {clock.name}:{unit}"
                 break
     raise BadParameter(
         f"{where}: --time {clock.name}:{clock.unit} gives {rate_hz:.4g} Hz over {np.ptp(t_ns) / 1e9:.4g} s, "
@@ -161,9 +161,9 @@ def check_clock(recording: Recording) -> None:
     if stream is None or len(stream.t_ns) < 5:
         return
     hz = rate_hz(stream.t_ns)
-    if not RATES_HZ[0] <= hz <= RATES_HZ[1]:
+    if not _RATES_HZ[0] <= hz <= _RATES_HZ[1]:
         raise BadSource(f"{recording.name}: has {hz:.4g} Hz, which no inertial sensor has; check the unit of its time")
-    if recording.duration_s > LONGEST_S:
+    if recording.duration_s > _LONGEST_S:
         raise BadSource(
             f"{recording.name}: lasts {recording.duration_s / 86_400:.4g} days; a stamp or a clock is wrong: "
             "correct it, or give --units-unchecked"
@@ -218,10 +218,10 @@ def unwrap_counter(t_ns: Times, what: str, log: Notes) -> Times:
 
 def _find_wrap(before_ns: int, after_ns: int, usual_ns: float) -> tuple[int, str] | None:
     """Return size in ns and name of the counter whose overflow explains a step back, or None."""
-    if 0 < after_ns + DAY_NS - before_ns <= 10 * usual_ns and before_ns <= DAY_NS:
-        return DAY_NS, "a day"
+    if 0 < after_ns + _DAY_NS - before_ns <= 10 * usual_ns and before_ns <= _DAY_NS:
+        return _DAY_NS, "a day"
     for unit, exponent in TIME_EXPONENT.items():
-        for bits in COUNTER_BITS:
+        for bits in _COUNTER_BITS:
             span_ns = (1 << bits) * 10 ** (9 + exponent)
             step_ns = after_ns + span_ns - before_ns
             if not 0 < step_ns <= 10 * usual_ns or span_ns < 20 * usual_ns:
@@ -239,15 +239,15 @@ def find_wild_stamps(t_ns: Times) -> NDArray[np.bool_]:
     neighbours stand on one side only, the distance must exceed a day and ten times the span of all others.
     """
     wild = np.zeros(len(t_ns), dtype=np.bool_)
-    if len(t_ns) < MEDIAN_OF:
+    if len(t_ns) < _MEDIAN_OF:
         return wild
     steps = np.abs(np.diff(t_ns))
     usual_ns = float(np.median(steps))
-    off = np.abs(t_ns - median_filter(t_ns, MEDIAN_OF, mode="mirror"))
-    wild = off > max(WILD_NS, 50 * usual_ns)
-    half = MEDIAN_OF // 2
+    off = np.abs(t_ns - median_filter(t_ns, _MEDIAN_OF, mode="mirror"))
+    wild = off > max(_WILD_NS, 50 * usual_ns)
+    half = _MEDIAN_OF // 2
     inner = t_ns[half:-half][~wild[half:-half]]
-    far_ns = max(WILD_EDGE_NS, 10 * int(np.ptp(inner)) if len(inner) else 0)
+    far_ns = max(_WILD_EDGE_NS, 10 * int(np.ptp(inner)) if len(inner) else 0)
     wild[:half] &= off[:half] > far_ns
     wild[-half:] &= off[-half:] > far_ns
     return np.asarray(wild)
@@ -258,7 +258,7 @@ def describe_disorder(t_ns: Times, lines: list[int], clock: Clock, where: str) -
     falls = np.flatnonzero(np.diff(t_ns) <= 0)
     back_ns = int((np.maximum.accumulate(t_ns) - t_ns).max())
     at = f"{where}, line {lines[int(falls[0]) + 1]}, column {clock.name!r}: time does not rise ({len(falls)} such lines"
-    if back_ns <= DISORDER_NS:
+    if back_ns <= _DISORDER_NS:
         return f"{at}, at most {back_ns / 1e6:g} ms back); correct the log, or import it with --drop-disordered"
     return (
         f"{at}, up to {back_ns / 1e9:.6g} s back); the clock was set or a second log begins: "

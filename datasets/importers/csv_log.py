@@ -41,11 +41,11 @@ from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, 
 from stillpoint.datasets.importers.trajectories import read_poses
 from stillpoint.datasets.recording import Floats, Mag, Recording, Truth
 
-SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
-FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
-EULER_ORDER = re.compile(r"[XYZ]{3}|[xyz]{3}")
-GPS_COLUMNS = ("latitude", "longitude", "altitude", "speed", "course")
-GPS_FORM = "LAT,LON[,ALT[,SPEED[,COURSE]]]"
+_SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
+_FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
+_EULER_ORDER = re.compile(r"[XYZ]{3}|[xyz]{3}")
+_GPS_COLUMNS = ("latitude", "longitude", "altitude", "speed", "course")
+_GPS_FORM = "LAT,LON[,ALT[,SPEED[,COURSE]]]"
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     options = apply_config(options)
     log = Log()
     reading = _Reading(read_table(file, options.delimiter, log), options, log)
-    found = {what: reading.read_sensor(what) for what in SENSORS}
+    found = {what: reading.read_sensor(what) for what in _SENSORS}
     if found["gyro"] is None or found["accel"] is None:
         raise BadParameter(
             f"{file}: name the columns of gyro and accelerometer: --gyro X,Y,Z:UNIT --accel X,Y,Z:UNIT; "
@@ -123,7 +123,7 @@ class _Reading:
         text = getattr(self.options, what)
         if text is None:
             return None
-        units, target = SENSORS[what]
+        units, target = _SENSORS[what]
         columns = parse_columns(text, f"--{what}", units)
         clock = self._clock(what)
         series = read_sensor(self.table, clock, columns, what, f"--{what}", self.options, self.log)
@@ -135,8 +135,8 @@ class _Reading:
         if self.options.gps is None:
             return None
         names = tuple(name.strip() for name in self.options.gps.split(","))
-        if not 2 <= len(names) <= len(GPS_COLUMNS) or not all(names):
-            raise BadParameter(f"--gps {self.options.gps!r}: write the columns as {GPS_FORM}")
+        if not 2 <= len(names) <= len(_GPS_COLUMNS) or not all(names):
+            raise BadParameter(f"--gps {self.options.gps!r}: write the columns as {_GPS_FORM}")
         values = np.full((len(self.table.rows), 5), np.nan)
         values[:, : len(names)] = self.table.floats(names)
         values = values[:, [0, 1, 2, 4, 3]]
@@ -148,7 +148,7 @@ class _Reading:
         changed[1:] = (np.diff(np.nan_to_num(found), axis=0) != 0).any(axis=1)
         if not len(found):
             raise BadSource(f"{self.table.where}: no row has a position in {self.options.gps}; check --gps")
-        self.log.converted(f"gps {self.options.gps} as {','.join(GPS_COLUMNS[: len(names)])}")
+        self.log.converted(f"gps {self.options.gps} as {','.join(_GPS_COLUMNS[: len(names)])}")
         if not changed.all():
             self.log.noted(f"gps: {int((~changed).sum())} rows repeat the fix before them; dropped")
         series = Series(clock.t_ns[keep][changed], found[changed])
@@ -218,7 +218,7 @@ class _Reading:
         if not known.any():
             raise BadSource(f"{self.table.where}: no row has a quaternion in {columns}; check the columns of --truth")
         off = np.where(known, np.abs(norm - 1), 0.0)
-        if off.max() > FARTHEST_NORM:
+        if off.max() > _FARTHEST_NORM:
             line = self.table.lines[int(off.argmax())]
             raise BadSource(f"{self.table.where}, line {line}: {columns} is no unit quaternion; check the columns")
         values[~known] = np.nan
@@ -230,7 +230,7 @@ class _Reading:
     def _read_euler(self, text: str) -> Floats:
         """Return (N, 4) wxyz of Euler angles, NaN where one is missing."""
         order = self.options.truth_order
-        if not EULER_ORDER.fullmatch(order):
+        if not _EULER_ORDER.fullmatch(order):
             raise BadParameter(f"--truth-order {order!r}: give three letters, ZYX about moving or zyx about fixed axes")
         columns = parse_columns(text, "--truth-euler", ANGLE)
         angles_rad = columns.values(self.table)

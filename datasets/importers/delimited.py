@@ -16,9 +16,9 @@ from stillpoint.datasets.files.limits import LARGEST_LINE, limited
 from stillpoint.datasets.importers.clock import BLANK, Clock, parse_times
 from stillpoint.datasets.recording import Floats, Times
 
-DELIMITERS = ("\t", ";", "|", ",")  # before commas, which may also be decimal signs
-ROWS_AT_ONCE = 50_000  # that become numbers together
-SAMPLED = 30  # lines at the end of a file that tell its delimiter and its number of columns
+_DELIMITERS = ("\t", ";", "|", ",")  # before commas, which may also be decimal signs
+_ROWS_AT_ONCE = 50_000  # that become numbers together
+_SAMPLED = 30  # lines at the end of a file that tell its delimiter and its number of columns
 
 
 class _SplitLines(Sequence[list[str]]):
@@ -106,8 +106,10 @@ class Table:
         """Return columns as (N, k); an empty or NaN cell is NaN. Raises :class:`BadSource` for any other text."""
         places = [self.place(column) for column in columns]
         values = np.empty((len(self.rows), len(places)))
-        for begin in range(0, len(self.rows), ROWS_AT_ONCE):
-            rows = [self._pick(row, places, begin + k) for k, row in enumerate(self.rows[begin : begin + ROWS_AT_ONCE])]
+        for begin in range(0, len(self.rows), _ROWS_AT_ONCE):
+            rows = [
+                self._pick(row, places, begin + k) for k, row in enumerate(self.rows[begin : begin + _ROWS_AT_ONCE])
+            ]
             part = values[begin : begin + len(rows)]
             try:
                 part[:] = np.array(rows, dtype=np.float64)
@@ -178,7 +180,7 @@ def parse(text: str, where: str, delimiter: str | None = None) -> Table:
         raise BadSource(f"{where}: is empty; export the log again")
     delimiter = delimiter or _find_delimiter([lines[k] for k in content])
     cells, numbers = _split_cells(lines, content, delimiter)
-    width = Counter(len(row) for row in cells[-SAMPLED:]).most_common(1)[0][0]
+    width = Counter(len(row) for row in cells[-_SAMPLED:]).most_common(1)[0][0]
     decimal_comma = delimiter != "," and "," in "".join(cells[-1])
     start = next((k for k, row in enumerate(cells) if len(row) == width), 0)
     if start and not _holds_number(cells[start - 1], decimal_comma) and abs(len(cells[start - 1]) - width) <= 1:
@@ -207,12 +209,12 @@ def _split_lines(text: str, where: str) -> list[str]:
 
 def _find_delimiter(content: list[str]) -> str:
     """Return the character that splits the last lines, and a line before them, into equally many cells."""
-    tail = content[-SAMPLED:]
+    tail = content[-_SAMPLED:]
     found = []
-    for order, delimiter in enumerate(DELIMITERS):
+    for order, delimiter in enumerate(_DELIMITERS):
         count, times = Counter(line.count(delimiter) for line in tail).most_common(1)[0]
         if count and times >= 0.6 * len(tail):
-            agreeing = [line.split(delimiter) for line in content[:SAMPLED] if line.count(delimiter) == count]
+            agreeing = [line.split(delimiter) for line in content[:_SAMPLED] if line.count(delimiter) == count]
             has_header = any(not _holds_number(row, delimiter != ",") for row in agreeing)
             found.append((has_header, -order, delimiter))
     return max(found)[-1] if found else " "

@@ -23,8 +23,8 @@ from stillpoint.datasets.importers.files import read_text, require_existing
 from stillpoint.datasets.importers.options import OwnOptions
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, sort_by_time
 
-SUFFIXES = (".csv", ".tsv", ".txt")
-TIME_WORDS = ("time", "stamp", "timestamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms", "date")
+_SUFFIXES = (".csv", ".tsv", ".txt")
+_TIME_WORDS = ("time", "stamp", "timestamp", "seconds", "t", "t_s", "t_ms", "t_us", "t_ns", "sec", "ms", "date")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ AnyOptions = TypeVar("AnyOptions", bound=LogOptions)
 def list_logs(source: Path) -> list[Path]:
     """Return the file itself, or the logs of a folder; raises :class:`BadSource` when there is none."""
     require_existing(source)
-    files = sorted(f for f in source.iterdir() if f.suffix.lower() in SUFFIXES) if source.is_dir() else [source]
+    files = sorted(f for f in source.iterdir() if f.suffix.lower() in _SUFFIXES) if source.is_dir() else [source]
     if not files:
         raise BadSource(f"{source}: holds no .csv, .tsv or .txt file; name the log")
     return files
@@ -112,7 +112,7 @@ def read_clock(table: Table, options: LogOptions, log: Log, time: str | None = N
         t_ns = np.asarray(np.round(np.arange(len(table.rows)) * (1e9 / options.rate)), dtype=np.int64)
         return Clock("row", "row", t_ns, np.ones(len(t_ns), dtype=np.bool_))
     if time is None:
-        likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in TIME_WORDS]
+        likely = [name for name in table.columns if name.lower().split(" ")[0].rstrip(":") in _TIME_WORDS]
         hint = f" ({' or '.join(likely)} looks like it)" if likely else f"; it has {table.listed}"
         raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
     column, unit = _split_time(table, time, flag)

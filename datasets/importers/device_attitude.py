@@ -13,10 +13,10 @@ from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.recording import Floats, Imu, Times
 from stillpoint.datasets.trajectory import Estimate
 
-LEAST_TURN_RAD = 0.5  # of the gyro over the recording: less does not tell a turn from its inverse
-CLEARLY = 0.5  # the better reading must leave less than half of the other's error
-UP_CLEARLY = 0.7  # mean of the vertical component of gravity's direction: within some 45 deg of up or down
-STEP_NS = 50_000_000  # turns are compared over at least this long
+_LEAST_TURN_RAD = 0.5  # of the gyro over the recording: less does not tell a turn from its inverse
+_CLEARLY = 0.5  # the better reading must leave less than half of the other's error
+_UP_CLEARLY = 0.7  # mean of the vertical component of gravity's direction: within some 45 deg of up or down
+_STEP_NS = 50_000_000  # turns are compared over at least this long
 
 
 def read_device_attitude(
@@ -41,7 +41,7 @@ def read_device_attitude(
     body_to_world = rotation(q).inv() if inverse else rotation(q)
     log.converted(f"{source}: quaternion taken as {_name(inverse)}")
     up = _find_up(t_ns[inside], body_to_world[np.flatnonzero(inside)], imu)
-    if abs(up) < UP_CLEARLY:
+    if abs(up) < _UP_CLEARLY:
         log.noted(f"{source}: contradicts gravity (mean vertical component {up:+.2f}); not imported")
         return ()
     if up < 0:
@@ -56,7 +56,7 @@ def _name(inverse: bool) -> str:
 
 def _find_inverse(t_ns: Times, turned: Rotation, imu: Imu) -> bool | None:
     """Return whether the quaternions turn against the gyro; None where the gyro hardly turns, or fits neither."""
-    stride = max(1, int(np.ceil(STEP_NS / max(float(np.median(np.diff(t_ns))), 1.0))))
+    stride = max(1, int(np.ceil(_STEP_NS / max(float(np.median(np.diff(t_ns))), 1.0))))
     at = np.arange(0, len(t_ns), stride)
     if len(at) < 3:
         return None
@@ -64,12 +64,12 @@ def _find_inverse(t_ns: Times, turned: Rotation, imu: Imu) -> bool | None:
     sums = np.vstack([np.zeros(3), np.cumsum(imu.gyro_b_radps[1:] * np.diff(imu.t_ns)[:, None] / 1e9, axis=0)])
     angle = np.column_stack([np.interp(t_ns[at], imu.t_ns, sums[:, axis]) for axis in range(3)])
     measured = np.diff(angle, axis=0)
-    if np.linalg.norm(measured, axis=1).sum() < LEAST_TURN_RAD:
+    if np.linalg.norm(measured, axis=1).sum() < _LEAST_TURN_RAD:
         return None
     direct = (turned[at[:-1]].inv() * turned[at[1:]]).as_rotvec()
     opposed = (turned[at[:-1]] * turned[at[1:]].inv()).as_rotvec()
     errors = [float(np.linalg.norm(one - measured, axis=1).sum()) for one in (direct, opposed)]
-    if min(errors) > CLEARLY * max(errors):
+    if min(errors) > _CLEARLY * max(errors):
         return None
     return errors[1] < errors[0]
 

@@ -22,13 +22,13 @@ from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_ro
 from stillpoint.datasets.importers.trajectories import read_poses
 from stillpoint.datasets.recording import Gps, Imu, Mag, Recording, Truth
 
-TRUTHS = (
+_TRUTHS = (
     "state_groundtruth_estimate0",
     "mocap0",
 )  # in the frame of the IMU; vicon0 and leica0 have frames of their own
-UNIT = re.compile(r"\[([^\]]*)\]\s*$")
-MATRIX = re.compile(r"T_BS:.*?data:\s*\[([^\]]*)\]", re.DOTALL)
-UNITS = {"rad s^-1": "rad/s", "m s^-2": "m/s^2"}
+_UNIT = re.compile(r"\[([^\]]*)\]\s*$")
+_MATRIX = re.compile(r"T_BS:.*?data:\s*\[([^\]]*)\]", re.DOTALL)
+_UNITS = {"rad s^-1": "rad/s", "m s^-2": "m/s^2"}
 
 
 def find_euroc(source: Path) -> list[Path]:
@@ -51,8 +51,8 @@ class _Sensor:
     def series(self, columns: slice, units: dict[str, float], default: str, what: str, log: Log) -> Series:
         """Return three columns in SI in the body's axes, on their stamps; the header names the unit."""
         names = self.table.columns[columns]
-        match = UNIT.search(names[0])
-        unit = normalise_unit(UNITS.get(match[1].strip(), match[1])) if match else default
+        match = _UNIT.search(names[0])
+        unit = normalise_unit(_UNITS.get(match[1].strip(), match[1])) if match else default
         if unit not in units:
             raise BadSource(f"{self.file}: {what} is in {unit!r}; there are {', '.join(units)}")
         series = Series(self.table.times(self.table.columns[0], "ns"), units[unit] * self.table.floats(names))
@@ -87,7 +87,7 @@ def _open_sensor(folder: Path, log: Log) -> _Sensor:
     file, description = folder / "data.csv", folder / "sensor.yaml"
     turn = Rotation.identity()
     if description.is_file():
-        match = MATRIX.search(read_text(description))
+        match = _MATRIX.search(read_text(description))
         if match:
             with reading(description, "a sensor.yaml of the ASL format", "correct its T_BS"):
                 matrix = np.array([float(part) for part in match[1].split(",")]).reshape(4, 4)[:3, :3]
@@ -122,11 +122,11 @@ def _read_gps(folder: Path, files: list[Path], log: Log) -> Gps | None:
 
 
 def _read_truth(folder: Path, files: list[Path], log: Log) -> Truth | None:
-    for name in TRUTHS:
+    for name in _TRUTHS:
         file = folder / name / "data.csv"
         if file.is_file():
             files.append(file)
             log.converted(f"truth from {name}, body -> its frame with z up, taken as East-North-Up")
             return read_poses(file, log, format="euroc")
-    log.noted(f"no truth: there is no {' or '.join(TRUTHS)}")
+    log.noted(f"no truth: there is no {' or '.join(_TRUTHS)}")
     return None

@@ -10,11 +10,11 @@ from stillpoint.datasets.errors import BadSource, StillpointError
 from stillpoint.datasets.files.limits import LARGEST_MEMBER, largest_chunk, limited
 from stillpoint.datasets.mcap.store import sha256
 
-RESTORE = "it may be damaged: restore it from a copy, or export it again"
+_RESTORE = "it may be damaged: restore it from a copy, or export it again"
 
 
 @contextmanager
-def reading(where: Path | str, what: str, remedy: str = RESTORE) -> Iterator[None]:
+def reading(where: Path | str, what: str, remedy: str = _RESTORE) -> Iterator[None]:
     """Turn any failure of a library while it reads a file into one line.
 
     Libraries raise whatever their parsers stumble over, so that no list of exceptions is complete. Raises

@@ -18,15 +18,15 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.series import Log
 from stillpoint.datasets.recording import Info, Mag, Recording, Spin, SpinGeometry
 
-RATE_HZ = 100
-RANGE_G = 16.0
+_RATE_HZ = 100
+_RANGE_G = 16.0
 # Columns in the recording's order: along the spin axis, then the IMU's x and y.
-ACCEL, GYRO, MAG = ("acc-z", "acc-x", "acc-y"), ("gz", "gx", "gy"), ("mag-z", "mag-x", "mag-y")
-GEOMETRY = SpinGeometry(
+_ACCEL, _GYRO, _MAG = ("acc-z", "acc-x", "acc-y"), ("gz", "gx", "gy"), ("mag-z", "mag-x", "mag-y")
+_GEOMETRY = SpinGeometry(
     accel_r_b_m=np.full((3, 3), np.nan),
     accel_axis_b=np.eye(3),
     gyro_axis_b=np.eye(3),
-    accel_range_mps2=np.full(3, RANGE_G * FORCE["g"]),
+    accel_range_mps2=np.full(3, _RANGE_G * FORCE["g"]),
 )
 
 
@@ -34,15 +34,15 @@ def read_flatball(file: Path, options: Options) -> Imported:
     """Return the flight of a log. Raises :class:`BadSource`."""
     log = Log()
     table = read_table(file, None, log)
-    missing = [name for name in (*ACCEL, *GYRO, *MAG) if name not in table.columns]
+    missing = [name for name in (*_ACCEL, *_GYRO, *_MAG) if name not in table.columns]
     if missing:
         raise BadSource(f"{file}: no column {', '.join(missing)}; name a log of the flatball firmware")
-    t_ns = np.arange(len(table.rows), dtype=np.int64) * (1_000_000_000 // RATE_HZ)
-    log.converted(f"stamps from the row number at {RATE_HZ} Hz, the rate of the firmware")
+    t_ns = np.arange(len(table.rows), dtype=np.int64) * (1_000_000_000 // _RATE_HZ)
+    log.converted(f"stamps from the row number at {_RATE_HZ} Hz, the rate of the firmware")
     log.converted("accelerometer g -> m/s^2; gyro deg/s -> rad/s; axes z, x, y of the IMU -> x (spin axis), y, z")
     log.noted("the place of the IMU on the disc is not published: its lever arm is NaN")
     log.noted("the attitude of the on-board filter and what it derived (fe-acc, fl-acc) are not imported")
-    spin = Spin(t_ns, FORCE["g"] * table.floats(ACCEL), RATE["deg/s"] * table.floats(GYRO), GEOMETRY)
+    spin = Spin(t_ns, FORCE["g"] * table.floats(_ACCEL), RATE["deg/s"] * table.floats(_GYRO), _GEOMETRY)
     info = Info(
         source="misc-protolabs/flatball-ins",
         licence="Apache 2.0",
@@ -54,4 +54,4 @@ def read_flatball(file: Path, options: Options) -> Imported:
         conversions=tuple(log.conversions),
         notes=tuple(log.notes),
     )
-    return Imported(Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(MAG)), info=info))
+    return Imported(Recording(file.stem, spin=spin, mag=Mag(t_ns, FIELD["uT"] * table.floats(_MAG)), info=info))

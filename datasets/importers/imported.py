@@ -10,7 +10,7 @@ from stillpoint.datasets.plausible import describe_field_size
 from stillpoint.datasets.recording import Floats, Mag, Recording, Times, Truth
 from stillpoint.datasets.trajectory import Estimate
 
-DEVICE = "device"  # the name of the estimate that the device made
+_DEVICE = "device"  # the name of the estimate that the device made
 LEAST_NORM = 0.5  # of a quaternion; drivers write zeros where they know no attitude
 
 
@@ -71,6 +71,8 @@ def make_device_estimate(
         return ()
     if not known.all():
         log.noted(f"{source}: {int((~known).sum())} of {len(known)} samples without an attitude dropped")
-    log.converted(f"{source} -> estimate {DEVICE!r}, the attitude as the device computed it")
+    log.converted(f"{source} -> estimate {_DEVICE!r}, the attitude as the device computed it")
     q_nb = q_nb[known] / norm[known, None]
-    return (Estimate(t_ns[known], DEVICE, q_nb=q_nb, recording=recording, params={"source": source}, made_from=sha256),)
+    return (
+        Estimate(t_ns[known], _DEVICE, q_nb=q_nb, recording=recording, params={"source": source}, made_from=sha256),
+    )

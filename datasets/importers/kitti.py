@@ -19,8 +19,8 @@ from stillpoint.datasets.importers.options import OwnOptions, make_info
 from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_rows, make_gps, sort_by_time
 from stillpoint.datasets.recording import Imu, Recording, Truth
 
-NUMBERS = 30
-PLACE, ANGLES, NORTH_EAST, ACCEL, RATES = slice(0, 3), slice(3, 6), slice(6, 8), slice(11, 14), slice(17, 20)
+_NUMBERS = 30
+_PLACE, _ANGLES, _NORTH_EAST, _ACCEL, _RATES = slice(0, 3), slice(3, 6), slice(6, 8), slice(11, 14), slice(17, 20)
 
 
 def find_kitti(source: Path) -> list[Path]:
@@ -52,20 +52,20 @@ def read_kitti(folder: Path, options: OwnOptions) -> Imported:
     log.converted("oxts: roll, pitch, yaw (0 = east) -> quaternion, body (x forward, y left, z up) -> East-North-Up")
     log.noted("truth: the solution of the OXTS unit from this IMU and satellites; it is not independent of them")
     log.noted("times of KITTI have no zone; taken as UTC")
-    lat_deg, lon_deg, alt_m = rows[:, PLACE].T
+    lat_deg, lon_deg, alt_m = rows[:, _PLACE].T
     position_n_m = None
     if (np.abs(lat_deg) <= 90).all() and (np.abs(lon_deg) <= 360).all():
         position_n_m = enu_m(lat_deg, lon_deg, alt_m, (lat_deg[0], lon_deg[0], alt_m[0]))
         log.converted("truth position: latitude, longitude, altitude -> East-North-Up from the first fix")
-    truth = Truth(t_ns, from_euler(rows[:, ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_), position_n_m)
-    north, east = rows[:, NORTH_EAST].T
+    truth = Truth(t_ns, from_euler(rows[:, _ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_), position_n_m)
+    north, east = rows[:, _NORTH_EAST].T
     course_deg = np.rad2deg(np.arctan2(east, north)) % 360
-    gps = make_gps(Series(t_ns, np.column_stack([rows[:, PLACE], course_deg, np.hypot(north, east)])), log)
+    gps = make_gps(Series(t_ns, np.column_stack([rows[:, _PLACE], course_deg, np.hypot(north, east)])), log)
     drive = folder.parent.name or folder.name
     sha256 = digests([stamps, *files], folder)
     known = {"sensor": options.sensor or "OXTS RT3003", "extra": {"truth_type": "oxts"}}
     info = make_info(f"KITTI raw data {drive}", options, t_ns, sha256, log, **known)
-    return Imported(Recording(drive, imu=Imu(t_ns, rows[:, RATES], rows[:, ACCEL]), gps=gps, truth=truth, info=info))
+    return Imported(Recording(drive, imu=Imu(t_ns, rows[:, _RATES], rows[:, _ACCEL]), gps=gps, truth=truth, info=info))
 
 
 def _read_numbers(file: Path) -> list[float]:
@@ -73,6 +73,6 @@ def _read_numbers(file: Path) -> list[float]:
         numbers = [float(cell) for cell in read_text(file).split()]
     except ValueError:
         raise BadSource(f"{file}: holds text, not numbers; download it again") from None
-    if len(numbers) != NUMBERS:
-        raise BadSource(f"{file}: has {len(numbers)} numbers, not {NUMBERS}; download it again")
+    if len(numbers) != _NUMBERS:
+        raise BadSource(f"{file}: has {len(numbers)} numbers, not {_NUMBERS}; download it again")
     return numbers

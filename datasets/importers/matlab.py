@@ -16,13 +16,13 @@ import numpy as np
 
 from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
 
-HEADER = 128  # bytes before the first element
-MATRIX, COMPRESSED = 14, 15  # types of elements that hold others
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-ENCODINGS = {1: "latin-1", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}  # of text, by type
-CELL, STRUCT, OBJECT, CHARACTERS, FIRST_NUMERIC, LAST_NUMERIC = 1, 2, 3, 4, 6, 15  # classes of arrays
-COMPLEX = 0x0800  # flag of an array that has an imaginary part
-DEEPEST = 32  # levels of arrays within arrays; a Qualisys export has four
+_HEADER = 128  # bytes before the first element
+_MATRIX, _COMPRESSED = 14, 15  # types of elements that hold others
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_ENCODINGS = {1: "latin-1", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}  # of text, by type
+_CELL, _STRUCT, _OBJECT, _CHARACTERS, _FIRST_NUMERIC, _LAST_NUMERIC = 1, 2, 3, 4, 6, 15  # classes of arrays
+_COMPLEX = 0x0800  # flag of an array that has an imaginary part
+_DEEPEST = 32  # levels of arrays within arrays; a Qualisys export has four
 
 
 def load_mat(path: Path) -> dict[str, Any]:
@@ -32,11 +32,11 @@ def load_mat(path: Path) -> dict[str, Any]:
     list; other classes become None. Raises ``ValueError`` for a damaged file, and for one of another version.
     """
     data = path.read_bytes()
-    if len(data) < HEADER or data[126:128] not in (b"IM", b"MI"):
+    if len(data) < _HEADER or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("it is no MATLAB file of version 5 to 7; save it with -v7")
     order = "<" if data[126:128] == b"IM" else ">"
     found = {}
-    for element in _iterate_elements(data, HEADER, len(data), order):
+    for element in _iterate_elements(data, _HEADER, len(data), order):
         for array in _unpack(element, order):
             name, value = _read_array(array, order, 0)
             found[name] = value
@@ -63,20 +63,20 @@ def _iterate_elements(data: bytes, at: int, end: int, order: str) -> Iterator[_E
         if at + 8 + size > end:
             raise ValueError("an element claims more bytes than there are")
         yield _Element(kind, data[at + 8 : at + 8 + size])
-        at += 8 + size + (0 if kind == COMPRESSED else -size % 8)
+        at += 8 + size + (0 if kind == _COMPRESSED else -size % 8)
 
 
 def _unpack(element: _Element, order: str) -> Iterator[bytes]:
     """Yield the arrays in an element, which may be compressed."""
-    if element.kind == MATRIX:
+    if element.kind == _MATRIX:
         yield element.data
-    elif element.kind == COMPRESSED:
+    elif element.kind == _COMPRESSED:
         longest = limited(LARGEST_MEMBER)
         inner = zlib.decompressobj().decompress(element.data, longest + 1)
         if len(inner) > longest:
             raise ValueError(f"an element unpacks to more than {longest} bytes; give --large if this is right")
         for part in _iterate_elements(inner, 0, len(inner), order):
-            if part.kind == MATRIX:
+            if part.kind == _MATRIX:
                 yield part.data
 
 
@@ -84,7 +84,7 @@ def _read_array(data: bytes, order: str, depth: int) -> tuple[str, Any]:
     """Return name and value of an array."""
     if not data:
         return "", np.empty((0, 0))
-    if depth > DEEPEST:
+    if depth > _DEEPEST:
         raise ValueError("its arrays are nested too deeply")
     parts = list(_iterate_elements(data, 0, len(data), order))
     if len(parts) < 3 or len(parts[0].data) < 8 or len(parts[1].data) % 4:
@@ -98,33 +98,33 @@ def _read_array(data: bytes, order: str, depth: int) -> tuple[str, Any]:
 
 def _read_value(flags: int, shape: tuple[int, ...], parts: list[_Element], order: str, depth: int) -> Any:
     kind, count = flags & 0xFF, math.prod(shape)
-    if kind == CELL:
+    if kind == _CELL:
         if count != len(parts):
             raise ValueError(f"a cell claims {count} elements and has {len(parts)}")
         return [_read_array(part.data, order, depth + 1)[1] for part in parts]
-    if kind in (STRUCT, OBJECT):
-        return _read_structs(count, parts[kind == OBJECT :], order, depth)
-    if kind == CHARACTERS:
+    if kind in (_STRUCT, _OBJECT):
+        return _read_structs(count, parts[kind == _OBJECT :], order, depth)
+    if kind == _CHARACTERS:
         return "" if not parts or not count else _read_text(parts[0], order)
-    if not FIRST_NUMERIC <= kind <= LAST_NUMERIC:
+    if not _FIRST_NUMERIC <= kind <= _LAST_NUMERIC:
         return None
-    values = [_read_numbers(part, shape, order) for part in parts[: 2 if flags & COMPLEX else 1]]
+    values = [_read_numbers(part, shape, order) for part in parts[: 2 if flags & _COMPLEX else 1]]
     if not values:
         raise ValueError("an array has no values")
     return values[0] if len(values) == 1 else values[0] + 1j * values[1]
 
 
 def _read_numbers(part: _Element, shape: tuple[int, ...], order: str) -> np.ndarray:
-    if part.kind not in NUMBERS:
+    if part.kind not in _NUMBERS:
         raise ValueError(f"an array of numbers holds elements of type {part.kind}")
-    dtype = np.dtype(order + NUMBERS[part.kind])
+    dtype = np.dtype(order + _NUMBERS[part.kind])
     if math.prod(shape) * dtype.itemsize != len(part.data):
         raise ValueError(f"an array claims {math.prod(shape)} elements and has {len(part.data) // dtype.itemsize}")
     return np.frombuffer(part.data, dtype).reshape(shape, order="F")
 
 
 def _read_text(part: _Element, order: str) -> str:
-    encoding = ENCODINGS.get(part.kind, "latin-1")
+    encoding = _ENCODINGS.get(part.kind, "latin-1")
     if encoding in ("utf-16", "utf-32"):
         encoding += "-le" if order == "<" else "-be"
     return part.data.decode(encoding, "replace")

@@ -25,9 +25,9 @@ from stillpoint.datasets.importers.xio import scale_arbitrary_field
 from stillpoint.datasets.recording import Imu, Recording, Times
 from stillpoint.datasets.trajectory import Estimate
 
-RATE_LINE = re.compile(r"Update Rate:\s*([0-9.]+)\s*Hz", re.IGNORECASE)
-XYZ = "XYZ"
-QUATERNIONS = (tuple(f"Quat_{axis}" for axis in "WXYZ"), tuple(f"Quat_q{k}" for k in range(4)))
+_RATE_LINE = re.compile(r"Update Rate:\s*([0-9.]+)\s*Hz", re.IGNORECASE)
+_XYZ = "XYZ"
+_QUATERNIONS = (tuple(f"Quat_{axis}" for axis in "WXYZ"), tuple(f"Quat_q{k}" for k in range(4)))
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
     """Return the recording of a file. Raises :class:`BadSource`."""
     log, text = Log(), read_text(file)
     table = parse("\n".join(line for line in text.splitlines() if not line.startswith("//")), str(file))
-    needed = [f"{what}_{axis}" for what in ("Gyr", "Acc") for axis in XYZ]
+    needed = [f"{what}_{axis}" for what in ("Gyr", "Acc") for axis in _XYZ]
     missing = [name for name in needed if name not in table.columns]
     if missing:
         hint = ""
@@ -55,12 +55,12 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
     inertial = _read(table, t_ns, tuple(needed), "imu", log)
     imu = Imu(inertial.t_ns, RATE[unit] * inertial.values[:, :3], inertial.values[:, 3:])
     mag, uncalibrated = None, options.mag_uncalibrated
-    if all(f"Mag_{axis}" in table.columns for axis in XYZ):
-        series = _read(table, t_ns, tuple(f"Mag_{axis}" for axis in XYZ), "mag", log)
+    if all(f"Mag_{axis}" in table.columns for axis in _XYZ):
+        series = _read(table, t_ns, tuple(f"Mag_{axis}" for axis in _XYZ), "mag", log)
         mag, uncalibrated = scale_arbitrary_field(series, log)
     sha256 = digests([file], file.parent)
     estimates: tuple[Estimate, ...] = ()
-    names = next((names for names in QUATERNIONS if all(name in table.columns for name in names)), None)
+    names = next((names for names in _QUATERNIONS if all(name in table.columns for name in names)), None)
     if names is not None:
         attitude = _read(table, t_ns, names, "attitude", log)
         estimates = read_device_attitude(attitude, imu, False, file.stem, names[0].partition("_")[0], sha256, log)
@@ -91,7 +91,7 @@ def _read_time(table: Table, text: str, manager: bool, options: MovellaOptions, 
             raise BadSource(f"{table.where}: {int((~clock.known).sum())} rows have no {column}; give --rate HZ")
         log.converted(f"time {column} in {'0.1 ms' if manager else 'us'}")
         return np.asarray(clock.t_ns * (100 if manager else 1))
-    match = RATE_LINE.search(text[:4000])
+    match = _RATE_LINE.search(text[:4000])
     rate_hz = options.rate or (float(match[1]) if match else None)
     if not rate_hz:
         raise BadParameter(f"{table.where}: has neither {column} nor an update rate; give --rate HZ")

@@ -32,11 +32,11 @@ from stillpoint.datasets.importers.series import (
 )
 from stillpoint.datasets.recording import Floats, Gps, Recording, Times
 
-SENSORS = {"gyro": RATE, "accel": FORCE, "mag": FIELD}
-TARGET = {"gyro": "rad/s", "accel": "m/s^2", "mag": "uT"}
-AXIS = re.compile(r"^(?P<what>.*?)\b(?P<axis>[xyz])\s*\((?P<unit>[^)]*)\)\s*$", re.IGNORECASE)
-WITHOUT_GRAVITY = re.compile(r"lin[eéi]a", re.IGNORECASE)
-PLACE = (("latitude", "°"), ("longitude", "°"), ("height", "m"), ("direction", "°"), ("velocity", "m/s"))
+_SENSORS = {"gyro": RATE, "accel": FORCE, "mag": FIELD}
+_TARGET = {"gyro": "rad/s", "accel": "m/s^2", "mag": "uT"}
+_AXIS = re.compile(r"^(?P<what>.*?)\b(?P<axis>[xyz])\s*\((?P<unit>[^)]*)\)\s*$", re.IGNORECASE)
+_WITHOUT_GRAVITY = re.compile(r"lin[eéi]a", re.IGNORECASE)
+_PLACE = (("latitude", "°"), ("longitude", "°"), ("height", "m"), ("direction", "°"), ("velocity", "m/s"))
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def read_phyphox(source: Path, options: OwnOptions) -> Imported:
     ]
     found = [sensor for table in tables for sensor in _find_sensors(table, log)]
     starts = _read_starts(bundle, log)
-    streams = {sensor: _read_series(source, sensor, found, starts, log) for sensor in SENSORS}
+    streams = {sensor: _read_series(source, sensor, found, starts, log) for sensor in _SENSORS}
     gyro, accel, mag = streams["gyro"], streams["accel"], streams["mag"]
     if gyro is None or accel is None:
         missing = "gyroscope (rad/s)" if gyro is None else "acceleration with gravity (m/s^2)"
@@ -95,16 +95,16 @@ def _find_sensors(table: Table, log: Log) -> Iterator[_Found]:
     """Yield the sensors of a file, by the units of columns that end in x, y, z."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for column in table.columns:
-        match = AXIS.match(column)
+        match = _AXIS.match(column)
         if match:
             groups.setdefault((match["what"].strip(), normalise_unit(match["unit"])), {})[match["axis"].lower()] = (
                 column
             )
     for (what, unit), axes in groups.items():
-        sensor = next((name for name, units in SENSORS.items() if unit in units), None)
+        sensor = next((name for name, units in _SENSORS.items() if unit in units), None)
         if sensor is None or set(axes) != set("xyz"):
             continue
-        if sensor == "accel" and WITHOUT_GRAVITY.search(f"{what} {Path(table.where).name}"):
+        if sensor == "accel" and _WITHOUT_GRAVITY.search(f"{what} {Path(table.where).name}"):
             log.noted(f"{Path(table.where).name}: acceleration without gravity is not imported")
             continue
         yield _Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
@@ -118,8 +118,8 @@ def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats,
     if not here:
         return None
     one = here[0]
-    values = one.table.floats(one.columns) * SENSORS[sensor][one.unit]
-    log.converted(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {TARGET[sensor]}")
+    values = one.table.floats(one.columns) * _SENSORS[sensor][one.unit]
+    log.converted(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {_TARGET[sensor]}")
     series = drop_incomplete_rows(Series(_read_clock(one.table, starts), values), sensor, log)
     return sort_by_time(drop_before_zero(series, sensor, log), sensor, log)
 
@@ -169,7 +169,7 @@ def _read_gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
     for table in tables:
         columns = [
             next((c for c in table.columns if c.lower().startswith(word) and c.endswith(f"({unit})")), None)
-            for word, unit in PLACE
+            for word, unit in _PLACE
         ]
         if all(columns):
             values = table.floats(tuple(str(column) for column in columns))

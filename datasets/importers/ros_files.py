@@ -29,12 +29,12 @@ from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD
 from stillpoint.datasets.mcap.reader import Container, Log, read_columns
 from stillpoint.datasets.mcap.scan import Block, Scan, unpack
 
-BAG_MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, CHUNK, CONNECTION = 0x02, 0x05, 0x07  # operations of ROS 1 bags
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-BLOCK_BYTES = 4 << 20  # messages of a bag are handed out in blocks of about this size
-UNSYNCED_NS = 86_400_000_000_000  # a stamp this far from the time of receipt was made before the clock was set
-LONGEST_HEADER = 1 << 20  # bytes: connection headers hold a message definition of some kB
+_BAG_MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _CHUNK, _CONNECTION = 0x02, 0x05, 0x07  # operations of ROS 1 bags
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_BLOCK_BYTES = 4 << 20  # messages of a bag are handed out in blocks of about this size
+_UNSYNCED_NS = 86_400_000_000_000  # a stamp this far from the time of receipt was made before the clock was set
+_LONGEST_HEADER = 1 << 20  # bytes: connection headers hold a message definition of some kB
 _HEAD = struct.Struct("<BQHIQQ")
 
 
@@ -156,7 +156,7 @@ class _BagScan(_MessageFile):
         with reading(self.path, "a ROS 1 bag"), open(self.path, "rb") as file:
             size = file.seek(0, 2)
             file.seek(0)
-            if file.read(len(BAG_MAGIC)) != BAG_MAGIC:
+            if file.read(len(_BAG_MAGIC)) != _BAG_MAGIC:
                 raise BadFile(f"{self.path}: cannot be read as a bag (it does not start with #ROSBAG V2.0)")
             messages = _Messages()
             while file.tell() < size:
@@ -166,19 +166,19 @@ class _BagScan(_MessageFile):
                     self.lost = f"the file is cut short, nothing could be read from byte {start} of {size} on"
                     break
                 self._take(*record, messages)
-                if messages.size > BLOCK_BYTES:
+                if messages.size > _BLOCK_BYTES:
                     yield messages.take()
             if messages.size:
                 yield messages.take()
 
     def _take(self, header: dict[str, bytes], data: bytes, messages: _Messages) -> None:
         operation = header.get("op", b"\0")[0]
-        if operation == CHUNK:
+        if operation == _CHUNK:
             compression = header["compression"].decode("ascii", "replace")
             inner = unpack(data, compression, int.from_bytes(header["size"], "little"))
             for part_header, part in _split_records(inner):
                 self._take(part_header, part, messages)
-        elif operation == CONNECTION:
+        elif operation == _CONNECTION:
             about = dict(_split_fields(data))
             self._declare(
                 int.from_bytes(header["conn"], "little"),
@@ -188,7 +188,7 @@ class _BagScan(_MessageFile):
                 "ros1msg",
                 about.get("message_definition", b""),
             )
-        elif operation == MESSAGE:
+        elif operation == _MESSAGE:
             connection = int.from_bytes(header["conn"], "little") & 0xFFFF
             if connection not in self.channels:
                 raise BadFile(f"{self.path}: a message belongs to connection {connection}, which is not declared")
@@ -200,7 +200,7 @@ class _BagScan(_MessageFile):
 def _read_record(file: IO[bytes], size: int) -> tuple[dict[str, bytes], bytes] | None:
     """Return header and data of the next record of a bag, or None where the file ends within it."""
     parts = []
-    for limit in (LONGEST_HEADER, limited(LARGEST_CHUNK) * 4):
+    for limit in (_LONGEST_HEADER, limited(LARGEST_CHUNK) * 4):
         word = file.read(4)
         length = int.from_bytes(word, "little")
         if len(word) < 4 or length > size - file.tell():
@@ -262,12 +262,12 @@ class _Db3Scan(_MessageFile):
             channel = number & 0xFFFF
             if channel not in self.channels:
                 raise BadFile(f"{self.path}: a message belongs to topic {number}, which is not declared")
-            if data[:4] == ZSTD_MAGIC:
+            if data[:4] == _ZSTD_MAGIC:
                 size = zstandard.frame_content_size(data)
                 data = unpack(data, "zstd", size) if size >= 0 else data
             messages.add(channel, max(log_ns, 0), data)
             self.counts[channel] += 1
-            if messages.size > BLOCK_BYTES:
+            if messages.size > _BLOCK_BYTES:
                 yield messages.take()
         if messages.size:
             yield messages.take()
@@ -316,7 +316,7 @@ def settle_stamps(messages: Messages, values: NDArray[np.float64], log: ImportLo
         return Series(messages.logged_ns, values)
     late_ns = stamps_ns - messages.logged_ns
     usual_ns = int(np.median(late_ns[~unset])) if n else 0
-    unsynced = ~unset & (np.abs(late_ns - usual_ns) > UNSYNCED_NS)
+    unsynced = ~unset & (np.abs(late_ns - usual_ns) > _UNSYNCED_NS)
     if unsynced.mean() > 0.1:  # then the times of receipt are what is wrong
         unsynced[:] = False
     wild = np.zeros(n, dtype=np.bool_)

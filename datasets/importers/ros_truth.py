@@ -20,8 +20,8 @@ TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # lists of transforms
 TF_LIST = "transforms"
 STATIC = "/tf_static"
 ODOMETRY = "nav_msgs/msg/Odometry"
-LEAST_NORM = 0.5  # of a quaternion; drivers write zeros where they know no attitude
-DEEPEST = 64  # frames of a chain; a longer one goes in a circle
+_LEAST_NORM = 0.5  # of a quaternion; drivers write zeros where they know no attitude
+_DEEPEST = 64  # frames of a chain; a longer one goes in a circle
 
 
 def leaves(prefix: str, names: str) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ def read_pose_topic(
         messages = keep_frame(messages, parent, "--truth-parent")
         series, frames = sort_by_time(_settle_poses(messages, log), "truth", log), list_names(messages.frames)
     norm = np.linalg.norm(series.values[:, :4], axis=1)
-    known = find_finite_rows(series.values[:, :4]) & (norm > LEAST_NORM)
+    known = find_finite_rows(series.values[:, :4]) & (norm > _LEAST_NORM)
     if not known.all():
         log.noted(f"truth: {int((~known).sum())} samples without an attitude dropped")
     if not known.any():
@@ -174,7 +174,7 @@ def _climb(frame: str, moving: Messages, fixed: Messages | None) -> tuple[list[s
     Raises :class:`BadParameter` where a frame has two parents.
     """
     frames, steps = [strip_slash(frame)], list[Messages]()
-    while len(frames) < DEEPEST:
+    while len(frames) < _DEEPEST:
         of_frame = [_select_child(one, frames[-1]) for one in (moving, fixed) if one is not None]
         found = [one for one in of_frame if len(one.frames)]
         if not found:
@@ -203,11 +203,11 @@ def _read_link(messages: Messages, log: Log) -> _Link:
     else:
         series = sort_by_time(_settle_poses(messages, log), f"{parent} <- {child}", log)
         norm = np.linalg.norm(series.values[:, :4], axis=1)
-        known = find_finite_rows(series.values) & (norm > LEAST_NORM)
+        known = find_finite_rows(series.values) & (norm > _LEAST_NORM)
         if not known.all():
             log.noted(f"{parent} <- {child}: {int((~known).sum())} transforms without an attitude dropped")
         values, t_ns = series.values[known], series.t_ns[known]
-    if not len(values) or not np.linalg.norm(values[-1, :4]) > LEAST_NORM:
+    if not len(values) or not np.linalg.norm(values[-1, :4]) > _LEAST_NORM:
         raise BadSource(f"{messages.topic}: {parent} <- {child} holds no attitude; name another --truth-parent")
     return _Link(parent, child, t_ns, rotation(np.ascontiguousarray(values[:, :4])), values[:, 4:])
 

@@ -24,19 +24,19 @@ from stillpoint.datasets.importers.series import Log, Series, make_gps, merge_im
 from stillpoint.datasets.recording import Gps, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
-XYZ = "XYZ"
-MOTION_TIME = "motionTimestamp_sinceReboot(s)"
-GYROS = (
+_XYZ = "XYZ"
+_MOTION_TIME = "motionTimestamp_sinceReboot(s)"
+_GYROS = (
     ("gyroTimestamp_sinceReboot(s)", "gyroRotation{}(rad/s)"),
-    (MOTION_TIME, "motionRotationRate{}(rad/s)"),
+    (_MOTION_TIME, "motionRotationRate{}(rad/s)"),
 )
-ACCEL = ("accelerometerTimestamp_sinceReboot(s)", "accelerometerAcceleration{}(G)")
-USER, GRAVITY = (MOTION_TIME, "motionUserAcceleration{}(G)"), (MOTION_TIME, "motionGravity{}(G)")
-MAGS = {
+_ACCEL = ("accelerometerTimestamp_sinceReboot(s)", "accelerometerAcceleration{}(G)")
+_USER, _GRAVITY = (_MOTION_TIME, "motionUserAcceleration{}(G)"), (_MOTION_TIME, "motionGravity{}(G)")
+_MAGS = {
     "raw": ("magnetometerTimestamp_sinceReboot(s)", "magnetometer{}(µT)"),
-    "calibrated": (MOTION_TIME, "motionMagneticField{}(µT)"),
+    "calibrated": (_MOTION_TIME, "motionMagneticField{}(µT)"),
 }
-LOCATION = ("Latitude(WGS84)", "Longitude(WGS84)", "Altitude(m)", "Course(°)", "Speed(m/s)")
+_LOCATION = ("Latitude(WGS84)", "Longitude(WGS84)", "Altitude(m)", "Course(°)", "Speed(m/s)")
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ def read_sensorlog(file: Path, options: SensorLogOptions) -> Imported:
     """Return the recording of a file. Raises :class:`BadSource`."""
     log = Log()
     table = read_table(file, None, log)
-    gyro = next((one for names in GYROS if (one := _read(table, *names, XYZ, "gyro", log)) is not None), None)
-    accel = _read(table, *ACCEL, XYZ, "accelerometer", log)
+    gyro = next((one for names in _GYROS if (one := _read(table, *names, _XYZ, "gyro", log)) is not None), None)
+    accel = _read(table, *_ACCEL, _XYZ, "accelerometer", log)
     if accel is None:
-        user, gravity = (_read(table, *names, XYZ, "accelerometer", log) for names in (USER, GRAVITY))
+        user, gravity = (_read(table, *names, _XYZ, "accelerometer", log) for names in (_USER, _GRAVITY))
         if user is not None and gravity is not None and np.array_equal(user.t_ns, gravity.t_ns):
             accel = Series(user.t_ns, user.values + gravity.values)
             log.converted("accelerometer = motionUserAcceleration + motionGravity")
@@ -66,7 +66,7 @@ def read_sensorlog(file: Path, options: SensorLogOptions) -> Imported:
     mag, uncalibrated = _read_mag(table, options, log)
     gps = _read_gps(table, gyro, log)
     sha256 = digests([file], file.parent)
-    attitude = _read(table, MOTION_TIME, "motionQuaternion{}(R)", "WXYZ", "attitude", log)
+    attitude = _read(table, _MOTION_TIME, "motionQuaternion{}(R)", "WXYZ", "attitude", log)
     estimates: tuple[Estimate, ...] = ()
     if attitude is not None:
         estimates = read_device_attitude(attitude, imu, False, file.stem, "motionQuaternion", sha256, log)
@@ -91,9 +91,9 @@ def _read(table: Table, time: str, columns: str, axes: str, what: str, log: Log)
 
 
 def _read_mag(table: Table, options: SensorLogOptions, log: Log) -> tuple[Mag | None, bool]:
-    others = [kind for kind in MAGS if kind != options.mag]
+    others = [kind for kind in _MAGS if kind != options.mag]
     for kind in (options.mag, *others):
-        series = _read(table, *MAGS[kind], XYZ, "mag", log)
+        series = _read(table, *_MAGS[kind], _XYZ, "mag", log)
         if series is not None:
             return make_mag(series, kind == "raw" or options.mag_uncalibrated, log)
     log.noted("no magnetometer was logged")
@@ -102,9 +102,9 @@ def _read_mag(table: Table, options: SensorLogOptions, log: Log) -> tuple[Mag | 
 
 def _read_gps(table: Table, gyro: Series, log: Log) -> Gps | None:
     """Return the fixes on the clock of the sensors; their own stamps count from 1970 and the others' from the start."""
-    names = tuple(f"location{name}" for name in LOCATION)
+    names = tuple(f"location{name}" for name in _LOCATION)
     stamp = "locationTimestamp_since1970(s)"
-    gyro_time = next((time for time, _ in GYROS if time in table.columns), None)
+    gyro_time = next((time for time, _ in _GYROS if time in table.columns), None)
     needed = (*names, stamp, "loggingTime(txt)", gyro_time)
     if any(name is None or name not in table.columns for name in needed):
         return None

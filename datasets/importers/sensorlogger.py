@@ -21,10 +21,10 @@ from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_ro
 from stillpoint.datasets.recording import Gps, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
-GYRO_FILES = ("GyroscopeUncalibrated.csv", "Gyroscope.csv")
-ACCEL_FILES = ("AccelerometerUncalibrated.csv", "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv")
-GPS_COLUMNS = ("latitude", "longitude", "altitude", "bearing", "speed")
-MAG_FILES = {
+_GYRO_FILES = ("GyroscopeUncalibrated.csv", "Gyroscope.csv")
+_ACCEL_FILES = ("AccelerometerUncalibrated.csv", "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv")
+_GPS_COLUMNS = ("latitude", "longitude", "altitude", "bearing", "speed")
+_MAG_FILES = {
     "raw": ("MagnetometerUncalibrated.csv", "Magnetometer.csv"),
     "calibrated": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
 }
@@ -48,10 +48,10 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
     """Return the one recording of a zip or folder. Raises :class:`BadSource`."""
     bundle = open_bundle(source)
     log = Log()
-    empty = bundle.find_empty(*GYRO_FILES, *ACCEL_FILES, *MAG_FILES["raw"])
+    empty = bundle.find_empty(*_GYRO_FILES, *_ACCEL_FILES, *_MAG_FILES["raw"])
     if empty:
         log.noted(f"{', '.join(empty)}: empty in the export; the next file of the same sensor is taken")
-    gyro_file = bundle.find(*GYRO_FILES)
+    gyro_file = bundle.find(*_GYRO_FILES)
     if gyro_file is None:
         raise BadSource(
             f"{source}: has no Gyroscope.csv; log the gyroscope, or name the zip or folder of one recording"
@@ -169,7 +169,7 @@ def _add_gravity(bundle: Bundle, log: Log) -> Series:
 
 def _read_mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | None, bool]:
     """Return the field, and whether its size says nothing, as that of the raw one with its hard iron."""
-    name = bundle.find(*MAG_FILES[options.mag])
+    name = bundle.find(*_MAG_FILES[options.mag])
     if name is None:
         log.noted("no magnetometer was logged")
         return None, options.mag_uncalibrated
@@ -202,4 +202,4 @@ def _read_gps(bundle: Bundle, log: Log) -> Gps | None:
     if name is None:
         return None
     table = parse(bundle.texts[name], bundle.where(name), ",")
-    return make_gps(Series(table.times("time", "ns"), table.floats(GPS_COLUMNS)), log)
+    return make_gps(Series(table.times("time", "ns"), table.floats(_GPS_COLUMNS)), log)

@@ -9,8 +9,8 @@ from stillpoint.datasets.constants import MEDIAN_DEVIATION_TO_SD
 from stillpoint.datasets.errors import BadSource
 from stillpoint.datasets.recording import LAST_T_NS, Floats, Gps, Imu, Times
 
-BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its steps, are bridged by interpolation
-FASTER = 0.75  # an accelerometer with a step below this share of the gyro's is averaged over the gyro's intervals
+_BRIDGED_S = 0.1  # gaps of the accelerometer up to this long, or three of its steps, are bridged by interpolation
+_FASTER = 0.75  # an accelerometer with a step below this share of the gyro's is averaged over the gyro's intervals
 
 
 @dataclass
@@ -93,7 +93,7 @@ def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
 
     A faster accelerometer is averaged over the intervals that end at the gyro's stamps: of single readings between
     others, vibration above half of the gyro's rate would remain as an error. Another one is interpolated linearly.
-    Gyro samples without an accelerometer sample on both sides within ``BRIDGED_S`` are dropped and counted. Raises
+    Gyro samples without an accelerometer sample on both sides within ``_BRIDGED_S`` are dropped and counted. Raises
     :class:`BadSource` when no sample is left.
     """
     if len(gyro.t_ns) == len(accel.t_ns) and (gyro.t_ns == accel.t_ns).all():
@@ -104,13 +104,13 @@ def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
     span_ns = accel.t_ns[right] - accel.t_ns[right - 1]
     inside = (gyro.t_ns >= accel.t_ns[0]) & (gyro.t_ns <= accel.t_ns[-1])
     exact = np.isin(gyro.t_ns, accel.t_ns)
-    bridge_ns = max(BRIDGED_S * 1e9, 3 * float(np.median(np.diff(accel.t_ns))))
+    bridge_ns = max(_BRIDGED_S * 1e9, 3 * float(np.median(np.diff(accel.t_ns))))
     keep = inside & ((span_ns <= bridge_ns) | exact)
     if not keep.any():
         raise BadSource(f"{where}: gyro and accelerometer do not overlap in time; check that both were logged")
     t_ns = gyro.t_ns[keep]
     step_ns = float(np.median(np.diff(gyro.t_ns))) if len(gyro.t_ns) > 1 else 0.0
-    if float(np.median(np.diff(accel.t_ns))) < FASTER * step_ns:
+    if float(np.median(np.diff(accel.t_ns))) < _FASTER * step_ns:
         force, how = _average_before(accel, t_ns, step_ns), "averaged over the intervals that end at the gyro's stamps"
     else:
         force, how = _interpolate(accel, t_ns), "interpolated linearly onto the gyro's stamps"

@@ -33,13 +33,13 @@ from stillpoint.datasets.importers.series import Log, Series
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import bench, five_accelerometers
 
-PRESETS = {"bench": bench, "five": five_accelerometers}
-COLUMNS = {
+_PRESETS = {"bench": bench, "five": five_accelerometers}
+_COLUMNS = {
     "bench": ("F4_mps2,F5_mps2:m/s^2", None),
     "five": ("F1_mps2,F2_mps2,F3_mps2,F4_mps2,F5_mps2:m/s^2", "g1_degps,g2_degps:deg/s"),
 }
-CLOCK, ANGLES, RATES = "t_s:s", "angle_deg:deg", "rate_degps:deg/s"
-GEOMETRY_KEYS = {"accel_r_m": 3, "accel_axis": 3, "gyro_axis": 3, "range_g": 0, "fixed_axis": 0}
+_CLOCK, _ANGLES, _RATES = "t_s:s", "angle_deg:deg", "rate_degps:deg/s"
+_GEOMETRY_KEYS = {"accel_r_m": 3, "accel_axis": 3, "gyro_axis": 3, "range_g": 0, "fixed_axis": 0}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def find_geometry(options: SpinOptions) -> SpinGeometry:
     """Return the geometry that the options name; raises :class:`BadParameter`."""
     if options.range_g is not None and not options.range_g > 0:
         raise BadParameter(f"--range-g {options.range_g:g}: give a positive number of g")
-    if options.geometry in PRESETS:
+    if options.geometry in _PRESETS:
         arms = {"d1_m": options.d1_m, "d2_m": options.d2_m}
         for name, arm in arms.items():
             if arm is not None and not arm > 0:
@@ -68,7 +68,7 @@ def find_geometry(options: SpinOptions) -> SpinGeometry:
         given: dict[str, Any] = {name: arm for name, arm in arms.items() if arm is not None}
         if options.range_g is not None:
             given["accel_range_mps2"] = options.range_g * STANDARD_GRAVITY_MPS2
-        return PRESETS[options.geometry](**given)
+        return _PRESETS[options.geometry](**given)
     if options.d1_m is not None or options.d2_m is not None:
         raise BadParameter("--d1-m, --d2-m: belong to the geometries bench and five; a file states its own arms")
     if not options.geometry.endswith(".toml"):
@@ -79,8 +79,8 @@ def find_geometry(options: SpinOptions) -> SpinGeometry:
 def _read_geometry(file: Path, range_g: float | None) -> SpinGeometry:
     given = read_toml(file)
     for key in given:
-        if key not in GEOMETRY_KEYS:
-            raise BadParameter(f"{file}: no setting {key!r}; {nearest(key, GEOMETRY_KEYS)}")
+        if key not in _GEOMETRY_KEYS:
+            raise BadParameter(f"{file}: no setting {key!r}; {nearest(key, _GEOMETRY_KEYS)}")
     range_g = given.get("range_g") if range_g is None else range_g
     try:
         arms, axes, gyros = (
@@ -108,14 +108,14 @@ def read_spin(file: Path, options: SpinOptions) -> Imported:
     log = Log()
     table = read_table(file, options.delimiter, log)
     if options.time is None and options.rate is None and "t_s" in table.columns:
-        options = replace(options, time=CLOCK)
+        options = replace(options, time=_CLOCK)
     clock = read_clock(table, options, log)
-    accels, gyros = COLUMNS.get(options.geometry, (None, None))
+    accels, gyros = _COLUMNS.get(options.geometry, (None, None))
     accel = _read_columns(table, options.accels or accels, "--accels", FORCE, len(geometry.accel_r_b_m), log, "m/s^2")
     gyro = _read_columns(table, options.gyros or gyros, "--gyros", RATE, len(geometry.gyro_axis_b), log, "rad/s")
     streams = {"spin": _keep_samples(table, clock, np.column_stack([accel, gyro]), options, log)}
-    angle = _read_encoder_column(table, clock, options, "encoder_angle", ANGLES, ANGLE, log)
-    rate = _read_encoder_column(table, clock, options, "encoder_rate", RATES, RATE, log)
+    angle = _read_encoder_column(table, clock, options, "encoder_angle", _ANGLES, ANGLE, log)
+    rate = _read_encoder_column(table, clock, options, "encoder_rate", _RATES, RATE, log)
     streams |= {"angle": angle} if angle is not None else {}
     streams |= {"rate": rate} if rate is not None else {}
     streams = shift_to_zero(streams, log)

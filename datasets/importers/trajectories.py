@@ -49,15 +49,15 @@ from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.trajectory import Estimate
 
 Format = Literal["tum", "kitti", "euroc", "csv", "bag"]
-BAGS = (".bag", ".mcap", ".db3")
-SUFFIXES = (".tum", ".kitti", ".csv", ".tsv", ".txt", *BAGS)  # what read_trajectory may be asked to read
-LENGTH_OFF = 0.01  # a quaternion as written with few digits is off unit length by less
-TUM_WIDTH, KITTI_WIDTH, EUROC_WIDTH = 8, 12, 8
-EUROC_NS = 1e15  # EuRoC stamps are ns since 1970 or since the start of a computer; seconds never get that large
-COMPONENT = re.compile(
+_BAGS = (".bag", ".mcap", ".db3")
+SUFFIXES = (".tum", ".kitti", ".csv", ".tsv", ".txt", *_BAGS)  # what read_trajectory may be asked to read
+_LENGTH_OFF = 0.01  # a quaternion as written with few digits is off unit length by less
+_TUM_WIDTH, _KITTI_WIDTH, _EUROC_WIDTH = 8, 12, 8
+_EUROC_NS = 1e15  # EuRoC stamps are ns since 1970 or since the start of a computer; seconds never get that large
+_COMPONENT = re.compile(
     r"(?:^|.*[^a-z])(?:q|quat|quaternion|rot|ori|orientation)?[ _.\-\[]*([wxyz])\]?(?:\s*[\[(].*)?$", re.I
 )
-TIME_NAME = re.compile(
+_TIME_NAME = re.compile(
     r"^(?:t|time|times?tamp|stamp|seconds|sec)(?:[ _\-]?[\[(]?(s|sec|ms|us|µs|ns)?[\])]?)?$", re.IGNORECASE
 )
 
@@ -106,7 +106,7 @@ def read_poses(path: Path | str, log: Log | None = None, **options: Any) -> Trut
 
 
 def _is_bag(file: Path, options: _PoseOptions) -> bool:
-    return options.format == "bag" or (options.format is None and (file.is_dir() or file.suffix in BAGS))
+    return options.format == "bag" or (options.format is None and (file.is_dir() or file.suffix in _BAGS))
 
 
 def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
@@ -157,9 +157,9 @@ def _recognise(table: Table, file: Path, options: _PoseOptions) -> Format:
         return "csv"
     widths = {len(row) for row in table.rows}
     commas = len(table.columns) > 1 and not any(" " in cell for cell in table.rows[0]) and "," in table.delimiter
-    if commas and min(widths) >= EUROC_WIDTH and _largest(table.rows[0][0]) >= EUROC_NS:
+    if commas and min(widths) >= _EUROC_WIDTH and _largest(table.rows[0][0]) >= _EUROC_NS:
         return "euroc"
-    if widths == {KITTI_WIDTH}:
+    if widths == {_KITTI_WIDTH}:
         return "kitti"
     if commas:
         raise BadSource(
@@ -178,10 +178,10 @@ def _largest(cell: str) -> float:
 
 def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     wanted = "a TUM pose is eight numbers: seconds x y z qx qy qz qw"
-    if len(table.columns) != TUM_WIDTH:
+    if len(table.columns) != _TUM_WIDTH:
         raise BadSource(f"{file}: its first line has {len(table.columns)} words; {wanted}")
     for row, line in zip(table.rows, table.lines, strict=True):
-        if len(row) != TUM_WIDTH:
+        if len(row) != _TUM_WIDTH:
             raise BadSource(f"{file}, line {line}: has {len(row)} words; {wanted}")
     names = table.columns
     t_ns = table.times(names[0], "s")
@@ -191,7 +191,7 @@ def _read_tum(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
 
 def _read_euroc(table: Table, file: Path, options: _PoseOptions, log: Log) -> Truth:
     names = table.columns
-    if len(names) < EUROC_WIDTH:
+    if len(names) < _EUROC_WIDTH:
         raise BadSource(f"{file}: its header has {len(names)} names; a EuRoC pose is ns,x,y,z,qw,qx,qy,qz")
     t_ns = table.times(names[0], "ns")
     values = table.floats(names[1:8])
@@ -210,7 +210,7 @@ def _read_kitti(table: Table, file: Path, options: _PoseOptions, log: Log) -> Tr
     matrices = table.floats(table.columns).reshape(-1, 3, 4)
     turns = matrices[:, :, :3]
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    if not (off < 10 * LENGTH_OFF).all() or (np.linalg.det(turns) < 0).any():
+    if not (off < 10 * _LENGTH_OFF).all() or (np.linalg.det(turns) < 0).any():
         line = table.lines[int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))]
         raise BadSource(f"{file}, line {line}: is no rotation; a KITTI pose is twelve numbers, three rows of four")
     q_nb = quaternion(Rotation.from_matrix(turns))
@@ -239,7 +239,7 @@ def _read_csv(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
 def _make_poses(t_ns: Times, q_nb: Floats, position_n_m: Floats | None, table: Table, log: Log, wanted: str) -> Truth:
     """Return poses of normalised quaternions (N, 4) wxyz; raises :class:`BadSource` for rows that are none."""
     length = np.linalg.norm(q_nb, axis=1)
-    wrong = np.flatnonzero(~(np.abs(length - 1) < LENGTH_OFF))
+    wrong = np.flatnonzero(~(np.abs(length - 1) < _LENGTH_OFF))
     if len(wrong):
         raise BadSource(
             f"{table.where}, line {table.lines[int(wrong[0])]}: the quaternion has the length {length[wrong[0]]:.3g}, "
@@ -251,7 +251,7 @@ def _make_poses(t_ns: Times, q_nb: Floats, position_n_m: Floats | None, table: T
 def _find_time(table: Table) -> tuple[str, str] | None:
     """Return the time column of a table and its unit, by their names and by the rate."""
     for name in table.columns:
-        match = TIME_NAME.match(name.strip())
+        match = _TIME_NAME.match(name.strip())
         if not match:
             continue
         unit = normalise_unit((match[1] or "").lower().replace("sec", "s"))
@@ -277,7 +277,7 @@ def _find_quaternion(table: Table) -> str | None:
     """Return the four columns w, x, y, z of a quaternion by their names; None where they are not clear."""
     columns: dict[str, list[str]] = {axis: [] for axis in "wxyz"}
     for name in table.columns:
-        if "," not in name and (match := COMPONENT.match(name.strip())):
+        if "," not in name and (match := _COMPONENT.match(name.strip())):
             columns[match[1].lower()].append(name)
     if len(columns["w"]) != 1:
         return None

@@ -36,14 +36,14 @@ CITATION = (
     "T. Michel, P. Geneves, H. Fourati, N. Layaida: On Attitude Estimation with Smartphones. "
     "IEEE PerCom, 2017. doi:10.1109/PERCOM.2017.7917869"
 )
-GRENOBLE = (45.187778, 5.726945, 200.0)  # deg, deg, m: the place in the authors' benchmark code
-NEEDED = ("gyroscope.txt", "accelerometer.txt")
-MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.txt"}
+_GRENOBLE = (45.187778, 5.726945, 200.0)  # deg, deg, m: the place in the authors' benchmark code
+_NEEDED = ("gyroscope.txt", "accelerometer.txt")
+_MAG_FILES = {"raw": "magnetometer.txt", "calibrated": "magnetometer-calibrated.txt"}
 
 # Stretches that the authors of the trials left out of their comparison, marked by hand: seconds of the Qualisys clock,
 # from AttitudeBenchmarks.m of their benchmark. In most of them markers were swapped or hidden; in
 # Guillaume_Nexus5_NoDist_AR the truth is right and the phone's gyro stopped twice.
-EXCLUDED_S: dict[str, tuple[tuple[float, float], ...]] = {
+_EXCLUDED_S: dict[str, tuple[tuple[float, float], ...]] = {
     "Guillaume_iPhone4S_NoDist_BackPocket": ((21.1, 21.5), (23.6, 24.0)),
     "Guillaume_iPhone5_Dist_FrontPocket": ((65.6, 67.2), (100.4, 102.0)),
     "Guillaume_iPhone5_Dist_Swinging": ((103.5, 104.5),),
@@ -76,7 +76,7 @@ EXCLUDED_S: dict[str, tuple[tuple[float, float], ...]] = {
 
 def find_tyrex(source: Path) -> list[Path]:
     """Return the trial of a folder ``android/NAME`` or ``ios/NAME``, or all below. Raises :class:`BadSource`."""
-    return find_folders(source, NEEDED[0], "name android/, ios/ or a trial in them")
+    return find_folders(source, _NEEDED[0], "name android/, ios/ or a trial in them")
 
 
 def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
@@ -92,7 +92,7 @@ def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
         accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
         log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS: -1 g on the axis that points up)")
     imu = merge_imu(gyro, accel, str(folder), log)
-    mag_file = MAG_FILES[options.mag]
+    mag_file = _MAG_FILES[options.mag]
     mag = _read_series(folder, mag_file, boot_s, "mag", log)
     raw = options.mag == "raw"
     log.converted(
@@ -100,7 +100,7 @@ def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
     )
     device = _read_device(folder, ios, boot_s, log)
     truth, truth_file, recorded = _read_truth(folder, log)
-    used = [folder / name for name in (*NEEDED, mag_file)] + ([truth_file] if truth_file else [])
+    used = [folder / name for name in (*_NEEDED, mag_file)] + ([truth_file] if truth_file else [])
     used += [path for path in (folder / "timeAlignment.txt", folder / "description.txt") if path.is_file()]
     info = Info(
         source="Tyrex benchmark of attitude estimation with smartphones",
@@ -108,7 +108,7 @@ def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
         citation=CITATION,
         sensor=folder.name.split("_")[1] if folder.name.count("_") else "",
         date=_read_date(folder) or recorded,
-        place_lat_lon_alt=GRENOBLE,
+        place_lat_lon_alt=_GRENOBLE,
         mag_uncalibrated=raw,
         units_unchecked=options.units_unchecked,
         sha256=digests(used, folder.parent.parent),
@@ -185,7 +185,7 @@ def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]
     seen[seen] = np.linalg.det(columns.T[seen].reshape(-1, 3, 3)) > 0.5  # a frame without body may hold zeros
     log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
     scored = np.ones(len(seen), dtype=np.bool_)
-    for start, end in EXCLUDED_S.get(folder.name, ()):
+    for start, end in _EXCLUDED_S.get(folder.name, ()):
         scored &= (frame_s < start) | (frame_s > end)
     if not scored.all():
         log.noted(f"truth: {int((~scored & seen).sum())} frames are not scored: the dataset's authors leave them out")

@@ -33,8 +33,8 @@ from stillpoint.datasets.importers.series import (
 from stillpoint.datasets.recording import Floats, Gps, Mag, Recording, Truth
 from stillpoint.datasets.trajectory import Estimate
 
-NOT_VALID = 2**31 - 1  # of a relative stamp: the accelerometer gave nothing
-TOPICS = (
+_NOT_VALID = 2**31 - 1  # of a relative stamp: the accelerometer gave nothing
+_TOPICS = (
     *("sensor_combined", "vehicle_magnetometer", "vehicle_attitude", "vehicle_attitude_groundtruth"),
     *("vehicle_gps_position", "sensor_gps"),
 )
@@ -54,7 +54,7 @@ def read_ulog(file: Path, options: OwnOptions) -> Imported:
     log = Log()
     with reading(file, "a log of PX4 (ULog)"):
         with redirect_stdout(StringIO()):  # the package prints what it finds damaged
-            ulog = ULog(str(file), list(TOPICS))
+            ulog = ULog(str(file), list(_TOPICS))
         data = {one.name: one.data for one in ulog.data_list if one.multi_id == 0}
         if ulog.file_corruption:
             log.noted("the log is damaged; what could be read was read")
@@ -86,7 +86,7 @@ def _read_imu(file: Path, data: dict[str, Any], log: Log) -> Any:
     if gyro is None or accel is None:
         raise BadSource(f"{file}: has no topic sensor_combined; log with the default profile of PX4")
     relative_us = np.asarray(data["sensor_combined"].get("accelerometer_timestamp_relative", 0 * gyro.t_ns))
-    given = relative_us != NOT_VALID
+    given = relative_us != _NOT_VALID
     accel = Series(accel.t_ns + relative_us.astype(np.int64) * 1000, accel.values).where(given)
     if not given.all():
         log.noted(f"accelerometer: {int((~given).sum())} samples marked as not valid dropped")

@@ -22,9 +22,9 @@ from stillpoint.datasets.importers.series import Log, Series, drop_incomplete_ro
 from stillpoint.datasets.recording import Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
-XYZ = "XYZ"
-NAME_A_FOLDER = "name a folder as the device's software logs it"
-ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
+_XYZ = "XYZ"
+_NAME_A_FOLDER = "name a folder as the device's software logs it"
+_ARBITRARY_UT = 50.0  # size that a field in arbitrary units is given; nothing may be concluded from it
 
 
 @dataclass(frozen=True)
@@ -39,32 +39,32 @@ class _Device:
     inverse: bool  # the quaternion takes the Earth to the sensor
 
 
-NGIMU = _Device(
+_NGIMU = _Device(
     "NGIMU", "sensors.csv", ("Time (s)", "s"), ("sensors.csv", "Magnetometer {} (uT)", "uT"), "quaternion.csv", True
 )
-XIMU3 = _Device(
+_XIMU3 = _Device(
     "x-IMU3", "Inertial.csv", ("Timestamp (us)", "us"), ("Magnetometer.csv", "{} (a.u.)", ""), "Quaternion.csv", False
 )
 
 
 def find_ngimu(source: Path) -> list[Path]:
     """Return the NGIMU folders at or below a source. Raises :class:`BadSource`."""
-    return find_folders(source, NGIMU.imu, NAME_A_FOLDER)
+    return find_folders(source, _NGIMU.imu, _NAME_A_FOLDER)
 
 
 def read_ngimu(folder: Path, options: OwnOptions) -> Imported:
     """Return the recording of an NGIMU folder. Raises :class:`BadSource`."""
-    return _read_folder(folder, NGIMU, options)
+    return _read_folder(folder, _NGIMU, options)
 
 
 def find_ximu3(source: Path) -> list[Path]:
     """Return the x-IMU3 folders at or below a source. Raises :class:`BadSource`."""
-    return find_folders(source, XIMU3.imu, NAME_A_FOLDER)
+    return find_folders(source, _XIMU3.imu, _NAME_A_FOLDER)
 
 
 def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
     """Return the recording of an x-IMU3 folder. Raises :class:`BadSource`."""
-    return _read_folder(folder, XIMU3, options)
+    return _read_folder(folder, _XIMU3, options)
 
 
 def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported:
@@ -72,7 +72,7 @@ def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported
     table = read_table(folder / device.imu, ",", log)
     log.converted(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
     columns = [
-        f"{what} {axis} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for axis in XYZ
+        f"{what} {axis} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for axis in _XYZ
     ]
     inertial = _read_columns(table, device, tuple(columns), "imu", log)
     imu = Imu(inertial.t_ns, RATE["deg/s"] * inertial.values[:, :3], FORCE["g"] * inertial.values[:, 3:])
@@ -112,7 +112,7 @@ def _read_mag(
         return None, options.mag_uncalibrated
     try:
         table = read_table(folder / name, ",", Log())
-        series = _read_columns(table, device, tuple(column.format(axis) for axis in XYZ), "mag", log)
+        series = _read_columns(table, device, tuple(column.format(axis) for axis in _XYZ), "mag", log)
     except BadSource as error:
         log.noted(f"mag left out: {error}")
         return None, options.mag_uncalibrated
@@ -123,9 +123,9 @@ def _read_mag(
 
 
 def scale_arbitrary_field(series: Series, log: Log) -> tuple[Mag | None, bool]:
-    """Return a field in arbitrary units with the median size ``ARBITRARY_UT``, marked as uncalibrated."""
+    """Return a field in arbitrary units with the median size ``_ARBITRARY_UT``, marked as uncalibrated."""
     size = float(np.median(np.linalg.norm(series.values, axis=1))) if len(series.t_ns) else 0.0
     if not np.isfinite(size) or size == 0:
         return make_mag(Series(series.t_ns, 0 * series.values), True, log)
-    log.noted(f"mag: in arbitrary units, scaled to a median of {ARBITRARY_UT:g} uT; only its direction counts")
-    return make_mag(Series(series.t_ns, ARBITRARY_UT / size * series.values), True, log)
+    log.noted(f"mag: in arbitrary units, scaled to a median of {_ARBITRARY_UT:g} uT; only its direction counts")
+    return make_mag(Series(series.t_ns, _ARBITRARY_UT / size * series.values), True, log)

@@ -21,8 +21,8 @@ PRIMITIVES = {
     "bool": "u1", "byte": "u1", "octet": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
     "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-ENCAPSULATION = 4  # bytes before the body: 0, kind, and two of options
-MOST_LEAVES = 4096  # a message with more parts (a list of detections, say) is no table of numbers
+_ENCAPSULATION = 4  # bytes before the body: 0, kind, and two of options
+_MOST_LEAVES = 4096  # a message with more parts (a list of detections, say) is no table of numbers
 _BUILTIN = {
     "builtin_interfaces/msg/Time": (("sec", "int32"), ("nanosec", "uint32")),
     "builtin_interfaces/msg/Duration": (("sec", "int32"), ("nanosec", "uint32")),
@@ -95,7 +95,7 @@ def _common_definition(name: str, wire: str) -> str:
 def layout_of(message_type: MessageType, body: bytes) -> Layout:
     """Return the layout that fits this message; raises :class:`Undecodable` for cut bytes and for other encodings."""
     ros1 = message_type.encoding == "ros1"
-    if not ros1 and (len(body) < ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1)):
+    if not ros1 and (len(body) < _ENCAPSULATION or body[0] != 0 or body[1] not in (0, 1)):
         raise Undecodable(f"its messages are not plain CDR (they start with {body[:2].hex() or 'nothing'})")
     order = "<" if ros1 or body[1] else ">"
 
@@ -124,7 +124,7 @@ class _Walk:
         self.order, self.length_at, self.size = order, length_at, size  # size: of a message that is there to be read
         self.aligned = not ros1
         self.terminated = int(not ros1)  # bytes after a string, which its length counts
-        self.end = 0 if ros1 else ENCAPSULATION
+        self.end = 0 if ros1 else _ENCAPSULATION
         self.offsets: dict[str, int] = {}  # of each leaf
         self.formats: list[Any] = []
         self.words: list[tuple[int, bytes]] = []
@@ -163,7 +163,7 @@ class _Walk:
             if inner[0] == Nodetype.BASE and inner[1][0] in PRIMITIVES:
                 self._leaf(path, inner[1][0], count)
                 return
-            if count > MOST_LEAVES:
+            if count > _MOST_LEAVES:
                 raise Undecodable(f"a message has {count} elements in {path}")
             for k in range(count):
                 self._node(definitions, inner, f"{path}[{k}]", depth)
@@ -192,13 +192,13 @@ class _Walk:
 
     def _align(self, size: int) -> None:
         if self.aligned:
-            self.end += -(self.end - ENCAPSULATION) % size
+            self.end += -(self.end - _ENCAPSULATION) % size
 
     def _place(self, path: str, form: Any, size: int) -> None:
         if self.size is not None and self.end + size > self.size:
             raise Undecodable(f"a message ends within {path}")
-        if len(self.offsets) >= MOST_LEAVES:
-            raise Undecodable(f"a message has more than {MOST_LEAVES} parts")
+        if len(self.offsets) >= _MOST_LEAVES:
+            raise Undecodable(f"a message has more than {_MOST_LEAVES} parts")
         if path in self.offsets:
             raise Undecodable(f"its schema defines {path} twice")
         self.formats.append(form)

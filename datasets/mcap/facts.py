@@ -19,7 +19,7 @@ KINDS: dict[str, type[Kept]] = {
     "roll reference": SpinReference,
     "estimate": Estimate,
 }
-NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"}
+_NOT_FINITE = "__float__"  # JSON has no nan and no infinity: {"__float__": "nan"}
 
 
 def kind_of(thing: Kept) -> str:
@@ -112,7 +112,7 @@ def _shallow(thing: Any) -> dict[str, Any]:
 
 
 def _special(item: dict[str, Any]) -> Any:
-    return float(item[NOT_FINITE]) if item.keys() == {NOT_FINITE} else item
+    return float(item[_NOT_FINITE]) if item.keys() == {_NOT_FINITE} else item
 
 
 def _plain(value: Any, where: str) -> Any:
@@ -123,7 +123,7 @@ def _plain(value: Any, where: str) -> Any:
     elif is_dataclass(value) and not isinstance(value, type):
         value = _shallow(value)
     if isinstance(value, float) and not np.isfinite(value):
-        return {NOT_FINITE: str(value)}
+        return {_NOT_FINITE: str(value)}
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Mapping):

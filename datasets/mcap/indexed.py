@@ -30,8 +30,8 @@ from stillpoint.datasets.mcap.scan import (
     unpack_chunk,
 )
 
-FIRST_FETCH = 64 << 10  # bytes of the end of the file: the summary of an hour's recording
-LARGEST_GAP = 32 << 10  # bytes between two chunks that are fetched with them, because a request costs as much
+_FIRST_FETCH = 64 << 10  # bytes of the end of the file: the summary of an hour's recording
+_LARGEST_GAP = 32 << 10  # bytes between two chunks that are fetched with them, because a request costs as much
 _HEAD = RECORD_HEAD.itemsize
 
 
@@ -127,7 +127,7 @@ class IndexedScan(Scan):
     def read_summary(self) -> list[ChunkIndex]:
         """Take in schemas, channels and metadata from the end of the file; returns the index of its chunks."""
         size = self._source.size
-        tail_start = max(size - FIRST_FETCH, 0)
+        tail_start = max(size - _FIRST_FETCH, 0)
         tail = self._source.fetch(tail_start, size)
         at = len(tail) - FOOTER_SIZE
         if at < 0 or not tail.endswith(MAGIC) or tail[at] != Opcode.FOOTER:
@@ -175,7 +175,7 @@ class IndexedScan(Scan):
         """Yield each chunk with its message indexes; those that lie close together come in one request."""
         runs: list[list[ChunkIndex]] = []
         for chunk in chunks:
-            if runs and chunk.chunk_start_offset - _end(runs[-1][-1]) <= LARGEST_GAP:
+            if runs and chunk.chunk_start_offset - _end(runs[-1][-1]) <= _LARGEST_GAP:
                 runs[-1].append(chunk)
             else:
                 runs.append([chunk])

@@ -12,8 +12,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import TRUTHS, Recording
 
-STREAMS = ("imu", "mag", "gps", "spin", "encoder", *TRUTHS)
-WHOLE, PART = "split_from", "split_part"  # of ``Info.extra``: the name of the whole recording; "3 of 24"
+_STREAMS = ("imu", "mag", "gps", "spin", "encoder", *TRUTHS)
+_WHOLE, _PART = "split_from", "split_part"  # of ``Info.extra``: the name of the whole recording; "3 of 24"
 
 
 def split_recording(recording: Recording, span_s: float) -> list[Recording]:
@@ -34,11 +34,11 @@ def split_recording(recording: Recording, span_s: float) -> list[Recording]:
     parts = []
     for k in range(len(edges_ns) + 1):
         start, end = edges_ns[k - 1] if k else None, edges_ns[k] if k < len(edges_ns) else None
-        named = {name: getattr(recording, name) for name in STREAMS}
+        named = {name: getattr(recording, name) for name in _STREAMS}
         streams = {name: _cut(stream, start, end) for name, stream in named.items() if stream is not None}
         others = {name: _cut(series, start, end) for name, series in recording.extra.items()}
         others = {name: series for name, series in others.items() if series is not None}
-        extra = {**recording.info.extra, WHOLE: recording.name, PART: f"{k + 1} of {len(edges_ns) + 1}"}
+        extra = {**recording.info.extra, _WHOLE: recording.name, _PART: f"{k + 1} of {len(edges_ns) + 1}"}
         name = f"{recording.name}-{k + 1:03d}"
         parts.append(replace(recording, name=name, info=replace(recording.info, extra=extra), extra=others, **streams))
     return parts
@@ -56,25 +56,25 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
 
     Raises :class:`BadParameter` when one is missing, or belongs to another recording.
     """
-    wholes = {part.info.extra.get(WHOLE) for part in parts}
+    wholes = {part.info.extra.get(_WHOLE) for part in parts}
     whole = wholes.pop()
     if wholes or whole is None:
         raise BadParameter(f"{', '.join(part.name for part in parts[:3])}: are no parts of one recording")
-    numbered = {part.info.extra[PART]: part for part in parts}
-    count = int(parts[0].info.extra[PART].rpartition(" ")[2])
+    numbered = {part.info.extra[_PART]: part for part in parts}
+    count = int(parts[0].info.extra[_PART].rpartition(" ")[2])
     missing = [k for k in range(1, count + 1) if f"{k} of {count}" not in numbered]
     if missing or len(numbered) != len(parts):
         which = f"part {missing[0]} of {count} is missing" if missing else "a part is given twice"
         raise BadParameter(f"{whole}: {which}; give every part once")
     ordered = [numbered[f"{k} of {count}"] for k in range(1, count + 1)]
     streams: dict[str, Any] = {}
-    for name in STREAMS:
+    for name in _STREAMS:
         pieces = [one for part in ordered if (one := getattr(part, name)) is not None]
         streams[name] = join_streams(pieces) if pieces else None
     names = dict.fromkeys(name for part in ordered for name in part.extra)
     others = {name: join_streams([part.extra[name] for part in ordered if name in part.extra]) for name in names}
     info = ordered[0].info
-    extra = {key: value for key, value in info.extra.items() if key not in (WHOLE, PART)}
+    extra = {key: value for key, value in info.extra.items() if key not in (_WHOLE, _PART)}
     return replace(ordered[0], name=whole, info=replace(info, extra=extra), extra=others, **streams)
 
 

@@ -38,7 +38,7 @@ from stillpoint.datasets.plausible import UnitCheck
 from stillpoint.datasets.recording import Head, Info, Piece, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
-PIECE_ROWS = 1 << 17  # messages of one topic in a piece, and up to a chunk more: 11 minutes at 200 Hz
+_PIECE_ROWS = 1 << 17  # messages of one topic in a piece, and up to a chunk more: 11 minutes at 200 Hz
 AnyPiece = Piece | Reference | SpinReference | Estimate
 _CHUNK_HEAD = struct.Struct("<Q")  # message_start_time
 _INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the entries
@@ -50,7 +50,7 @@ class PieceReader:
     Raises :class:`BadFile` as :func:`~stillpoint.datasets.mcap.store.read` does, at the latest after the last piece.
     """
 
-    def __init__(self, path: Path | str, units_unchecked: bool = False, most: int = PIECE_ROWS) -> None:
+    def __init__(self, path: Path | str, units_unchecked: bool = False, most: int = _PIECE_ROWS) -> None:
         self.path = Path(path)
         self._units_unchecked, self._most = units_unchecked, most
         self._whole: Log | None = None

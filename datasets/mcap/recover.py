@@ -39,7 +39,7 @@ from stillpoint.datasets.mcap.writer import write_blocks
 _HEAD = RECORD_HEAD.itemsize
 _MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")  # name of the compression, as a chunk has it
 _MARK_OFFSET = _HEAD + 28  # of that name from the start of the record
-LAST_OPCODE = 0x0F
+_LAST_OPCODE = 0x0F
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _frames(data: mmap.mmap, at: int, end: int) -> Iterator[tuple[int, int, int]
     """Yield kind, start and end of the bodies of records, as long as their heads make sense; ends with (0, at, at)."""
     while at + _HEAD <= end:
         opcode, length = data[at], _length(data, at)
-        if not 0 < opcode <= LAST_OPCODE or length > end - at - _HEAD:
+        if not 0 < opcode <= _LAST_OPCODE or length > end - at - _HEAD:
             yield 0, at, at
             return
         yield opcode, at + _HEAD, at + _HEAD + length

@@ -47,9 +47,9 @@ from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, Spin
 Made = TypeVar("Made")
 OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
-ORIGIN = "stillpoint-made"  # of the record that says what made a file
-FORMAT = "1"
-ROWS_AT_ONCE = 1 << 17  # of a stream that are laid out as messages together
+_ORIGIN = "stillpoint-made"  # of the record that says what made a file
+_FORMAT = "1"
+_ROWS_AT_ONCE = 1 << 17  # of a stream that are laid out as messages together
 OWN_COLUMNS = {
     topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
 }
@@ -78,7 +78,7 @@ def write(
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
         out.declare(streams)
         record = _record(kind, facts_of(thing), samples, absent)
-        out.describe({RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}, attachments or {})
+        out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, attachments or {})
         for piece, until_ns in _cut_pieces(thing):
             out.add(_streams(kind, piece)[0], until_ns)
 
@@ -101,7 +101,7 @@ def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]
 def _first_rows(thing: Kept | Piece) -> Kept | Piece:
     """Return the first sample of every stream."""
     if not isinstance(thing, Recording | Piece):
-        return thing if len(thing.t_ns) <= ROWS_AT_ONCE else slice_stream(thing, 0, 1)
+        return thing if len(thing.t_ns) <= _ROWS_AT_ONCE else slice_stream(thing, 0, 1)
     streams = {name: slice_stream(getattr(thing, name), 0, 1) for name in _STREAMS if getattr(thing, name) is not None}
     return Piece(**streams, extra={name: slice_stream(series, 0, 1) for name, series in thing.extra.items()})
 
@@ -116,8 +116,8 @@ def _count_samples(kind: str, thing: Kept, topics: Sequence[str]) -> dict[str, i
             assert isinstance(thing, Recording)
             assert thing.mag is not None
             count = sum(
-                int((tesla(thing.mag.mag_b_ut[first : first + ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
-                for first in range(0, len(thing.mag.t_ns), ROWS_AT_ONCE)
+                int((tesla(thing.mag.mag_b_ut[first : first + _ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
+                for first in range(0, len(thing.mag.t_ns), _ROWS_AT_ONCE)
             )
         elif isinstance(thing, Recording):
             count = len(held[names.get(name) or f"extra {name.removeprefix(EXTRA)}"])
@@ -135,9 +135,9 @@ def _cut_pieces(thing: Kept) -> Iterator[tuple[Kept | Piece, int | None]]:
     """
     if isinstance(thing, Recording):
         longest = max((t_ns for _, t_ns in thing.streams()), key=len)
-        edges = [*longest[ROWS_AT_ONCE::ROWS_AT_ONCE].tolist(), None]
+        edges = [*longest[_ROWS_AT_ONCE::_ROWS_AT_ONCE].tolist(), None]
     else:
-        edges = [*thing.t_ns[ROWS_AT_ONCE::ROWS_AT_ONCE].tolist(), None]
+        edges = [*thing.t_ns[_ROWS_AT_ONCE::_ROWS_AT_ONCE].tolist(), None]
     start_ns = 0
     for end_ns in edges:
         yield (thing if len(edges) == 1 else _cut_time(thing, start_ns, end_ns)), end_ns
@@ -196,7 +196,7 @@ class TrajectoryWriter:
         kind = kind_of(last)
         _, absent = _streams(kind, last)
         record = _record(kind, facts_of(last), self._samples, absent)
-        self._out.describe({RECORD: record, **({ORIGIN: dict(origin)} if origin else {})}, {})
+        self._out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, {})
 
 
 @contextmanager
@@ -252,7 +252,7 @@ def _record(kind: str, facts: Mapping[str, Any], samples: Mapping[str, int], abs
     """Return the metadata record of a file."""
     return {
         "kind": kind,
-        "format": FORMAT,
+        "format": _FORMAT,
         "version": version("stillpoint"),
         "convention": CONVENTION,
         "facts": to_json({**facts, "samples": samples, "absent": absent}),
@@ -343,7 +343,7 @@ def read_origin(path: Path | str) -> dict[str, str]:
     Raises :class:`BadFile` when the file is damaged.
     """
     log = survey(path)
-    return {} if log.lost else dict(log.metadata.get(ORIGIN, {}))
+    return {} if log.lost else dict(log.metadata.get(_ORIGIN, {}))
 
 
 def is_own_file(path: Path | str) -> bool:
@@ -450,7 +450,7 @@ def open_facts(log: Log) -> tuple[str, dict[str, Any]]:
             f"`stillpoint import ros {log.path}` imports it"
         )
     kind = record.get("kind", "")
-    if record.get("format") != FORMAT or kind not in KINDS:
+    if record.get("format") != _FORMAT or kind not in KINDS:
         raise BadFile(
             f"{log.path}: holds a {kind or 'thing'} in format {record.get('format', '?')}, written by stillpoint "
             f"{record.get('version', '?')}; this is stillpoint {version('stillpoint')}: install the newer one"

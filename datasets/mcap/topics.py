@@ -72,11 +72,11 @@ def _block_of_36(name: str, leaf: str, unit: str, derived: bool = False) -> Colu
     return Column(name, (leaf,), unit, (3, 3), to_file, from_file, derived)
 
 
-NO_ESTIMATE = np.array([-1.0] + 8 * [0.0])  # covariance of a part of sensor_msgs/Imu that is not there
+_NO_ESTIMATE = np.array([-1.0] + 8 * [0.0])  # covariance of a part of sensor_msgs/Imu that is not there
 IMU, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 POSE, VECTOR = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Vector3Stamped"
-JOINTS, ARRAY, BOOL = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Bool"
-_ATTITUDE_ONLY = {"angular_velocity_covariance": NO_ESTIMATE, "linear_acceleration_covariance": NO_ESTIMATE}
+_JOINTS, _ARRAY, _BOOL = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Bool"
+_ATTITUDE_ONLY = {"angular_velocity_covariance": _NO_ESTIMATE, "linear_acceleration_covariance": _NO_ESTIMATE}
 MAG_FIELD, MAG_REMAINDER = "/imu/mag", "/imu/mag_remainder"
 EXTRA = "/extra/"  # before the name of a series of Recording.extra; their columns are in the facts
 
@@ -84,7 +84,7 @@ EXTRA = "/extra/"  # before the name of a series of Recording.extra; their colum
 def extra_topic(name: str, labels: Sequence[str]) -> Topic:
     """Return the topic of one series of ``Recording.extra``."""
     return Topic(
-        "recording", f"extra {name}", f"{EXTRA}{name}", ARRAY, f"one number each: {', '.join(labels)}",
+        "recording", f"extra {name}", f"{EXTRA}{name}", _ARRAY, f"one number each: {', '.join(labels)}",
         (Column("values", ("data",), "", (-1,)),),
         constants={"layout.dim": 1, "layout.dim[0].label": ", ".join(labels)},
     )  # fmt: skip
@@ -98,7 +98,7 @@ TOPICS: tuple[Topic, ...] = (
             Column("gyro_b_radps", _xyz("angular_velocity"), "rad/s", (3,)),
             Column("accel_b_mps2", _xyz("linear_acceleration"), "m/s²", (3,)),
         ),
-        BODY_FRAME, {"orientation.w": 1.0, "orientation_covariance": NO_ESTIMATE},
+        BODY_FRAME, {"orientation.w": 1.0, "orientation_covariance": _NO_ESTIMATE},
     ),
     Topic(
         "recording", "mag_remainder", MAG_REMAINDER, VECTOR,
@@ -134,17 +134,17 @@ TOPICS: tuple[Topic, ...] = (
         BODY_FRAME,
     ),
     Topic(
-        "recording", "spin", "/spin/accel", ARRAY, "one number per accelerometer; their places are in the facts",
+        "recording", "spin", "/spin/accel", _ARRAY, "one number per accelerometer; their places are in the facts",
         (Column("accel_mps2", ("data",), "m/s²", (-1,)),),
         constants={"layout.dim": 1, "layout.dim[0].label": "accelerometer"},
     ),
     Topic(
-        "recording", "spin", "/spin/gyro", ARRAY, "one number per gyro; their axes are in the facts",
+        "recording", "spin", "/spin/gyro", _ARRAY, "one number per gyro; their axes are in the facts",
         (Column("gyro_radps", ("data",), "rad/s", (-1,)),),
         constants={"layout.dim": 1, "layout.dim[0].label": "gyro"},
     ),
     Topic(
-        "recording", "encoder", "/encoder", JOINTS, "shaft encoder, angle unwrapped",
+        "recording", "encoder", "/encoder", _JOINTS, "shaft encoder, angle unwrapped",
         (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
         BODY_FRAME, {"name": 1, "name[0]": "shaft"},
     ),
@@ -156,9 +156,9 @@ TOPICS: tuple[Topic, ...] = (
         ),
         LOCAL_FRAME,
     ),
-    Topic("recording", "truth", "/truth/moving", BOOL, "the samples of the truth that count", (_flag("moving"),)),
+    Topic("recording", "truth", "/truth/moving", _BOOL, "the samples of the truth that count", (_flag("moving"),)),
     Topic(
-        "recording", "roll_truth", "/truth/roll", JOINTS, "true angle (unwrapped) and rate about the spin axis",
+        "recording", "roll_truth", "/truth/roll", _JOINTS, "true angle (unwrapped) and rate about the spin axis",
         (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
         BODY_FRAME, {"name": 1, "name[0]": "roll"},
     ),
@@ -204,7 +204,7 @@ TOPICS: tuple[Topic, ...] = (
         LOCAL_FRAME, drawn=True,
     ),
     Topic(
-        "roll reference", "", "/reference/roll", JOINTS, "angle (unwrapped) and rate about the spin axis",
+        "roll reference", "", "/reference/roll", _JOINTS, "angle (unwrapped) and rate about the spin axis",
         (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
         BODY_FRAME, {"name": 1, "name[0]": "roll"},
     ),
@@ -223,7 +223,7 @@ TOPICS: tuple[Topic, ...] = (
         LOCAL_FRAME, _ATTITUDE_ONLY,
     ),
     Topic(
-        "estimate", "", "/estimate/roll", JOINTS, "angle and rate about one axis; empty where not estimated",
+        "estimate", "", "/estimate/roll", _JOINTS, "angle and rate about one axis; empty where not estimated",
         (Column("angle_rad", ("position",), "rad"), Column("rate_radps", ("velocity",), "rad/s")),
         BODY_FRAME, {"name": 1, "name[0]": "roll"},
     ),
@@ -238,11 +238,14 @@ TOPICS: tuple[Topic, ...] = (
         BODY_FRAME,
     ),
     Topic(
-        "estimate", "", "/estimate/innovation", ARRAY, "normalised innovation; NaN where there was no update",
+        "estimate", "", "/estimate/innovation", _ARRAY, "normalised innovation; NaN where there was no update",
         (Column("innovation", ("data",), "1", (-1,)),),
         constants={"layout.dim": 1, "layout.dim[0].label": "innovation"},
     ),
-    Topic("estimate", "", "/estimate/ready", BOOL, "0 while the estimator says that it is starting", (_flag("ready"),)),
+    Topic(
+        "estimate", "", "/estimate/ready", _BOOL, "0 while the estimator says that it is starting",
+        (_flag("ready"),),
+    ),
     Topic(
         "estimate", "", "/estimate/pose", POSE, "the attitude once more, for 3D viewers; not read back",
         (Column("q_nb", _wxyz("pose.orientation"), "", (4,)),),

@@ -45,11 +45,11 @@ from numpy.typing import NDArray
 from stillpoint.datasets.mcap import cdr
 from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows, write_file
 
-CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
-CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
-ZSTD_LEVEL = 3
-PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
-MOST_WAITING = 2 * PACKERS  # chunks that wait to be packed: some MiB
+_CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
+_CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
+_ZSTD_LEVEL = 3
+_PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
+_MOST_WAITING = 2 * _PACKERS  # chunks that wait to be packed: some MiB
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ class _Group:
         """Finish the open chunk where messages from ``until_ns`` on (None: there are none) cannot belong to it."""
         if self.open is None or self.start_ns is None:
             return
-        if until_ns is None or (until_ns - self.start_ns) // CHUNK_SPAN_NS > self.open.key[1]:
+        if until_ns is None or (until_ns - self.start_ns) // _CHUNK_SPAN_NS > self.open.key[1]:
             self.finished.append(self.open.close())
             self.open = None
 
@@ -278,7 +278,7 @@ class _Group:
         end = self.size + np.cumsum(sizes)
         start = end - sizes
         self.size = int(end[-1])
-        numbers, spans = end // CHUNK_BYTES, (times - self.start_ns) // CHUNK_SPAN_NS
+        numbers, spans = end // _CHUNK_BYTES, (times - self.start_ns) // _CHUNK_SPAN_NS
         bounds = np.flatnonzero((np.diff(numbers) > 0) | (np.diff(spans) > 0)) + 1
         done = [0] * len(makers)
         for first, last in pairwise([0, *bounds.tolist(), len(end)]):
@@ -350,7 +350,7 @@ def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel
 @contextmanager
 def _open_writer(file: IO[bytes], library: str) -> "Iterator[_Writer]":
     """Begin a file; chunks are packed by threads meanwhile, which end with the block."""
-    with ThreadPoolExecutor(PACKERS, thread_name_prefix="pack") as packers:
+    with ThreadPoolExecutor(_PACKERS, thread_name_prefix="pack") as packers:
         out = _Writer(file, packers)
         out.file_bytes(MAGIC)
         out.record(Header(profile="ros2", library=library))
@@ -363,7 +363,7 @@ _OF_THREAD = threading.local()
 def _pack(raw: memoryview) -> tuple[bytes, int]:
     """Return the packed bytes of a chunk and its checksum; both are computed without the interpreter's lock."""
     if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads
-        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
     return _OF_THREAD.compressor.compress(raw), zlib.crc32(raw)
 
 
@@ -432,7 +432,7 @@ class _Writer:
     def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
         """Take one chunk and its message indexes, and write the oldest of those that wait to be packed."""
         self.waiting.append(_Waiting(self.packers.submit(_pack, buffer.data), len(buffer), indexes))
-        if len(self.waiting) > MOST_WAITING:
+        if len(self.waiting) > _MOST_WAITING:
             self._write_chunk(self.waiting.popleft())
 
     def flush(self) -> None:

@@ -26,7 +26,7 @@ class Simulation:
     rate_hz: float = 100.0  # unless another is asked for
 
 
-HAND_SENSORS = {sensor.name: sensor for sensor in (scenes.CALIBRATED, PHONE, PERFECT)}
+_HAND_SENSORS = {sensor.name: sensor for sensor in (scenes.CALIBRATED, PHONE, PERFECT)}
 
 SIMULATIONS: dict[str, Simulation] = {
     "phone-1": Simulation(
@@ -62,31 +62,31 @@ SIMULATIONS: dict[str, Simulation] = {
     "hand-calm": Simulation(
         "calibrated phone carried about, without disturbance: what the other hand-… are compared with",
         3.0,
-        HAND_SENSORS,
+        _HAND_SENSORS,
         partial(scenes.simulate_scene, "hand-calm", scenes.CARRIED, None),
     ),
     "hand-magnet": Simulation(
         "the same, passing magnets of 30 uT, four in a minute of motion",
         3.0,
-        HAND_SENSORS,
+        _HAND_SENSORS,
         partial(scenes.simulate_scene, "hand-magnet", scenes.CARRIED, scenes.Magnets()),
     ),
     "hand-vibration": Simulation(
         "the same, with bursts of vibration that shift the mean of gyro and accelerometer",
         3.0,
-        HAND_SENSORS,
+        _HAND_SENSORS,
         partial(scenes.simulate_scene, "hand-vibration", scenes.CARRIED, scenes.Vibration()),
     ),
     "hand-bias-steps": Simulation(
         "the same, with a gyro whose bias steps by 0.5 deg/s",
         3.0,
-        HAND_SENSORS,
+        _HAND_SENSORS,
         partial(scenes.simulate_scene, "hand-bias-steps", scenes.CARRIED, scenes.BiasSteps()),
     ),
     "hand-translation": Simulation(
         "the same phone moved over metres with accelerations of up to 1 g",
         3.0,
-        HAND_SENSORS,
+        _HAND_SENSORS,
         partial(scenes.simulate_scene, "hand-translation", scenes.FLUNG, None),
     ),
     "auv-dolphin": Simulation(

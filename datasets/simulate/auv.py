@@ -28,23 +28,23 @@ from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroMode
 # Off the coast where the paper was written, on the day on which the journal received it.
 CASPIAN = Scene((36.9, 50.9, -27.0), "2022-08-09T08:00:00+00:00")
 
-SURFACE_S, DIVE_S = 110.0, 40.0  # before and after; down and up
-SHORTEST_CRUISE_S = 60.0
-DIVE_PITCH_DEG = 20.0
-SPEED_MPS = (1.5, 2.5)  # on the surface, below
-HEADING_DEG = 40.0  # true
-SLALOM_DEG, SLALOM_S = -25.0, (30.0, 60.0)  # a leg of another heading on the first surface run
-SNAKING_DEG, SNAKING_PERIOD_S = 1.5, 90.0  # how well the heading is kept
-GPS_HZ = 1.0
+_SURFACE_S, _DIVE_S = 110.0, 40.0  # before and after; down and up
+_SHORTEST_CRUISE_S = 60.0
+_DIVE_PITCH_DEG = 20.0
+_SPEED_MPS = (1.5, 2.5)  # on the surface, below
+_HEADING_DEG = 40.0  # true
+_SLALOM_DEG, _SLALOM_S = -25.0, (30.0, 60.0)  # a leg of another heading on the first surface run
+_SNAKING_DEG, _SNAKING_PERIOD_S = 1.5, 90.0  # how well the heading is kept
+_GPS_HZ = 1.0
 KNOTS_HZ = 20.0
 MARGIN_S = 1.0  # the splines reach beyond the mission, where their ends would ring
 
 # Shares and frequencies (Hz) of the components of the waves.
-ROLLING = ((0.6, 0.18), (0.4, 0.25), (0.3, 0.33), (0.15, 0.5))
-PITCHING = ((0.6, 0.15), (0.4, 0.22))
-YAWING = ((1.0, 0.08),)
-HEAVING = ((1.0, 0.2),)
-SWAYING = ((1.0, 0.25),)
+_ROLLING = ((0.6, 0.18), (0.4, 0.25), (0.3, 0.33), (0.15, 0.5))
+_PITCHING = ((0.6, 0.15), (0.4, 0.22))
+_YAWING = ((1.0, 0.08),)
+_HEAVING = ((1.0, 0.2),)
+_SWAYING = ((1.0, 0.25),)
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ AUV = AuvSensor(
     iron=IronModel(0.67, 0.67, 0.5),
     gps=GpsModel(position_sd_m=2.0, velocity_sd_mps=0.03, first_fix_s=5.0),
 )
-PERFECT_AUV = AuvSensor("perfect")
-AUV_SENSORS: dict[str, AuvSensor] = {sensor.name: sensor for sensor in (AUV, PERFECT_AUV)}
+_PERFECT_AUV = AuvSensor("perfect")
+AUV_SENSORS: dict[str, AuvSensor] = {sensor.name: sensor for sensor in (AUV, _PERFECT_AUV)}
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def simulate_mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes:
     assert mag is not None
     assert truth is not None
     drift_b_radps = drift.bias_b_radps((truth.t_ns - CASPIAN.start_ns) / 1e9)
-    gps_at = draw_sample_times(path, ClockModel(), GPS_HZ, CASPIAN.world, seed, "gps")
+    gps_at = draw_sample_times(path, ClockModel(), _GPS_HZ, CASPIAN.world, seed, "gps")
     return replace(
         recording,
         imu=replace(imu, gyro_b_radps=imu.gyro_b_radps + drift_b_radps),
@@ -207,11 +207,11 @@ def simulate_mission(kind: str, sea: Sea, sensor: AuvSensor, seed: int, minutes:
 
 def plan_phases(total_s: float, kind: str) -> Phases:
     """Return the phases of a mission of this length: only the cruise changes with it. Raises :class:`BadParameter`."""
-    cruise_s = total_s - 2 * (SURFACE_S + DIVE_S)
-    if cruise_s < SHORTEST_CRUISE_S:
-        shortest = (total_s - cruise_s + SHORTEST_CRUISE_S) / 60
+    cruise_s = total_s - 2 * (_SURFACE_S + _DIVE_S)
+    if cruise_s < _SHORTEST_CRUISE_S:
+        shortest = (total_s - cruise_s + _SHORTEST_CRUISE_S) / 60
         raise BadParameter(f"minutes {total_s / 60:g}: {kind} needs at least {shortest:.2f}, a minute of it submerged")
-    ends = np.cumsum([SURFACE_S, DIVE_S, cruise_s, DIVE_S, SURFACE_S]).tolist()
+    ends = np.cumsum([_SURFACE_S, _DIVE_S, cruise_s, _DIVE_S, _SURFACE_S]).tolist()
     return Phases(*ends)
 
 
@@ -228,19 +228,19 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
     def left_m(ascent_pitch_deg: float) -> float:
         return float(voyage(ascent_pitch_deg).position([when.end_s])[0, 2])
 
-    return voyage(brentq(left_m, 0.5 * DIVE_PITCH_DEG, 2.0 * DIVE_PITCH_DEG, xtol=1e-3))
+    return voyage(brentq(left_m, 0.5 * _DIVE_PITCH_DEG, 2.0 * _DIVE_PITCH_DEG, xtol=1e-3))
 
 
 def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:
     """Return roll, pitch, heading (N, 3) in North-East-Down."""
     rough = _roughness(sea, when, t_s)
-    roll = rough * sea.roll_deg * sum_waves(ROLLING, t_s, seed, "roll")
-    pitch = rough * sea.pitch_deg * sum_waves(PITCHING, t_s, seed, "pitch")
-    pitch += -DIVE_PITCH_DEG * _smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
+    roll = rough * sea.roll_deg * sum_waves(_ROLLING, t_s, seed, "roll")
+    pitch = rough * sea.pitch_deg * sum_waves(_PITCHING, t_s, seed, "pitch")
+    pitch += -_DIVE_PITCH_DEG * _smooth_window(when.dive_s, when.cruise_s, t_s, 2.5)
     pitch += ascent_pitch_deg * _smooth_window(when.ascent_s, when.surfaced_s, t_s, 2.5)
-    heading = HEADING_DEG + SLALOM_DEG * _smooth_window(*SLALOM_S, t_s, 6.0)
-    heading += SNAKING_DEG * sum_waves(((1.0, 1 / SNAKING_PERIOD_S),), t_s, seed, "snaking")
-    heading += rough * sea.yaw_deg * sum_waves(YAWING, t_s, seed, "yaw")
+    heading = _HEADING_DEG + _SLALOM_DEG * _smooth_window(*_SLALOM_S, t_s, 6.0)
+    heading += _SNAKING_DEG * sum_waves(((1.0, 1 / _SNAKING_PERIOD_S),), t_s, seed, "snaking")
+    heading += rough * sea.yaw_deg * sum_waves(_YAWING, t_s, seed, "yaw")
     return np.deg2rad(np.column_stack([roll, pitch, heading]))
 
 
@@ -248,12 +248,12 @@ def _velocities(sea: Sea, when: Phases, t_s: Floats, euler_rad: Floats, seed: in
     """Return the velocity in n (N, 3): along the body's x axis, plus the waves across the heading and upwards."""
     _, pitch, heading = euler_rad.T
     below = _smooth_window(when.dive_s, when.surfaced_s, t_s, 6.0)
-    speed = SPEED_MPS[0] + (SPEED_MPS[1] - SPEED_MPS[0]) * below
+    speed = _SPEED_MPS[0] + (_SPEED_MPS[1] - _SPEED_MPS[0]) * below
     forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
     right = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros_like(heading)])
     rough = _roughness(sea, when, t_s)
-    sway = rough * sea.sway_mps2 * sum_waves(SWAYING, t_s, seed, "sway") / (2 * np.pi * SWAYING[0][1])
-    heave = rough * sea.heave_mps2 * sum_waves(HEAVING, t_s, seed, "heave") / (2 * np.pi * HEAVING[0][1])
+    sway = rough * sea.sway_mps2 * sum_waves(_SWAYING, t_s, seed, "sway") / (2 * np.pi * _SWAYING[0][1])
+    heave = rough * sea.heave_mps2 * sum_waves(_HEAVING, t_s, seed, "heave") / (2 * np.pi * _HEAVING[0][1])
     moved = speed[:, None] * forward + sway[:, None] * right
     moved[:, 2] += heave
     return moved

@@ -23,15 +23,15 @@ from stillpoint.datasets.simulate.sensor import AccelModel, ClockModel, GyroMode
 
 TOWN = Scene((48.14, 11.57, 519.0), "2024-05-14T09:00:00+00:00")
 
-LEG_S = (18.0, 35.0)  # between two stops
-STOP_S = 12.0
-SPEED_MPS = (8.0, 20.0)
-ACCELERATING_S = (6.0, 9.0)  # from standstill to speed
-TURNING_MPS2 = 2.0  # largest acceleration to the side
-SLOPE_DEG, ROLL_DEG = 2.0, 1.0
-SMOOTH_S = 0.7
-GPS_HZ, WHEEL_HZ = 1.0, 20.0
-FLU_FROM_FRD = Rotation.from_euler("x", 180, degrees=True)
+_LEG_S = (18.0, 35.0)  # between two stops
+_STOP_S = 12.0
+_SPEED_MPS = (8.0, 20.0)
+_ACCELERATING_S = (6.0, 9.0)  # from standstill to speed
+_TURNING_MPS2 = 2.0  # largest acceleration to the side
+_SLOPE_DEG, _ROLL_DEG = 2.0, 1.0
+_SMOOTH_S = 0.7
+_GPS_HZ, _WHEEL_HZ = 1.0, 20.0
+_FLU_FROM_FRD = Rotation.from_euler("x", 180, degrees=True)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Drive(Voyage):
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
         """Return the attitude, body (forward-left-up) to n, at times (N,)."""
-        return super().attitude(t_s) * FLU_FROM_FRD
+        return super().attitude(t_s) * _FLU_FROM_FRD
 
     def position(self, t_s: ArrayLike) -> Floats:
         """Return the position in n (N, 3) in m, from where the IMU is when the drive begins."""
@@ -105,24 +105,24 @@ def _plan_drive(total_s: float, seed: int) -> Drive:
     """Return the path of one drive: legs between stops, on each a speed and turns to either side."""
     t_s = np.arange(-MARGIN_S, total_s + MARGIN_S, 1 / KNOTS_HZ)
     draw = make_generator(seed, "car/path")
-    at_s, speed = [-MARGIN_S, STOP_S], [0.0, 0.0]
+    at_s, speed = [-MARGIN_S, _STOP_S], [0.0, 0.0]
     while at_s[-1] < total_s:
-        leg_s, up_s = draw.uniform(*LEG_S), draw.uniform(*ACCELERATING_S)
-        fast = draw.uniform(*SPEED_MPS)
+        leg_s, up_s = draw.uniform(*_LEG_S), draw.uniform(*_ACCELERATING_S)
+        fast = draw.uniform(*_SPEED_MPS)
         start_s = at_s[-1]
-        at_s += [start_s + up_s, start_s + leg_s, start_s + leg_s + up_s, start_s + leg_s + up_s + STOP_S]
+        at_s += [start_s + up_s, start_s + leg_s, start_s + leg_s + up_s, start_s + leg_s + up_s + _STOP_S]
         speed += [fast, fast, 0.0, 0.0]
-    smooth = SMOOTH_S * KNOTS_HZ
+    smooth = _SMOOTH_S * KNOTS_HZ
     speed_mps = gaussian_filter1d(np.interp(t_s, at_s, speed), smooth)
     corner_s = np.arange(-MARGIN_S, total_s + 8.0, 4.0)
     wanted = np.interp(t_s, corner_s, draw.uniform(-1, 1, len(corner_s)))
-    turn_radps = gaussian_filter1d(wanted * TURNING_MPS2 / np.maximum(speed_mps, 4.0) * (speed_mps > 1.0), smooth)
+    turn_radps = gaussian_filter1d(wanted * _TURNING_MPS2 / np.maximum(speed_mps, 4.0) * (speed_mps > 1.0), smooth)
     heading = draw.uniform(0, 2 * np.pi) + np.cumsum(turn_radps) / KNOTS_HZ
     hills_s = np.arange(-MARGIN_S, total_s + 40.0, 20.0)
     slopes = np.stack([draw.uniform(-1, 1, len(hills_s)) for _ in range(2)])
     pitch, roll = (
         np.deg2rad(size) * gaussian_filter1d(np.interp(t_s, hills_s, slope), 3 * smooth)
-        for size, slope in zip((SLOPE_DEG, ROLL_DEG), slopes, strict=True)
+        for size, slope in zip((_SLOPE_DEG, _ROLL_DEG), slopes, strict=True)
     )
     forward = np.column_stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)])
     euler = make_interp_spline(t_s, np.column_stack([roll, pitch, heading]), k=5)
@@ -133,7 +133,7 @@ def _plan_drive(total_s: float, seed: int) -> Drive:
 def _fixes(path: Drive, sensor: CarSensor, seed: int) -> Gps:
     receiver = sensor.receiver
     antenna = replace(path, antenna_b_m=(receiver.antenna_x_m, receiver.antenna_y_m, receiver.antenna_z_m))
-    at = draw_sample_times(path, ClockModel(), GPS_HZ, TOWN.world, seed, "gps")
+    at = draw_sample_times(path, ClockModel(), _GPS_HZ, TOWN.world, seed, "gps")
     covered = (at.t_s >= receiver.tunnel_start_s) & (at.t_s < receiver.tunnel_start_s + receiver.tunnel_s)
     open_sky = replace(sensor.gps, covered_below_m=np.inf)
     seen = measure_gps(antenna, open_sky, at, TOWN.place, seed)
@@ -143,7 +143,7 @@ def _fixes(path: Drive, sensor: CarSensor, seed: int) -> Gps:
 
 
 def _wheel(path: Drive, wheel: WheelModel, seed: int) -> Series:
-    at = draw_sample_times(path, ClockModel(), WHEEL_HZ, TOWN.world, seed, "wheel")
+    at = draw_sample_times(path, ClockModel(), _WHEEL_HZ, TOWN.world, seed, "wheel")
     draw = make_generator(seed, "wheel/errors")
     scale = 1 + wheel.scale_error * draw.standard_normal()
     speed = np.linalg.norm(velocity_n_mps(path, at.t_s), axis=1)

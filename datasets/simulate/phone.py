@@ -16,13 +16,13 @@ from stillpoint.datasets.simulate.record import Order, Scene, record_path
 from stillpoint.datasets.simulate.sensor import Sensor
 
 # The north of Tehran, where the paper was written, on the day on which the journal received it.
-TEHRAN = Scene((35.80, 51.49, 1600.0), "2021-06-12T08:00:00+00:00")
-BASE_EULER_NWU_DEG = (0.4, -0.3, 40.0)  # a table that is nearly level; the phone's x axis points 40 deg east of north
+_TEHRAN = Scene((35.80, 51.49, 1600.0), "2021-06-12T08:00:00+00:00")
+_BASE_EULER_NWU_DEG = (0.4, -0.3, 40.0)  # a table that is nearly level; the phone's x axis points 40 deg east of north
 
-SWING_S = (20.0, 30.0)
-RETURN_S = (3.0, 6.0)
-SHORTEST_TURN_S = 0.15
-SHORTEST_REACH_S = 0.06
+_SWING_S = (20.0, 30.0)
+_RETURN_S = (3.0, 6.0)
+_SHORTEST_TURN_S = 0.15
+_SHORTEST_REACH_S = 0.06
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def simulate_experiment(kind: str, hand: Hand, sensor: Sensor, seed: int, minute
     """Simulate one experiment. Raises :class:`BadParameter` when ``minutes`` leave no room for a swing."""
     path = draw_path(hand, minutes * 60, seed, kind)
     facts = {"motion": asdict(hand), "rests_s": path.rests_s.tolist()}
-    recording = record_path(path, sensor, TEHRAN, Order(kind, seed, minutes, rate_hz), facts)
+    recording = record_path(path, sensor, _TEHRAN, Order(kind, seed, minutes, rate_hz), facts)
     return replace(recording, base_pose=path.base_q_nb)
 
 
@@ -118,7 +118,7 @@ def draw_path(hand: Hand, total_s: float, seed: int, kind: str) -> Path:
         jolts += _swing(span_s, np.zeros(3), np.zeros(3), np.asarray(hand.jolt_m), jolt_s, rng)
     for chain in (turns, places, jolts):
         chain.append((total_s, chain[-1][1]))
-    base_q_nb = from_euler(np.deg2rad(BASE_EULER_NWU_DEG), "nwu")
+    base_q_nb = from_euler(np.deg2rad(_BASE_EULER_NWU_DEG), "nwu")
     base = rotation(base_q_nb)
     in_n = tuple(join_strokes([t for t, _ in chain], base.apply([at for _, at in chain])) for chain in (places, jolts))
     return Path(base_q_nb, join_strokes(*zip(*turns, strict=True)), in_n, rests, hand.arm_b_m)
@@ -128,14 +128,14 @@ def plan_rests(initial_rest_s: float, total_s: float, seed: int, kind: str) -> F
     """Return the rests (R, 2) in s: one at first, then one after each swing of 20-30 s; the last takes what is left."""
     rng = make_generator(seed, f"{kind}/protocol")
     rests = [[0.0, initial_rest_s]]
-    while total_s - rests[-1][1] >= SWING_S[0] + RETURN_S[0]:
+    while total_s - rests[-1][1] >= _SWING_S[0] + _RETURN_S[0]:
         left = total_s - rests[-1][1]
-        swing = min(rng.uniform(*SWING_S), left - RETURN_S[0])
-        rest = min(rng.uniform(*RETURN_S), left - swing)
+        swing = min(rng.uniform(*_SWING_S), left - _RETURN_S[0])
+        rest = min(rng.uniform(*_RETURN_S), left - swing)
         start = rests[-1][1] + swing
         rests.append([start, start + rest])
     if len(rests) == 1:
-        shortest = (initial_rest_s + SWING_S[0] + RETURN_S[0]) / 60
+        shortest = (initial_rest_s + _SWING_S[0] + _RETURN_S[0]) / 60
         raise BadParameter(f"minutes {total_s / 60:g}: {kind} needs at least {shortest:.2f}, a rest and one swing")
     rests[-1][1] = total_s
     return np.array(rests)
@@ -168,7 +168,7 @@ def _swing(
 def _turn_s(rate_radps: Floats, way_rad: Floats, speed: float) -> float:
     """Return the time of a minimum-jerk turn, whose rate peaks at 15/8 of its mean."""
     slowest, fastest = rate_radps
-    return max(SHORTEST_TURN_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
+    return max(_SHORTEST_TURN_S, 15 / 8 * float(np.linalg.norm(way_rad)) / (slowest ** (1 - speed) * fastest**speed))
 
 
 def _reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> float:
@@ -177,4 +177,4 @@ def _reach_s(accel_mps2: tuple[float, float], way_m: Floats, speed: float) -> fl
     """
     slowest, fastest = accel_mps2
     peak = slowest ** (1 - speed) * fastest**speed
-    return max(SHORTEST_REACH_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))
+    return max(_SHORTEST_REACH_S, float(np.sqrt(10 / np.sqrt(3) * np.linalg.norm(way_m) / peak)))

@@ -24,7 +24,7 @@ from stillpoint.datasets.simulate.sensor import PERFECT, AccelModel, ClockModel,
 
 # Where the paper was written; it has no date.
 ULAANBAATAR = Scene((47.92, 106.92, 1350.0), "2014-05-01T04:00:00+00:00")
-HOME_EULER_ENU_DEG = (0.5, -0.3, 20.0)  # nearly level; the axis of the servo is the body's x
+_HOME_EULER_ENU_DEG = (0.5, -0.3, 20.0)  # nearly level; the axis of the servo is the body's x
 
 # By their data sheets (PS-MPU-6000A rev. 3.4; HMC5883L): a tolerance counts as three standard deviations.
 MPU6050 = Sensor(
@@ -189,7 +189,7 @@ def plan_swings(bench: Bench, total_s: float, seed: int, kind: str) -> Swings:
         [make_generator(seed, f"{kind}/home/{k}").standard_normal() * bench.home_deg for k in range(len(rests))]
     )
     still = Swings(
-        from_euler(np.deg2rad(HOME_EULER_ENU_DEG), "enu"),
+        from_euler(np.deg2rad(_HOME_EULER_ENU_DEG), "enu"),
         np.array(rests),
         np.array(rates),
         np.deg2rad(np.concatenate([[0.0], homes[1:]])),

@@ -14,8 +14,8 @@ from scipy.signal import lfilter
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.simulate.generators import make_generator
 
-KNOT_S = 0.02  # between the knots of the drive's rate
-RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its stated size
+_KNOT_S = 0.02  # between the knots of the drive's rate
+_RIPPLE_AT_DEGPS = 2020.0  # the speed at which the ripple once per turn has its stated size
 
 
 @dataclass(frozen=True)
@@ -81,20 +81,20 @@ def decaying_spin(t_s: Floats) -> Floats:
 
 def make_path(motor: Motor, length_s: float, seed: int) -> SpinPath:
     """Return the path of a motor, or of a body that air slows."""
-    knots_s = np.arange(int(np.ceil(length_s / KNOT_S)) + 5) * KNOT_S - 2 * KNOT_S
+    knots_s = np.arange(int(np.ceil(length_s / _KNOT_S)) + 5) * _KNOT_S - 2 * _KNOT_S
     speed_degps = motor.speed_degps(np.maximum(knots_s, 0)) + motor.ripple_degps * _wandering(
         motor.ripple_s, len(knots_s), seed
     )
     drive = CubicSpline(knots_s, np.deg2rad(speed_degps)).antiderivative()
     drive.c[-1] -= drive(0.0)
     phase = make_generator(seed, "spin/phase").uniform(0, 2 * np.pi)
-    return SpinPath(drive, motor.once_per_turn_degps / RIPPLE_AT_DEGPS, phase)
+    return SpinPath(drive, motor.once_per_turn_degps / _RIPPLE_AT_DEGPS, phase)
 
 
 def _wandering(time_s: float, count: int, seed: int) -> Floats:
     """Return white noise through two first-order lags, of unit standard deviation in the long run."""
-    keep = np.exp(-KNOT_S / time_s)
-    settle = int(10 * time_s / KNOT_S)
+    keep = np.exp(-_KNOT_S / time_s)
+    settle = int(10 * time_s / _KNOT_S)
     noise = make_generator(seed, "spin/ripple").standard_normal(settle + count)
     twice = lfilter([1.0], [1.0, -2 * keep, keep**2], noise)[settle:]
     return np.asarray(twice * np.sqrt((1 - keep**2) ** 3 / (1 + keep**2)))

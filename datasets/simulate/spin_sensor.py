@@ -13,7 +13,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 
-ADXL345_NOISE_MPS2 = 0.06  # rms of one sample, as measured on boards of the +-16 g range
+_ADXL345_NOISE_MPS2 = 0.06  # rms of one sample, as measured on boards of the +-16 g range
 
 
 @dataclass(frozen=True)
@@ -91,17 +91,17 @@ def _make_presets(white: SpinSensor, quiet: SpinSensor) -> Mapping[str, SpinSens
     """Return the presets of a scenario by name; ``white`` has the printed variances, ``quiet`` is the noise under
     glitches.
     """
-    shaken_mps2 = (white.tangential.noise_mps2**2 - ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
-    shaken = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
+    shaken_mps2 = (white.tangential.noise_mps2**2 - _ADXL345_NOISE_MPS2**2) ** 0.5  # D5 once per turn, not white
+    shaken = SpinAccel(noise_mps2=_ADXL345_NOISE_MPS2, vibration_1x_mps2=shaken_mps2)
     vibration = replace(white, name="vibration", tangential=shaken)
-    turning, rest = (share**0.5 * white.radial.noise_mps2 for share in (VIBRATION_F4, 1 - VIBRATION_F4))
+    turning, rest = (share**0.5 * white.radial.noise_mps2 for share in (_VIBRATION_F4, 1 - _VIBRATION_F4))
     radial = SpinAccel(noise_mps2=rest, vibration_1x_mps2=turning)
     vibration_f4 = replace(white, name="vibration-f4", radial=radial)
-    glitch = replace(_add_glitches(quiet, GLITCHES_PER_S), name="glitch")
-    noise = REPLICA_NOISE * glitch.radial.noise_mps2
-    fitted = {"offset_mps2": RESIDUAL_F4_MPS2, "noise_mps2": noise, "glitch_low_g": REPLICA_GLITCH_LOW_G}
+    glitch = replace(_add_glitches(quiet, _GLITCHES_PER_S), name="glitch")
+    noise = _REPLICA_NOISE * glitch.radial.noise_mps2
+    fitted = {"offset_mps2": _RESIDUAL_F4_MPS2, "noise_mps2": noise, "glitch_low_g": _REPLICA_GLITCH_LOW_G}
     replica = replace(glitch, name="replica", radial=replace(glitch.radial, **fitted))
-    part = SpinAccel(noise_mps2=ADXL345_NOISE_MPS2, bias_mg=40.0, scale_error=0.005, arm_error=0.001)
+    part = SpinAccel(noise_mps2=_ADXL345_NOISE_MPS2, bias_mg=40.0, scale_error=0.005, arm_error=0.001)
     loose = SpinSensor("adxl345", part, part, part, gyro_noise_degps=0.1, gyro_bias_degps=0.2, lost_share=0.001)
     perfect = SpinSensor("perfect", bits=None, encoder=EncoderModel(counts_per_turn=None, latency_s=0.0))
     return {one.name: one for one in (white, vibration, vibration_f4, glitch, replica, loose, perfect)}
@@ -114,21 +114,21 @@ def _make_tilted_presets(white: SpinSensor) -> Mapping[str, SpinSensor]:
     return {name: replace(unknown, name=name, tilt_deg=tilt) for name, tilt in (("tilted", 30.0), ("horizontal", 90.0))}
 
 
-VIBRATION_F4 = 0.7  # share of D4 that is vibration in the preset "vibration-f4"
-GLITCHES_PER_S = 2 / 30  # about two in a recording of 30 s
+_VIBRATION_F4 = 0.7  # share of D4 that is vibration in the preset "vibration-f4"
+_GLITCHES_PER_S = 2 / 30  # about two in a recording of 30 s
 # Fitted to the worst of ten trials with the printed AEKF of Asghari et al. 2018: 3 deg, 20.92 deg/s, RMSE 1.25 deg/s.
-RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s
-REPLICA_NOISE = 1.05  # of the quiet sensor's
-REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out
+_RESIDUAL_F4_MPS2 = 0.009  # 0.9 mg: 2.2 deg after 30 s
+_REPLICA_NOISE = 1.05  # of the quiet sensor's
+_REPLICA_GLITCH_LOW_G = 3.7  # the smaller a glitch, the less alpha keeps it out
 # D4 = 0.8 and D5 = 0.12 (m/s^2)^2 in the constant scenario (eqs (29), (31)), 0.4 and 3 in the variable one.
-WHITE_CONSTANT = make_white_noise("white", 0.3, 0.8**0.5, 0.12**0.5)
-WHITE_VARIABLE = make_white_noise("white", 0.3, 0.4**0.5, 3.0**0.5)
+_WHITE_CONSTANT = make_white_noise("white", 0.3, 0.8**0.5, 0.12**0.5)
+_WHITE_VARIABLE = make_white_noise("white", 0.3, 0.4**0.5, 3.0**0.5)
 CONSTANT = {
-    **_make_presets(WHITE_CONSTANT, make_white_noise("quiet", 0.06, 0.13, 0.08)),
-    **_make_tilted_presets(WHITE_CONSTANT),
+    **_make_presets(_WHITE_CONSTANT, make_white_noise("quiet", 0.06, 0.13, 0.08)),
+    **_make_tilted_presets(_WHITE_CONSTANT),
 }
 VARIABLE = {
-    **_make_presets(WHITE_VARIABLE, make_white_noise("quiet", 0.06, 0.3, 3.0**0.5)),
-    **_make_tilted_presets(WHITE_VARIABLE),
+    **_make_presets(_WHITE_VARIABLE, make_white_noise("quiet", 0.06, 0.3, 3.0**0.5)),
+    **_make_tilted_presets(_WHITE_VARIABLE),
 }
 FLIGHT = _make_presets(make_white_noise("white", 0.3, 0.3, 0.3), make_white_noise("quiet", 0.1, 0.1, 0.1))

@@ -15,9 +15,9 @@ from stillpoint.filters.spin.sample import SpinSample
 from stillpoint.filters.table import Estimator, SpinEstimator, find_estimator
 
 EXPORTED = ("cf", "cf-fixed", "kf-axis", "ekf", "roll-ekf", "roll-aekf")
-NO_VECTOR = (0.0, 0.0, 0.0)
+_NO_VECTOR = (0.0, 0.0, 0.0)
 
-LICENCE = """/*
+_LICENCE = """/*
  * {title}
  * Made by stillpoint export-c from the estimator {name}. SPDX-License-Identifier: MIT
  *
@@ -25,13 +25,13 @@ LICENCE = """/*
  * Define STILLPOINT_SINGLE for single precision. Compile without -ffast-math.
  */
 """
-ATTITUDE_UNITS = """SI units, field in uT. b: body axes. n: East-North-Up. q_nb = (w, x, y, z) rotates b into n.
+_ATTITUDE_UNITS = """SI units, field in uT. b: body axes. n: East-North-Up. q_nb = (w, x, y, z) rotates b into n.
  * Samples have to be plausible: leave out (NULL) what is saturated or not a number."""
-SPIN_UNITS = (
+_SPIN_UNITS = (
     """SI units. The two observations are made of the accelerometers as in Asghari et al. 2018, eqs (4), (5), (26)."""
 )
 
-HEADER = """{licence}#ifndef STILLPOINT_{upper}_H
+_HEADER = """{licence}#ifndef STILLPOINT_{upper}_H
 #define STILLPOINT_{upper}_H
 
 #include <stdbool.h>
@@ -71,7 +71,7 @@ void {prefix}_init({prefix}_filter *filter);
 #endif
 """
 
-SOURCE = """{licence}#include "{prefix}.h"
+_SOURCE = """{licence}#include "{prefix}.h"
 
 #include <math.h>
 #include <stddef.h>
@@ -103,7 +103,7 @@ const {coefficients} {prefix}_parameters = {values};
 {update}"""
 
 # Those that a filter needs are kept.
-HELPERS = {
+_HELPERS = {
     "min_real(": """static sp_real min_real(sp_real a, sp_real b)
 {
     return b < a ? b : a;
@@ -128,28 +128,28 @@ HELPERS = {
 """,
 }
 
-ATTITUDE_COMMENT = """/*
+_ATTITUDE_COMMENT = """/*
  * Take one sample and return whether the attitude is ready.
  * dt_s: since the sample before, 0 for the first; the gyro describes this interval.
  * accel_b_mps2, mag_b_ut: NULL where there is no new one. q_nb: 4 values.
  * bias_b_radps: the gyro's bias, 3 values, or NULL. cov_b_rad2: rows of the attitude's 3 x 3 covariance in body axes,
  * or NULL{no_cov}.
  */"""
-ATTITUDE_PROTOTYPE = """bool {prefix}_update({prefix}_filter *filter, sp_real dt_s, const sp_real gyro_b_radps[3],
+_ATTITUDE_PROTOTYPE = """bool {prefix}_update({prefix}_filter *filter, sp_real dt_s, const sp_real gyro_b_radps[3],
     const sp_real *accel_b_mps2, const sp_real *mag_b_ut, sp_real q_nb[4], sp_real *bias_b_radps,
     sp_real *cov_b_rad2)"""
-SPIN_COMMENT = """/*
+_SPIN_COMMENT = """/*
  * Take one sample and return whether angle and rate are ready.
  * dt_s: since the sample before. accel_radps2: angular acceleration; square_rad2ps2: square of the rate; NULL where
  * missing. direction: +1 or -1 where a sensor shows the sense of the spin, else 0.
  * turns, rest_rad: the angle, whole turns and a rest within half a turn.
  * variances: of the angle, of both, of the rate; or NULL.
  */"""
-SPIN_PROTOTYPE = """bool {prefix}_update({prefix}_filter *filter, sp_real dt_s, const sp_real *accel_radps2,
+_SPIN_PROTOTYPE = """bool {prefix}_update({prefix}_filter *filter, sp_real dt_s, const sp_real *accel_radps2,
     const sp_real *square_rad2ps2, int direction, int *turns, sp_real *rest_rad, sp_real *rate_radps,
     sp_real *variances)"""
 
-ATTITUDE_SAMPLE = """{prefix}_sample sample = {{
+_ATTITUDE_SAMPLE = """{prefix}_sample sample = {{
     dt_s, {{{{0}}}}, {{{{0}}}}, {{{{0}}}}, accel_b_mps2 != NULL, mag_b_ut != NULL, {{{{0}}}}
 }};
 for (int i = 0; i < 3; i++) {{
@@ -157,7 +157,7 @@ for (int i = 0; i < 3; i++) {{
     sample.accel_b_mps2.v[i] = accel_b_mps2 != NULL ? accel_b_mps2[i] : REAL(0.0);
     sample.mag_b_ut.v[i] = mag_b_ut != NULL ? mag_b_ut[i] : REAL(0.0);
 }}"""
-SPIN_SAMPLE = """const {prefix}_spin_sample sample = {{
+_SPIN_SAMPLE = """const {prefix}_spin_sample sample = {{
     dt_s,
     accel_radps2 != NULL ? *accel_radps2 : REAL(0.0),
     square_rad2ps2 != NULL ? *square_rad2ps2 : REAL(0.0),
@@ -216,15 +216,15 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
     step: Any = entry.step
     made = whole.add(step.py_func, kinds)
     arrays = _find_arrays(kinds[0], state, "")
-    prototype = (SPIN_PROTOTYPE if is_spin else ATTITUDE_PROTOTYPE).format(prefix=prefix)
+    prototype = (_SPIN_PROTOTYPE if is_spin else _ATTITUDE_PROTOTYPE).format(prefix=prefix)
     update = _write_update(prototype, prefix, types, made, arrays, is_spin)
     functions = "\n".join(whole.bodies)
     shared = {
-        "licence": LICENCE.format(title=entry.summary, name=name, units=SPIN_UNITS if is_spin else ATTITUDE_UNITS),
+        "licence": _LICENCE.format(title=entry.summary, name=name, units=_SPIN_UNITS if is_spin else _ATTITUDE_UNITS),
         "prefix": prefix,
         "coefficients": types.name(kinds[2]),
     }
-    header = HEADER.format(
+    header = _HEADER.format(
         **shared,
         upper=prefix.upper(),
         types="\n".join(types.definitions),
@@ -234,10 +234,10 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
         prototype_comment=_comment_update(entry),
         prototype=prototype,
     )
-    source = SOURCE.format(
+    source = _SOURCE.format(
         **shared,
         values=types.write_value(c),
-        helpers="".join(text for call_of, text in HELPERS.items() if call_of in functions),
+        helpers="".join(text for call_of, text in _HELPERS.items() if call_of in functions),
         functions=functions,
         init=_write_init(prefix, types.name(kinds[0]), types, state, arrays),
         update=update,
@@ -248,8 +248,8 @@ def _write(name: str, entry: Estimator | SpinEstimator, c: Any, settings: Settin
 def _comment_update(entry: Estimator | SpinEstimator) -> str:
     """Return the comment of the public update."""
     if isinstance(entry, SpinEstimator):
-        return SPIN_COMMENT
-    return ATTITUDE_COMMENT.format(no_cov="" if entry.gives_cov else "; this filter knows none and writes NaN")
+        return _SPIN_COMMENT
+    return _ATTITUDE_COMMENT.format(no_cov="" if entry.gives_cov else "; this filter knows none and writes NaN")
 
 
 def _describe(settings: Settings) -> str:
@@ -261,7 +261,7 @@ def _empty_sample(is_spin: bool) -> Sample | SpinSample:
     """Return a sample, for its types."""
     if is_spin:
         return SpinSample(0.0, 0.0, 0.0, 1.0, 1.0, False, False, 0)
-    return Sample(0.0, NO_VECTOR, NO_VECTOR, NO_VECTOR, False, False, NO_VECTOR)
+    return Sample(0.0, _NO_VECTOR, _NO_VECTOR, _NO_VECTOR, False, False, _NO_VECTOR)
 
 
 def _find_arrays(kind: CType, value: Any, path: str) -> list[tuple[str, Any]]:
@@ -302,7 +302,7 @@ def _write_update(
     given = f"filter->inner, sample, {prefix}_parameters" + (", storage" if storage else "")
     lines = [
         *storage,
-        *(SPIN_SAMPLE if is_spin else ATTITUDE_SAMPLE).format(prefix=prefix).splitlines(),
+        *(_SPIN_SAMPLE if is_spin else _ATTITUDE_SAMPLE).format(prefix=prefix).splitlines(),
         *(f"filter->inner{path} = filter->array{k};" for k, (path, _) in enumerate(arrays)),
         f"const {types.name(made.returns)} made = step({given});",
         "filter->inner = made.f0;",

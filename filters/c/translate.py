@@ -41,8 +41,8 @@ from stillpoint.filters.c.types import (
 
 Value = tuple[str, CType]  # an expression in C, and its type
 
-BINARY: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"}
-COMPARE: dict[type[ast.cmpop], str] = {
+_BINARY: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%"}
+_COMPARE: dict[type[ast.cmpop], str] = {
     ast.Lt: "<",
     ast.LtE: "<=",
     ast.Gt: ">",
@@ -50,9 +50,9 @@ COMPARE: dict[type[ast.cmpop], str] = {
     ast.Eq: "==",
     ast.NotEq: "!=",
 }
-WIDTH = 110  # of a line in C
-RENAMED = {"exp": "exp_rotation", "log": "log_rotation"}  # C has these names for numbers
-MATH = {"sqrt": "SQRT", "sin": "SIN", "cos": "COS", "exp": "EXP", "atan2": "ATAN2"}
+_WIDTH = 110  # of a line in C
+_RENAMED = {"exp": "exp_rotation", "log": "log_rotation"}  # C has these names for numbers
+_MATH = {"sqrt": "SQRT", "sin": "SIN", "cos": "COS", "exp": "EXP", "atan2": "ATAN2"}
 
 
 class _NotTranslated(TypeError):
@@ -83,7 +83,7 @@ class Translation:
         if key not in self.functions:
             taken = {made.name for made in self.functions.values()}
             plain = function.__name__.lstrip("_")  # C reserves names that begin with an underscore
-            name, k = RENAMED.get(plain, plain), 2
+            name, k = _RENAMED.get(plain, plain), 2
             while name in taken:
                 name, k = f"{function.__name__}_{k}", k + 1
             body = _Body(self, function, kinds)
@@ -141,7 +141,7 @@ class _Body:
                 self.assign(target, ast.Name(first.id, ast.Load()) if isinstance(first, ast.Name) else node.value)
         elif isinstance(node, ast.AugAssign):
             place, _ = self.value(node.target, is_target=True)
-            self.emit(f"{place} {BINARY[type(node.op)]}= {self.value(node.value)[0]};")
+            self.emit(f"{place} {_BINARY[type(node.op)]}= {self.value(node.value)[0]};")
         elif isinstance(node, ast.Return):
             self.add_return(node)
         elif isinstance(node, ast.If):
@@ -388,9 +388,9 @@ class _Body:
         right = _strip_parentheses(right) if _rank_of(node.right) > rank else right
         if isinstance(node.op, ast.FloorDiv) and result == INT:
             return f"({left} / {right})", INT  # of numbers that are not negative
-        if type(node.op) not in BINARY:
+        if type(node.op) not in _BINARY:
             raise self.refuse(node)
-        return f"({left} {BINARY[type(node.op)]} {right})", result
+        return f"({left} {_BINARY[type(node.op)]} {right})", result
 
     def unary(self, node: ast.UnaryOp) -> Value:
         """Return a number with its sign changed, or a negation."""
@@ -404,10 +404,10 @@ class _Body:
 
     def compare(self, node: ast.Compare) -> Value:
         """Return a comparison of two numbers."""
-        if len(node.ops) != 1 or type(node.ops[0]) not in COMPARE:
+        if len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE:
             raise self.refuse(node)
         left, right = self.value(node.left)[0], self.value(node.comparators[0])[0]
-        return f"({left} {COMPARE[type(node.ops[0])]} {right})", BOOL
+        return f"({left} {_COMPARE[type(node.ops[0])]} {right})", BOOL
 
     def choice(self, node: ast.IfExp) -> Value:
         """Return one of two values."""
@@ -492,8 +492,8 @@ class _Body:
     def call_builtin(self, name: str, texts: list[str], values: list[Value], node: ast.Call) -> Value:
         """Return a call of a function of Python's own."""
         inner, kinds = ", ".join(texts), [kind for _, kind in values]
-        if name in MATH:
-            return f"{MATH[name]}({inner})", REAL
+        if name in _MATH:
+            return f"{_MATH[name]}({inner})", REAL
         if name == "abs" and kinds == [REAL]:
             return f"FABS({inner})", REAL
         if name in ("min", "max") and len(texts) == 2 and REAL in kinds:
@@ -512,7 +512,7 @@ def wrap_lines(text: str) -> str:
         indent = line[: len(line) - len(line.lstrip())]
         later = indent + ("* " if line.startswith(" * ") else "    ")
         wrapped += textwrap.wrap(
-            line, WIDTH, subsequent_indent=later, break_long_words=False, break_on_hyphens=False
+            line, _WIDTH, subsequent_indent=later, break_long_words=False, break_on_hyphens=False
         ) or [""]
     return "\n".join(wrapped)
 

@@ -71,7 +71,7 @@ from stillpoint.filters.rotation import Quaternion, Vector, conjugate, multiply,
 from stillpoint.filters.sample import GAP_S, Floats, Log, Output, Sample, read_sample
 
 # 1 - (correlation of error and integral)^2 below which both gains together explain the samples, but neither alone.
-LEAST_INDEPENDENT = 1e-5
+_LEAST_INDEPENDENT = 1e-5
 
 
 class Regression(NamedTuple):
@@ -126,7 +126,7 @@ def _add_row(fit: Fit, error: float, integral: float, added: float, dt_s: float,
     samples += 1
     if samples >= c.fixed_samples:
         determinant = ee * ii - ei * ei
-        if determinant > LEAST_INDEPENDENT * ee * ii:
+        if determinant > _LEAST_INDEPENDENT * ee * ii:
             kp, ki = (ii * es - ei * si) / determinant, (ee * si - ei * es) / determinant
             if not c.as_printed:
                 best_kp, best_ki = kp, ki
@@ -160,7 +160,7 @@ def _interrupt_part(part: Part) -> Part:
 
 
 # The horizontal part of the body's x axis, squared, below which there is no direction of travel.
-LEAST_FORWARD = 1e-6
+_LEAST_FORWARD = 1e-6
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def _forward_direction(q_nb: Quaternion) -> tuple[float, float]:
     w, x, y, z = q_nb
     half_east, half_north = 1.0 * 0.5 - y * y - z * z, x * y + w * z
     flat = half_east * half_east + half_north * half_north
-    if flat < LEAST_FORWARD:
+    if flat < _LEAST_FORWARD:
         return 1.0, 0.0
     size = 1.0 / sqrt(flat)
     return half_east * size, half_north * size

@@ -27,7 +27,7 @@ from stillpoint.filters.rotation import (
 from stillpoint.filters.sample import Output, Sample
 
 # Sums shorter than that share of what was summed point nowhere: the attitudes of the window cancel each other.
-LEAST_SUM = 0.01
+_LEAST_SUM = 0.01
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _slide_window(window: Window, q_nb: Quaternion, t_ns: int, c: Coefficients) 
 @compiled
 def _mean_attitude(window: Window, q_nb: Quaternion) -> tuple[Quaternion, bool]:
     """Return the attitude whose up and east are nearest to the sums; ``q_nb`` and False where these cancel."""
-    least = 1.0 * window.held * LEAST_SUM
+    least = 1.0 * window.held * _LEAST_SUM
     height = norm(window.up_sum_b)
     if height < least:
         return q_nb, False

@@ -19,15 +19,15 @@ from stillpoint.filters.rotation import Vector
 from stillpoint.filters.sample import GAP_S, Sample
 
 # The last good rate stands in for broken ones that long; after it the body is taken to rest.
-HOLD_NS = 1_000_000_000
+_HOLD_NS = 1_000_000_000
 # How fast a body may turn otherwise than it did (sd, each axis), where the gyro says nothing.
-UNSEEN_RADPS = 1.0
+_UNSEEN_RADPS = 1.0
 # The stamp of what has not been: any clock begins later.
-NEVER_NS = -(2**63)
-LONGEST_NS = 2**63 - 1
+_NEVER_NS = -(2**63)
+_LONGEST_NS = 2**63 - 1
 # So many stamps in a row, at least, show another clock.
-CLOCK_SAMPLES = 10
-CLOCK_NS = round(GAP_S * 1e9)
+_CLOCK_SAMPLES = 10
+_CLOCK_NS = round(GAP_S * 1e9)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Gyro(NamedTuple):
     """The guard's memory of the gyro."""
 
     last_b_radps: Vector  # good one
-    last_ns: int  # its stamp, NEVER_NS before the first
+    last_ns: int  # its stamp, _NEVER_NS before the first
     n_bad_gyro: int  # not finite, or beyond any sensor: the last good one stands in, then rest
     n_saturated_gyro: int  # used as they are: no better rate is known. The sample says by how much they may be off
     n_same_gyro: int  # bit for bit the one before; used
@@ -105,7 +105,7 @@ class Late(NamedTuple):
 class Guard(NamedTuple):
     """The state of the guard between two samples, and its counts."""
 
-    t_ns: int  # of the last sample taken, NEVER_NS before the first
+    t_ns: int  # of the last sample taken, _NEVER_NS before the first
     late: Late
     gyro: Gyro
     accel: Accel
@@ -132,7 +132,7 @@ def coefficients(ranges: Ranges) -> Coefficients:
 @compiled_inside
 def _no_late_stamps() -> Late:
     """Return an empty record of late stamps."""
-    return Late(NEVER_NS, NEVER_NS, 0)
+    return Late(_NEVER_NS, _NEVER_NS, 0)
 
 
 @compiled_inside
@@ -140,8 +140,8 @@ def start(c: Coefficients) -> Guard:
     """Return the state before the first sample."""
     none = nan  # the same as no vector
     last = (none, none, none)
-    gyro = Gyro(last, NEVER_NS, 0, 0, 0)
-    return Guard(NEVER_NS, _no_late_stamps(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
+    gyro = Gyro(last, _NEVER_NS, 0, 0, 0)
+    return Guard(_NEVER_NS, _no_late_stamps(), gyro, Accel(last, 0, 0, 0), Mag(last, 0, 0, 0), 0, 0, 0)
 
 
 @compiled_inside
@@ -163,7 +163,7 @@ def _hidden_by_clipping(rate: float, limit: float) -> float:
 def _elapsed_ns(t_ns: int, before_ns: int) -> int:
     """Return the time from the second stamp to the first, which is later; at most the largest int64."""
     elapsed = t_ns - before_ns
-    return elapsed if elapsed >= 0 else LONGEST_NS
+    return elapsed if elapsed >= 0 else _LONGEST_NS
 
 
 @compiled_inside
@@ -173,7 +173,7 @@ def _add_late_stamp(late: Late, t_ns: int) -> tuple[Late, bool]:
     if in_row == 0 or t_ns <= last_ns:
         return Late(t_ns, t_ns, 1), False
     late = Late(first_ns, t_ns, in_row + 1)
-    return late, in_row + 1 >= CLOCK_SAMPLES and _elapsed_ns(t_ns, first_ns) > CLOCK_NS
+    return late, in_row + 1 >= _CLOCK_SAMPLES and _elapsed_ns(t_ns, first_ns) > _CLOCK_NS
 
 
 @compiled_inside
@@ -186,11 +186,11 @@ def _choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple
         x, y, z = reading.vector
         hidden = _hidden_by_clipping(x, limit), _hidden_by_clipping(y, limit), _hidden_by_clipping(z, limit)
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
-    unseen = UNSEEN_RADPS
+    unseen = _UNSEEN_RADPS
     rate, hidden = (0.0, 0.0, 0.0), (unseen, unseen, unseen)
-    if last_ns != NEVER_NS and _elapsed_ns(t_ns, last_ns) <= HOLD_NS:
+    if last_ns != _NEVER_NS and _elapsed_ns(t_ns, last_ns) <= _HOLD_NS:
         rate = last
-    elif last_ns != NEVER_NS:  # it may still turn as it did
+    elif last_ns != _NEVER_NS:  # it may still turn as it did
         hidden = max(unseen, abs(last[0])), max(unseen, abs(last[1])), max(unseen, abs(last[2]))
     return Gyro(last, last_ns, n_bad + 1, n_saturated, n_same), rate, hidden
 
@@ -219,8 +219,8 @@ def step(guard: Guard, raw: Raw, c: Coefficients) -> tuple[Guard, Sample, bool]:
             return guard, Sample(0.0, none, none, none, False, False, none), False
         # What was left out took that long; a rate from before it is no longer held.
         t_ns, n_clock_steps = late.first_ns, n_clock_steps + 1
-        gyro = Gyro(gyro.last_b_radps, NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
-    dt_s = like(0.0, _elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != NEVER_NS else 0.0
+        gyro = Gyro(gyro.last_b_radps, _NEVER_NS, gyro.n_bad_gyro, gyro.n_saturated_gyro, gyro.n_same_gyro)
+    dt_s = like(0.0, _elapsed_ns(raw.t_ns, t_ns) / 1e9) if t_ns != _NEVER_NS else 0.0
     n_gaps += 1 if dt_s > GAP_S else 0
     reading = _check_vector(raw.gyro_b_radps, gyro.last_b_radps, c.gyro_radps, LARGEST_RADPS)
     gyro, rate, hidden = _choose_rate(gyro, reading, raw.t_ns, c.gyro_radps)

@@ -48,11 +48,11 @@ HEADINGS: dict[str, str] = {
     "gps-course": "gps course while it is valid, the magnetometer calibrated by it otherwise",
 }
 # So many fixes in succession before the heading counts: the first ones alone are as noisy as one fix.
-FIXES_TO_SETTLE = 3
+_FIXES_TO_SETTLE = 3
 # Body x this close to the vertical (its horizontal part, squared) has no heading to compare with a course.
-STEEP = 0.25
+_STEEP = 0.25
 # How well the declination is known when it is given, and when it is not.
-DECLINATION_SD_RAD = (pi / 180, pi / 9)
+_DECLINATION_SD_RAD = (pi / 180, pi / 9)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def coefficients(params: Params, declination_rad: float | None) -> Coefficients:
         p.gyro_bias == "remove",
         Prior(
             0.0 if declination_rad is None else declination_rad,
-            DECLINATION_SD_RAD[declination_rad is None],
+            _DECLINATION_SD_RAD[declination_rad is None],
             p.hard_iron_sd_ut,
             p.field_sd_ut,
         ),
@@ -178,7 +178,7 @@ def _follow_course(attitude: Attitude, courses: Courses, fix: Fix, c: Coefficien
     """Turn towards the course of one fix; False where the fix does not count."""
     since_s, in_row, n_used, n_left_out = courses
     east, north, _ = rotate(attitude.q_nb, (1.0, 0.0, 0.0))
-    is_steep = east * east + north * north < STEEP
+    is_steep = east * east + north * north < _STEEP
     course_rad, speed_mps = like(since_s, fix.course_rad), like(since_s, fix.speed_mps)
     counts = attitude.is_level and not is_steep and abs(course_rad) < 1e3
     if not (counts and speed_mps >= c.least_speed_mps):
@@ -210,7 +210,7 @@ def step(state: State, sample: Sample, fix: Fix, has_fix: bool, c: Coefficients 
     calibration, since_mag_s = state.calibration, state.since_mag_s + dt_s
     n_by_course, n_corrected = state.n_mag_by_course, state.n_mag_corrected
     is_field = has_mag and dot(mag, mag) > 0
-    if courses.in_row >= FIXES_TO_SETTLE:
+    if courses.in_row >= _FIXES_TO_SETTLE:
         if is_field:
             calibration = learn_field(
                 begin_calibration(calibration, attitude.q_nb, mag, c.prior), attitude.q_nb, mag, since_mag_s, c.prior

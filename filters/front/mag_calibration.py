@@ -4,7 +4,7 @@ A magnetometer at attitude R reads ``m = R^T F + h``: the Earth's field F in n a
 which the model is linear. They are estimated recursively, one field after another. Where the attitudes so far show
 nothing the prior stays: no hard iron, and the azimuth of F at the declination.
 
-A component further off than ``GATE_SD`` gets a variance that puts it at the gate: one wrong field changes next to
+A component further off than ``_GATE_SD`` gets a variance that puts it at the gate: one wrong field changes next to
 nothing, and the estimate still leaves a wrong start. A field that the Earth and a hard iron cannot make together does
 not start the estimate.
 """
@@ -20,18 +20,18 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.filters.rotation import Quaternion, Vector, conjugate, dot, rotate, rotation_about_up
 
 # Errors of fields in succession are alike (waves, the noise of one course): those of one second count as one.
-INDEPENDENT_S = 1.0
+_INDEPENDENT_S = 1.0
 # How far F may be from the first field besides the hard iron, uT.
-FIRST_FIELD_SD_UT = 5.0
-FIRST_FIELD_UT2 = FIRST_FIELD_SD_UT**2
+_FIRST_FIELD_SD_UT = 5.0
+_FIRST_FIELD_UT2 = _FIRST_FIELD_SD_UT**2
 # F and h wander that much, uT/sqrt(s): old fields are forgotten over hours, and the covariance stays positive.
-WALK_UT_RTS = 0.01
-WALK_UT2PS = WALK_UT_RTS**2
+_WALK_UT_RTS = 0.01
+_WALK_UT2PS = _WALK_UT_RTS**2
 # The horizontal field where there is no magnetometer, uT; only its direction matters.
-NOMINAL_UT = 20.0
+_NOMINAL_UT = 20.0
 # A component of a field further off its expectation than so many sd counts less.
-GATE_SD = 5.0
-PER_GATE = 1 / GATE_SD**2
+_GATE_SD = 5.0
+_PER_GATE = 1 / _GATE_SD**2
 
 
 class Prior(NamedTuple):
@@ -73,7 +73,7 @@ def begin_calibration(calibration: Calibration, q_nb: Quaternion, mag: Vector, p
     e, n = sin(prior.declination_rad), cos(prior.declination_rad)
     x[0], x[1], x[2] = flat * e, flat * n, up
     iron = prior.hard_iron_sd_ut * prior.hard_iron_sd_ut
-    along = iron + FIRST_FIELD_UT2
+    along = iron + _FIRST_FIELD_UT2
     across = flat * flat * prior.declination_sd_rad * prior.declination_sd_rad
     cov[0, 0], cov[1, 1] = along * e * e + across * n * n, along * n * n + across * e * e
     cov[0, 1] = cov[1, 0] = (along - across) * e * n
@@ -89,19 +89,19 @@ def learn_field(calibration: Calibration, q_nb: Quaternion, mag: Vector, since_s
     x, cov, is_begun, n_learnt = calibration
     if not is_begun:
         return calibration
-    q_bn, independent_s = conjugate(q_nb), INDEPENDENT_S
+    q_bn, independent_s = conjugate(q_nb), _INDEPENDENT_S
     east, north, up = rotate(q_bn, (1.0, 0.0, 0.0)), rotate(q_bn, (0.0, 1.0, 0.0)), rotate(q_bn, (0.0, 0.0, 1.0))
     stands_s = min(max(since_s, 1e-3), independent_s)
     variance = prior.field_sd_ut * prior.field_sd_ut * independent_s / stands_s
     moved = np.full(6, 0.0)
     for i in range(6):
-        cov[i, i] += WALK_UT2PS * stands_s
+        cov[i, i] += _WALK_UT2PS * stands_s
     for axis in range(3):
         for i in range(6):
             moved[i] = cov[i, 0] * east[axis] + cov[i, 1] * north[axis] + cov[i, 2] * up[axis] + cov[i, 3 + axis]
         spread = moved[0] * east[axis] + moved[1] * north[axis] + moved[2] * up[axis] + moved[3 + axis] + variance
         left = mag[axis] - (x[0] * east[axis] + x[1] * north[axis] + x[2] * up[axis] + x[3 + axis])
-        spread = max(spread, left * left * PER_GATE)
+        spread = max(spread, left * left * _PER_GATE)
         for i in range(6):
             x[i] += moved[i] * left / spread
             for j in range(6):
@@ -115,7 +115,7 @@ def predict_field(calibration: Calibration, q_nb: Quaternion, prior: Prior) -> V
     x = calibration.x_ut
     flat, up = sqrt(x[0] * x[0] + x[1] * x[1]), x[2]
     if not calibration.is_begun:
-        flat, up = NOMINAL_UT, 0.0
+        flat, up = _NOMINAL_UT, 0.0
     return rotate(conjugate(q_nb), (flat * sin(prior.declination_rad), flat * cos(prior.declination_rad), up))
 
 

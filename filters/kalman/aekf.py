@@ -59,11 +59,11 @@ from stillpoint.filters.rotation import Vector, scale
 from stillpoint.filters.sample import Output, Sample
 
 # The states that fade: the heading and the three components of the bias.
-FADING = BIAS - HEADING + 3
+_FADING = BIAS - HEADING + 3
 # A V that is a smaller share of the variance is rounding in single precision: the state was hardly measured.
-LEAST_INFORMATION = 1e-4
+_LEAST_INFORMATION = 1e-4
 # Of the second difference of white noise: 1 + 4 + 1, in each of three axes.
-SECOND_DIFFERENCE = 18.0
+_SECOND_DIFFERENCE = 18.0
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
 def start(c: Coefficients) -> State:
     """Return the state before the first sample."""
     none = (0.0, 0.0, 0.0)
-    return State(predict.start(c.ekf), (1.0, 1.0, 1.0), np.full((2, FADING), 0.0), 0.0, Vibration(none, none, 0.0))
+    return State(predict.start(c.ekf), (1.0, 1.0, 1.0), np.full((2, _FADING), 0.0), 0.0, Vibration(none, none, 0.0))
 
 
 @compiled_inside
@@ -140,7 +140,7 @@ def _add_vibration(vibration: Vibration, sample: Sample, c: Coefficients) -> Vib
     (x1, y1, z1), (x2, y2, z2), square = vibration
     x, y, z = sample.gyro_b_radps
     dx, dy, dz = x - x1 - x1 + x2, y - y1 - y1 + y2, z - z1 - z1 + z2
-    square += (dx * dx + dy * dy + dz * dz) * sample.dt_s - SECOND_DIFFERENCE * c.ekf.gyro_noise
+    square += (dx * dx + dy * dy + dz * dz) * sample.dt_s - _SECOND_DIFFERENCE * c.ekf.gyro_noise
     return Vibration(sample.gyro_b_radps, (x1, y1, z1), square)
 
 
@@ -169,7 +169,7 @@ def _watch_field(state: State, heading: Measurement, c: Coefficients) -> tuple[M
 @compiled_apart
 def _add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: Matrix) -> None:
     """Add to S what an update has corrected since ``before`` (x and P's diagonal), and to V its expected variance."""
-    for i in range(FADING):
+    for i in range(_FADING):
         sums[0, i] += x[HEADING + i] - before[0][i]
         sums[1, i] += before[1][i] - p[HEADING + i, HEADING + i]
 
@@ -177,8 +177,8 @@ def _add_corrections(sums: Matrix, before: tuple[Matrix, Matrix], x: Matrix, p: 
 @compiled_apart
 def _copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
     """Return heading and bias, and their variances."""
-    values, variances = np.zeros(FADING, x.dtype), np.zeros(FADING, x.dtype)
-    for i in range(FADING):
+    values, variances = np.zeros(_FADING, x.dtype), np.zeros(_FADING, x.dtype)
+    for i in range(_FADING):
         values[i], variances[i] = x[HEADING + i], p[HEADING + i, HEADING + i]
     return values, variances
 
@@ -186,10 +186,10 @@ def _copy_fading(x: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
 @compiled_apart
 def _fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
     """Multiply the variances of heading and bias by lambda, up to those of the start."""
-    for i in range(FADING):
+    for i in range(_FADING):
         variance = p[HEADING + i, HEADING + i]
         largest = c.ekf.heading_variance if i == 0 else c.ekf.bias_variance
-        if variance < largest and sums[1, i] > LEAST_INFORMATION * variance:
+        if variance < largest and sums[1, i] > _LEAST_INFORMATION * variance:
             raw = sums[0, i] * sums[0, i] / (c.ekf.gate * sums[1, i])
             if raw > 1:
                 scale_variance(p, HEADING + i, min(raw, c.largest_lambda))
@@ -199,7 +199,7 @@ def _fade(p: Matrix, sums: Matrix, c: Coefficients) -> None:
 def _add_rate_error(p: Matrix, vibration: Vibration, c: Coefficients) -> None:
     """Add to P of the attitude the error of the rate by the window's vibration."""
     for i in range(HEADING + 1):
-        p[i, i] += c.vibration * max(vibration.square, 0.0) / SECOND_DIFFERENCE
+        p[i, i] += c.vibration * max(vibration.square, 0.0) / _SECOND_DIFFERENCE
 
 
 @compiled_apart

@@ -22,7 +22,7 @@ Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, 
 # The variance of an angle of which nothing is known: even over a whole turn.
 ANY_ANGLE_RAD2 = pi * pi / 3
 # So many units of rounding are added to each variance at a prediction: more than products of this size lose.
-ROUNDINGS = 16.0
+_ROUNDINGS = 16.0
 
 
 @compiled
@@ -57,7 +57,7 @@ def apply_congruence(a: Matrix, p: Matrix) -> None:
 @compiled
 def round_up(p: Matrix) -> None:
     """Enlarge each variance by a few units of its rounding: 4e-15 of it in double precision, 2e-6 in single."""
-    larger = 1.0 + ROUNDINGS * (1.2e-7 if p.itemsize == 4 else 2.3e-16)
+    larger = 1.0 + _ROUNDINGS * (1.2e-7 if p.itemsize == 4 else 2.3e-16)
     for i in range(len(p)):
         p[i, i] *= larger
 

@@ -86,9 +86,9 @@ def _reset_axis(p_angle: float, p_bias: float) -> Axis:
 
 
 # Not ready for so long after the first tilt.
-START_S = 2.0
-FORMS = ("euler", "roots", "printed")
-EULER, ROOTS, _ = range(len(FORMS))
+_START_S = 2.0
+_FORMS = ("euler", "roots", "printed")
+_EULER, _ROOTS, _ = range(len(_FORMS))
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class State(NamedTuple):
     roll: Axis
     pitch: Axis
     heading: Axis
-    age_s: float  # since the start or the last gap, up to START_S
+    age_s: float  # since the start or the last gap, up to _START_S
     since_reset_s: float
     is_level: bool  # False until the first tilt, and after a gap
     is_headed: bool
@@ -169,7 +169,7 @@ def coefficients(params: Params, declination_rad: float) -> Coefficients:
         params.heading_sd_rad**2,
         params.bias_sd_radps**2,
         params.reset_s,
-        FORMS.index(params.tilt),
+        _FORMS.index(params.tilt),
         params.heading == "compass",
         params.speed_mps,
         declination_rad,
@@ -199,9 +199,9 @@ def _measure_tilt_errors(force: Vector, frame: Frame, form: int) -> tuple[float,
     fx, fy, fz = force
     up, cos_pitch = frame.up_b, frame.cos_pitch
     g = STANDARD_GRAVITY_MPS2
-    if form == EULER:
+    if form == _EULER:
         roll, pitch = (fy, fz), (-fx, sqrt(fy * fy + fz * fz))
-    elif form == ROOTS:
+    elif form == _ROOTS:
         roll, pitch = (fy, sqrt(fx * fx + fz * fz)), (-fx, sqrt(fy * fy + fz * fz))
     else:  # as printed
         roll, pitch = (fy * g, fy * fy + fz * fz), (-fx * g, fx * fx + fz * fz)
@@ -276,7 +276,7 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     n_no_field += sample.has_mag and not has_mag
     if is_level and dt_s > GAP_S:
         is_level, is_headed, age_s, n_gaps = False, False, 0.0, n_gaps + 1
-    age_s = min(age_s + dt_s, START_S)
+    age_s = min(age_s + dt_s, _START_S)
     roll, pitch, heading, since_reset_s = _predict_axes(state, sample, is_headed, c)
     nu_roll = nu_pitch = nu_heading
     if is_level:
@@ -300,5 +300,5 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     counts = (n_gaps, n_gimbal, n_free_fall, n_no_field, n_no_north)
     state = State(q_nb, bias, roll, pitch, heading, age_s, since_reset_s, is_level, is_headed, *counts)
     cov_b = covariance(roll.p_angle, pitch.p_angle, heading.p_angle, frame)
-    ready = is_level and age_s >= START_S
+    ready = is_level and age_s >= _START_S
     return state, Output(q_nb, bias, cov_b, (nu_roll, nu_pitch, nu_heading), ready)

@@ -18,9 +18,9 @@ from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.filters.rotation import Vector, norm
 
 # Slower than that, and the body does not show whether a field is the same from all sides (20 deg/s).
-TURNING_RADPS = pi / 9
+_TURNING_RADPS = pi / 9
 # By which another field follows what is seen of it.
-SHARE_OF_NEWEST = 0.1
+_SHARE_OF_NEWEST = 0.1
 
 
 class Looks(NamedTuple):
@@ -99,13 +99,13 @@ def learn_field(field: KnownField, seen: Looks, rate_radps: float, c: Tolerance)
         seen_s = min(known.seen_s + seen.seen_s, max(c.memory_s, seen.seen_s))
         known = _move_towards(known, seen, seen.seen_s / seen_s, seen_s)
         return KnownField(known, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields)
-    shows = rate_radps > TURNING_RADPS or (is_earthly(seen) and not is_earthly(known))
+    shows = rate_radps > _TURNING_RADPS or (is_earthly(seen) and not is_earthly(known))
     stood_s = seen.seen_s if shows else 0.0
     n_disturbed += 1
     if not is_alike(other, seen, c):
         other = Looks(seen.size_ut, seen.dip_rad, stood_s)
     elif other.seen_s + stood_s < c.admission_s:
-        other = _move_towards(other, seen, SHARE_OF_NEWEST, other.seen_s + stood_s)
+        other = _move_towards(other, seen, _SHARE_OF_NEWEST, other.seen_s + stood_s)
     else:
         return KnownField(other, Looks(0.0, 0.0, 0.0), n_disturbed, n_new_fields + 1)
     return KnownField(known, other, n_disturbed, n_new_fields)

@@ -31,8 +31,8 @@ find the rest.
 Innovations beyond ``gate_sd`` are taken as if their variance were so much larger that they are at ``gate_sd``. When
 they stay there, the estimate is wrong and not they: after ``tilt_patience_s`` the tilt starts again from the mean of
 the accelerometer, after ``heading_patience_s`` the heading is taken as unknown. So is it when innovations are small but
-on the same side for as long, while the field looks known: their mean over ``heading_patience_s`` is beyond ``OFF_SD``
-of what the mean of independent ones has, and beyond ``OFF_RAD``. A filter that is too sure of itself would follow them
+on the same side for as long, while the field looks known: their mean over ``heading_patience_s`` is beyond ``_OFF_SD``
+of what the mean of independent ones has, and beyond ``_OFF_RAD``. A filter that is too sure of itself would follow them
 for an hour. And so is it when the known field, which the Earth has nowhere, gives way to another
 (:mod:`stillpoint.filters.kalman.known_field`).
 """
@@ -63,13 +63,13 @@ from stillpoint.filters.rotation import Quaternion, Vector
 # Where the errors stand in P: attitude 0-2 (2 is the heading), bias 3-5, velocity 6-7.
 HEADING, BIAS, VELOCITY, SIZE = 2, 3, 6, 8
 # How far the specific force may be from gravity where the accelerometer gave nothing.
-LOST_MPS2 = 5.0
+_LOST_MPS2 = 5.0
 # The mean of the heading's innovations, in its own sd, from which on the heading is wrong and not they.
-OFF_SD = 6.0
-OFF_SQUARE = OFF_SD**2 / 2
+_OFF_SD = 6.0
+OFF_SQUARE = _OFF_SD**2 / 2
 # And as an angle: less than that is what iron in a room does, and no reason to begin again.
-OFF_RAD = pi / 18
-OFF_RAD2 = OFF_RAD**2
+_OFF_RAD = pi / 18
+OFF_RAD2 = _OFF_RAD**2
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def _add_noise(p: Matrix, window: Window, c: Coefficients) -> None:
     """Add the window's process noise to P: the model's densities integrated with its transition."""
     length_s, spread_s, up_mps = window.turning.length_s, window.turning.spread_s, window.forces.push_n_mps[2]
     turn, walk = attitude_noise_variance(window.turning, c), c.bias_walk * length_s
-    lost_mps = LOST_MPS2 * (length_s - window.forces.time_s)
+    lost_mps = _LOST_MPS2 * (length_s - window.forces.time_s)
     push = c.accel_noise * length_s + lost_mps * lost_mps + turn * up_mps * up_mps * (1 / 3)
     tilted = 0.5 * turn * up_mps
     for i in range(3):

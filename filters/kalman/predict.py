@@ -58,10 +58,10 @@ from stillpoint.filters.rotation import (
 from stillpoint.filters.sample import GAP_S, Output, Sample
 
 # A body whose mean specific force, of at least that size, points that far down (cosine) is not as the estimate says.
-LEAST_FORCE_MPS2 = 5.0
-OBLIQUE = 0.5
+_LEAST_FORCE_MPS2 = 5.0
+_OBLIQUE = 0.5
 # A tilt known to that (sd per axis, 2 deg) is no longer a beginning.
-READY_RAD2 = 2 * (pi / 90) ** 2
+_READY_RAD2 = 2 * (pi / 90) ** 2
 
 
 @compiled_entry
@@ -188,7 +188,7 @@ def is_due(turning: Turning, c: Coefficients) -> bool:
 def _is_oblique(forces: Forces) -> bool:
     """Return whether the mean specific force points where it cannot for long if the estimate is right."""
     up, size = forces.push_n_mps[2], norm(forces.push_n_mps)
-    return up < size * OBLIQUE and size > forces.time_s * LEAST_FORCE_MPS2
+    return up < size * _OBLIQUE and size > forces.time_s * _LEAST_FORCE_MPS2
 
 
 @compiled_apart
@@ -222,7 +222,7 @@ def finish_window(
     q_nb = normalise(multiply(rotation.exp((x[0], x[1], x[2])), q_nb))
     _add_curvature(x, p)
     x[0], x[1], x[2] = 0.0, 0.0, 0.0
-    is_ready = is_ready or p[0, 0] + p[1, 1] < READY_RAD2
+    is_ready = is_ready or p[0, 0] + p[1, 1] < _READY_RAD2
     n_beyond += (1 if beyond[0] else 0) + (1 if beyond[1] else 0)
     tilt_doubt_s = tilt_doubt_s + length_s if beyond[0] or _is_oblique(window.forces) else 0.0
     if tilt_doubt_s >= c.tilt_patience_s:

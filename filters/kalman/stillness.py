@@ -2,7 +2,7 @@
 
 A window of samples is still when gyro and accelerometer hardly vary in it and the rate could be a bias. A slow even
 turn passes that test too. So neither up nor the field may have turned in the body since the rest began: a turn of less
-than ``TURN_RAD`` in a rest of t seconds is a rate of less than ``TURN_RAD`` / t, which :func:`rest_rate_sd` returns.
+than ``_TURN_RAD`` in a rest of t seconds is a rate of less than ``_TURN_RAD`` / t, which :func:`rest_rate_sd` returns.
 """
 
 from math import pi
@@ -12,8 +12,8 @@ from stillpoint.datasets.compiled import compiled_inside
 from stillpoint.filters.rotation import Vector, cross, dot
 
 # Up and field are seen to turn from there on: noise of a mean over a window is far less.
-TURN_RAD = pi / 180
-TURN_RAD2 = TURN_RAD**2
+_TURN_RAD = pi / 180
+_TURN_RAD2 = _TURN_RAD**2
 
 
 class Means(NamedTuple):
@@ -52,9 +52,9 @@ def no_rest(zero: float) -> Stillness:
 
 @compiled_inside
 def _has_turned(before: Vector, now: Vector) -> bool:
-    """Return whether a direction differs by more than ``TURN_RAD``; an unknown one does not."""
+    """Return whether a direction differs by more than ``_TURN_RAD``; an unknown one does not."""
     across = cross(before, now)
-    most = TURN_RAD2 * dot(before, before) * dot(now, now)
+    most = _TURN_RAD2 * dot(before, before) * dot(now, now)
     return dot(across, across) > most
 
 
@@ -82,4 +82,4 @@ def is_resting(still: Stillness, c: Limits) -> bool:
 @compiled_inside
 def rest_rate_sd(still: Stillness) -> float:
     """Return the fastest rate, in rad/s, that up and field would not have shown."""
-    return TURN_RAD / still.lasted_s
+    return _TURN_RAD / still.lasted_s

@@ -26,8 +26,8 @@ from stillpoint.filters.kalman.window import Turning, Window, is_measured, windo
 from stillpoint.filters.rotation import Vector, norm, scale
 
 # How far from 0 the velocity of a resting body is.
-REST_MPS = 0.02
-REST_M2PS2 = REST_MPS**2
+_REST_MPS = 0.02
+_REST_M2PS2 = _REST_MPS**2
 
 
 @compiled_inside
@@ -80,7 +80,7 @@ def predict_window(body: FilterState, c: Coefficients) -> WindowEnd:
     if not body.status.is_headed:  # nothing measured it: no correlation may let the other sensors move it
         forget_state(body.p, HEADING, ANY_ANGLE_RAD2)
     resting, variance = is_resting(still, c.limits), c.velocity_variance / length_s
-    return WindowEnd(still, resting, min(variance, REST_M2PS2) if resting else variance, heading)
+    return WindowEnd(still, resting, min(variance, _REST_M2PS2) if resting else variance, heading)
 
 
 @compiled_inside

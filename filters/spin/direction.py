@@ -13,9 +13,9 @@ from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.spin import SpinChannels
 
-LEAST_GYRO_RADPS = 1.0  # a slower rate about the axis may be bias
-FORGETTING = 0.96  # per sample: about 25 samples are summed
-SIGNIFICANT = 5.0  # standard deviations of the sum
+_LEAST_GYRO_RADPS = 1.0  # a slower rate about the axis may be bias
+_FORGETTING = 0.96  # per sample: about 25 samples are summed
+_SIGNIFICANT = 5.0  # standard deviations of the sum
 
 
 class Evidence(NamedTuple):
@@ -50,10 +50,10 @@ def find_direction(evidence: Evidence, axial_radps: float, shown: float, var: fl
     ``axial_radps`` is the rate about x by a gyro (0 where there is none), ``shown`` what has the rate's sign, with its
     variance.
     """
-    total, total_var = FORGETTING * evidence.total + shown, FORGETTING**2 * evidence.var + var
+    total, total_var = _FORGETTING * evidence.total + shown, _FORGETTING**2 * evidence.var + var
     direction = 0
-    if abs(axial_radps) > LEAST_GYRO_RADPS:
+    if abs(axial_radps) > _LEAST_GYRO_RADPS:
         direction = 1 if axial_radps > 0.0 else -1
-    elif total * total > SIGNIFICANT**2 * total_var:
+    elif total * total > _SIGNIFICANT**2 * total_var:
         direction = 1 if total > 0.0 else -1
     return Evidence(total, total_var), direction

@@ -19,8 +19,8 @@ from stillpoint.filters.spin.direction import Evidence, axial_weights, find_dire
 from stillpoint.filters.spin.noise import SpinParams
 from stillpoint.filters.spin.sample import SpinLog, SpinSample
 
-LARGEST = 1e7  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
-LONGEST_S = 3600.0  # a step counts as no longer than that: what the rate was before a gap of hours says nothing
+_LARGEST = 1e7  # m/s^2, rad/s: no sensor gives that much; the squares of squares stay finite in float32
+_LONGEST_S = 3600.0  # a step counts as no longer than that: what the rate was before a gap of hours says nothing
 
 
 class Weights(NamedTuple):
@@ -106,7 +106,7 @@ def start() -> State:
 @compiled
 def _replace_unusable(value: float, otherwise: float) -> float:
     """Return the value, or ``otherwise`` if it is not a number or no sensor gives it."""
-    return value if abs(value) < LARGEST else otherwise
+    return value if abs(value) < _LARGEST else otherwise
 
 
 @compiled
@@ -122,7 +122,7 @@ def _rate_about(weights: Floats, gyro_radps: Floats, k: int) -> float:
 def _lacks_gyro(gyro_radps: Floats, k: int, c: Coefficients) -> bool:
     """Return whether a gyro that gives the rates about y and z is lost."""
     for i in range(c.transverse.shape[1]):
-        if (c.transverse[0, i] != 0.0 or c.transverse[1, i] != 0.0) and not abs(gyro_radps[k, i]) < LARGEST:
+        if (c.transverse[0, i] != 0.0 or c.transverse[1, i] != 0.0) and not abs(gyro_radps[k, i]) < _LARGEST:
             return True
     return False
 
@@ -133,7 +133,7 @@ def _count_unusable(weights: Floats, accel_mps2: Floats, k: int, c: Coefficients
     count, last = 0, 0
     for i in range(len(weights)):
         size = abs(_replace_unusable(accel_mps2[k, i], np.nan))
-        if weights[i] != 0.0 and (not size < LARGEST or (c.skips_saturated and size >= c.limits_mps2[i])):
+        if weights[i] != 0.0 and (not size < _LARGEST or (c.skips_saturated and size >= c.limits_mps2[i])):
             count, last = count + 1, i
     return count, last
 
@@ -150,7 +150,7 @@ def _read_channel(
     for i in range(len(weights.accel[0])):
         if weights.accel[0, i] != 0.0:
             value = _replace_unusable(accel_mps2[k, i], np.nan)
-            is_lost |= not abs(value) < LARGEST
+            is_lost |= not abs(value) < _LARGEST
             is_saturated |= abs(value) >= c.limits_mps2[i]
     row = 0
     missing, last = _count_unusable(weights.accel[0], accel_mps2, k, c)
@@ -186,7 +186,7 @@ def step(
             state.t_ns, state.evidence, late, state.n_spin_gaps, state.n_lost, state.n_saturated, state.n_spared
         )
         return kept, SpinSample(zero, zero, zero, zero, zero, False, False, 0), False
-    dt_s = min((t_ns - state.t_ns) / 1e9, LONGEST_S) if state.t_ns >= 0 else 0.0
+    dt_s = min((t_ns - state.t_ns) / 1e9, _LONGEST_S) if state.t_ns >= 0 else 0.0
     rate_y, rate_z = _rate_about(c.transverse[0], gyro_radps, k), _rate_about(c.transverse[1], gyro_radps, k)
     dot = _read_channel(c.omega_dot, accel_mps2, k, rate_y, rate_z, c)
     square = _read_channel(c.omega_squared, accel_mps2, k, rate_y, rate_z, c)

@@ -11,7 +11,7 @@ from stillpoint.filters.spin.sample import SpinSample
 from stillpoint.filters.spin.start import insert_sorted, median_sorted
 
 ACCELS = 5  # samples whose median is the usual angular acceleration
-CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations
+_CLIPPED_AT = 9.0  # squares of innovations, in units of the widest variance: three standard deviations
 
 
 class Window(NamedTuple):
@@ -68,7 +68,7 @@ def add_innovation(window: Window, residual: float, expected: float, least: floa
     """
     squares, seen = window
     room = len(squares)
-    squares[seen % room] = min(residual * residual, CLIPPED_AT * most * expected)
+    squares[seen % room] = min(residual * residual, _CLIPPED_AT * most * expected)
     held = min(seen + 1, room)
     total = 0.0
     for k in range(held):

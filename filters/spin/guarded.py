@@ -60,8 +60,8 @@ from stillpoint.filters.spin.start import (
     restart,
 )
 
-SENSE_SQUARE = 3.0**2  # a rate has a sense where it is so many standard deviations from 0
-HELD_S = 0.1  # an angular acceleration stands for no longer than that
+_SENSE_SQUARE = 3.0**2  # a rate has a sense where it is so many standard deviations from 0
+_HELD_S = 0.1  # an angular acceleration stands for no longer than that
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def _choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
     if direction != 0:
         return direction
     square = roll.rate_radps * roll.rate_radps
-    least = max(SENSE_SQUARE * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
+    least = max(_SENSE_SQUARE * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
     if square <= least:
         return c.noise.sense
     return 1 if roll.rate_radps > 0.0 else -1
@@ -335,7 +335,7 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
         return _begin_state(state, sample, repeats, c)
     window, refusals, innovation = state.window, state.refusals, nan
     driving = state.push
-    if sample.dt_s > HELD_S:
+    if sample.dt_s > _HELD_S:
         driving = Drive(0.0, c.unknown_var, False)
     roll, bias = predict_state(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
     push, accels, owed = _choose_drive(state, sample, c)

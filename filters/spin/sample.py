@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.compiled import compiled, like
 from stillpoint.datasets.recording import Floats
 
-TURN_RAD = 2.0 * pi
-DOUBLE_TURN_RAD = np.float64(TURN_RAD)  # also in single precision
+_TURN_RAD = 2.0 * pi
+_DOUBLE_TURN_RAD = np.float64(_TURN_RAD)  # also in single precision
 
 
 class SpinSample(NamedTuple):
@@ -84,10 +84,10 @@ def start_motion(zero: float) -> SpinMotion:
 @compiled
 def wrap_angle(turns: int, rest_rad: float) -> tuple[int, float]:
     """Return the same angle with its rest within half a turn."""
-    whole = round(rest_rad / TURN_RAD)
+    whole = round(rest_rad / _TURN_RAD)
     if whole == 0:
         return turns, rest_rad
-    return turns + whole, rest_rad - TURN_RAD * like(rest_rad, whole)
+    return turns + whole, rest_rad - _TURN_RAD * like(rest_rad, whole)
 
 
 @compiled
@@ -108,7 +108,7 @@ def read_spin_sample(log: SpinLog, k: int) -> SpinSample:
 @compiled
 def unwrap_angle(roll: SpinMotion) -> float:
     """Return the unwrapped angle in rad, in double precision."""
-    return roll.turns * DOUBLE_TURN_RAD + roll.rest_rad
+    return roll.turns * _DOUBLE_TURN_RAD + roll.rest_rad
 
 
 @compiled

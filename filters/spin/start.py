@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.compiled import compiled, like
 from stillpoint.filters.spin.sample import SpinMotion, SpinSample, wrap_angle
 
-MOST_RADPS, MOST_VAR = 1e8, 1e15  # rate and its variance: beyond, squares of squares leave single precision
+_MOST_RADPS, _MOST_VAR = 1e8, 1e15  # rate and its variance: beyond, squares of squares leave single precision
 MEDIAN_VAR = 1.5708  # pi / 2: the variance of a median over that of the mean, for normal noise
 
 
@@ -60,7 +60,7 @@ def is_sound(roll: SpinMotion) -> bool:
     rate, var = roll.rate_radps, roll.rate_var
     is_finite = abs(roll.rest_rad) < np.inf and roll.angle_var < np.inf and abs(roll.cross_var) < np.inf
     is_positive = var > 0.0 and roll.angle_var >= 0.0
-    return is_finite and is_positive and abs(rate) < MOST_RADPS and var < MOST_VAR
+    return is_finite and is_positive and abs(rate) < _MOST_RADPS and var < _MOST_VAR
 
 
 @compiled

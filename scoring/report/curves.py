@@ -14,7 +14,7 @@ import numpy as np
 from stillpoint.datasets.recording import Floats, Times
 from stillpoint.datasets.times import longest_step_ns
 
-LEVELS = 65534  # values of a 16-bit integer beside 0, which stands for "no value"
+_LEVELS = 65534  # values of a 16-bit integer beside 0, which stands for "no value"
 LOWEST_DEG = 1e-3  # smaller errors are drawn as this on a logarithmic axis
 
 Middle = Literal["rms", "mean"]
@@ -100,7 +100,7 @@ def encode_curve(curve: Curve, scale: Literal["log", "linear"] = "linear") -> di
     known = np.isfinite(values)
     low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
     whole = np.zeros(len(values), dtype="<u2")
-    whole[known] = 1 + np.round((values[known] - low) / ((high - low) or 1.0) * (LEVELS - 1))
+    whole[known] = 1 + np.round((values[known] - low) / ((high - low) or 1.0) * (_LEVELS - 1))
     return {
         "start": round(curve.start_s, 6),
         "step": curve.step_s,

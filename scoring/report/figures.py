@@ -24,7 +24,7 @@ from stillpoint.scoring.score import Score
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#A6761D")
 ON_DARK = ("#4DA9E8", "#FF8B4A", "#2EC79A", "#E6A0C8", "#F2B632", "#9AD8F7", "#B9A0DB", "#D1A04D")  # the same, lighter
-SMALLEST_ERROR_DEG = 0.01  # lower end of a logarithmic axis
+_SMALLEST_ERROR_DEG = 0.01  # lower end of a logarithmic axis
 WRAP_DEG = 180.0
 REST_GREY = "0.5"
 
@@ -88,10 +88,10 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         t_ns = comparison.t_ns[shown]
         total = attitude_error(comparison.q_est[shown], comparison.q_true[shown]).total_rad
         _draw_series(
-            ax, view, t_ns, np.maximum(np.rad2deg(total), SMALLEST_ERROR_DEG), np.inf, color=get_colour(k), lw=1.0
+            ax, view, t_ns, np.maximum(np.rad2deg(total), _SMALLEST_ERROR_DEG), np.inf, color=get_colour(k), lw=1.0
         )
         ax.set_yscale("log")
-        ax.set_ylim(SMALLEST_ERROR_DEG, max(2 * np.rad2deg(worst), 10.0))
+        ax.set_ylim(_SMALLEST_ERROR_DEG, max(2 * np.rad2deg(worst), 10.0))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.minorticks_off()
         ax.set_ylabel("deg")
@@ -99,7 +99,7 @@ def draw_errors(axes: Sequence[Axes], view: View) -> None:
         if comparison.true_cov_b_rad2 is not None:
             sd = np.rad2deg(total_sd_rad(comparison.true_cov_b_rad2[shown]))
             t, floor = thin_line(view.seconds(t_ns), sd, count_columns(ax))
-            ax.fill_between(t, SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
+            ax.fill_between(t, _SMALLEST_ERROR_DEG, floor, color=REST_GREY, alpha=0.35, lw=0)
         _format_time_axis(ax, view)
 
 
@@ -126,7 +126,7 @@ def draw_scores(ax: Axes, scores: Sequence[Score]) -> None:
     ordered = sorted(scores, key=lambda s: -s.total_rmse_deg)
     marks = {"total": ("o", 70), "heading": ("^", 45), "inclination": ("s", 38)}
     rows = np.arange(len(ordered))
-    floor_deg = SMALLEST_ERROR_DEG
+    floor_deg = _SMALLEST_ERROR_DEG
     for k, (name, (marker, size)) in enumerate(marks.items()):
         values = np.maximum([getattr(s, f"{name}_rmse_deg") for s in ordered], floor_deg)
         if name == "total":

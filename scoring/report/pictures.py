@@ -13,21 +13,21 @@ from matplotlib.figure import Figure
 
 from stillpoint.scoring.report.figures import COLOURS
 
-INK, GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them
-PAGE_COLOURS = {colour.lower(): f"var(--line-{k})" for k, colour in enumerate(COLOURS)}
-WIDTHS_PX = {"wide": 1040, "narrow": 358}
-STYLE: dict[Any, Any] = {
+_INK, _GRID = "#010203", "#040506"  # stand for the page's colours; no other thing has them
+_PAGE_COLOURS = {colour.lower(): f"var(--line-{k})" for k, colour in enumerate(COLOURS)}
+_WIDTHS_PX = {"wide": 1040, "narrow": 358}
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": GRID,
-    "xtick.color": INK,
-    "ytick.color": INK,
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _GRID,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
     "xtick.major.size": 0,
     "ytick.major.size": 0,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": GRID,
+    "grid.color": _GRID,
     "grid.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -55,8 +55,8 @@ def make_picture(
 ) -> Picture:
     """Draw the same axes, ``rows`` under each other, in both widths. ``draw`` gets the axes from top to bottom."""
     drawn = {}
-    for name, width_px in WIDTHS_PX.items():
-        with mpl.rc_context(STYLE):
+    for name, width_px in _WIDTHS_PX.items():
+        with mpl.rc_context(_STYLE):
             mpl.rcParams["svg.hashsalt"] = f"{title} {name}"
             figure = Figure(figsize=(width_px / 72, (rows * row_px + 70) / 72), layout="constrained")
             axes = list(figure.subplots(rows, 1, sharex=time_axis, squeeze=False)[:, 0])
@@ -82,6 +82,6 @@ def _render_svg(figure: Figure, title: str, name: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), svg)
     svg = re.sub(r'\bid="(?!m|p|C)[^"]*"', "", svg)
-    for colour, of_page in {INK: "currentColor", GRID: "var(--grid)", **PAGE_COLOURS}.items():
+    for colour, of_page in {_INK: "currentColor", _GRID: "var(--grid)", **_PAGE_COLOURS}.items():
         svg = svg.replace(colour, of_page)
     return svg.replace("<svg", f'<svg class="{name}" role="img" aria-label="{html.escape(title)}"', 1)

@@ -14,11 +14,11 @@ from stillpoint.scoring.errors import attitude_error, rotation_error_n
 from stillpoint.scoring.match import Mask
 from stillpoint.scoring.report.curves import Curve, encode_curve, reduce_angle, reduce_series
 
-JUDGE = "judge"  # the key of the judge's own curve, beside the names of the estimators
-BAND_SDS = 3.0  # standard deviations that a band shows
-CURVE_BYTES = 1_000_000  # of all curves of one recording against one judge
-FEWEST_COLUMNS, MOST_COLUMNS = 500, 8000
-BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
+_JUDGE = "judge"  # the key of the judge's own curve, beside the names of the estimators
+_BAND_SDS = 3.0  # standard deviations that a band shows
+_CURVE_BYTES = 1_000_000  # of all curves of one recording against one judge
+_FEWEST_COLUMNS, _MOST_COLUMNS = 500, 8000
+_BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
 
 Curves = dict[str, dict[str, dict[str, Any]]]  # panel -> series -> encoded curve
 
@@ -40,8 +40,8 @@ ERROR_PANELS = (
     Panel("heading", "Heading error", "deg", "log"),
     Panel("inclination", "Inclination error", "deg", "log"),
 )
-ANGLE_PANELS = tuple(Panel(name, name.capitalize(), "deg", judge="line") for name in ("roll", "pitch", "yaw"))
-AXIS_PANELS = tuple(Panel(name, f"Error about {name}", "deg", height=190) for name in ("east", "north", "up"))
+_ANGLE_PANELS = tuple(Panel(name, name.capitalize(), "deg", judge="line") for name in ("roll", "pitch", "yaw"))
+_AXIS_PANELS = tuple(Panel(name, f"Error about {name}", "deg", height=190) for name in ("east", "north", "up"))
 BIAS_PANELS = tuple(Panel(f"bias_{axis}", f"Gyro bias {axis}", "deg/s", judge="line", height=190) for axis in "xyz")
 FIELD_PANELS = (
     Panel("field", "Strength of the magnetic field", "µT", judge="line", height=190),
@@ -57,7 +57,7 @@ def reduce_errors(comparison: Comparison, zero_ns: int, columns: int) -> dict[st
         size_deg = np.rad2deg(getattr(error, f"{panel.key}_rad"))
         curves[panel.key] = reduce_series(comparison.t_ns, size_deg, zero_ns, columns, "rms")
         if comparison.true_cov_b_rad2 is not None:
-            band_deg = BAND_SDS * np.rad2deg(_compute_judge_sd_rad(comparison, panel.key))
+            band_deg = _BAND_SDS * np.rad2deg(_compute_judge_sd_rad(comparison, panel.key))
             curves[f"{panel.key}:sd"] = reduce_series(comparison.t_ns, band_deg, zero_ns, columns, "rms")
     return curves
 
@@ -68,7 +68,7 @@ def encode_errors(reduced: Mapping[str, Mapping[str, Curve]]) -> Curves:
     for label, of_label in reduced.items():
         for key, curve in of_label.items():
             if key.endswith(":sd"):
-                curves.setdefault(key, {JUDGE: encode_curve(curve, "log")})
+                curves.setdefault(key, {_JUDGE: encode_curve(curve, "log")})
             else:
                 curves.setdefault(key, {})[label] = encode_curve(curve, "log")
     return curves
@@ -101,12 +101,12 @@ def make_run_plots(
 ) -> tuple[tuple[Panel, ...], dict[str, Any]]:
     """Return the panels that the material has curves for, and the recording's entry in the page's data."""
     zero_ns = int(truth.t_ns[0])
-    panels = (*ERROR_PANELS, *ANGLE_PANELS, *AXIS_PANELS)
+    panels = (*ERROR_PANELS, *_ANGLE_PANELS, *_AXIS_PANELS)
     columns = _choose_columns(len(panels) * (len(comparisons) + 1))
     curves = encode_errors({name: reduce_errors(c, zero_ns, columns) for name, c in comparisons.items()})
     curves |= _make_angle_curves(comparisons, truth, frame, zero_ns, columns)
     curves |= _make_axis_curves(comparisons, zero_ns, columns)
-    biases = {JUDGE: reference, **{each.name: each for each in estimates}}
+    biases = {_JUDGE: reference, **{each.name: each for each in estimates}}
     curves |= _make_bias_curves({name: made for name, made in biases.items() if made is not None}, zero_ns, columns)
     if recording is not None and recording.mag is not None and reference is not None:
         curves |= _make_field_curves(recording, reference, zero_ns, columns)
@@ -123,7 +123,7 @@ def make_page_data(
 
 
 def _choose_columns(series: int) -> int:
-    return int(np.clip(CURVE_BYTES // (BYTES_PER_COLUMN * max(series, 1)), FEWEST_COLUMNS, MOST_COLUMNS))
+    return int(np.clip(_CURVE_BYTES // (_BYTES_PER_COLUMN * max(series, 1)), _FEWEST_COLUMNS, _MOST_COLUMNS))
 
 
 def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
@@ -139,28 +139,28 @@ def _compute_judge_sd_rad(comparison: Comparison, what: str) -> Floats:
 def _make_angle_curves(
     comparisons: Mapping[str, Comparison], truth: Reference | Truth, frame: EulerFrame, zero_ns: int, columns: int
 ) -> Curves:
-    curves: Curves = {panel.key: {} for panel in ANGLE_PANELS}
-    attitudes = {JUDGE: (truth.t_ns, truth.q_nb), **{name: (c.t_ns, c.q_est) for name, c in comparisons.items()}}
+    curves: Curves = {panel.key: {} for panel in _ANGLE_PANELS}
+    attitudes = {_JUDGE: (truth.t_ns, truth.q_nb), **{name: (c.t_ns, c.q_est) for name, c in comparisons.items()}}
     for name, (t_ns, q_nb) in attitudes.items():
-        for panel, angle_rad in zip(ANGLE_PANELS, euler(q_nb, frame).T, strict=True):
+        for panel, angle_rad in zip(_ANGLE_PANELS, euler(q_nb, frame).T, strict=True):
             curves[panel.key][name] = encode_curve(reduce_angle(t_ns, np.rad2deg(angle_rad), zero_ns, columns))
     return curves
 
 
 def _make_axis_curves(comparisons: Mapping[str, Comparison], zero_ns: int, columns: int) -> Curves:
     """Return signed errors about east, north and up, and three standard deviations where an estimate states them."""
-    curves: Curves = {panel.key: {} for panel in AXIS_PANELS}
-    curves |= {f"{panel.key}:sd": {} for panel in AXIS_PANELS}
+    curves: Curves = {panel.key: {} for panel in _AXIS_PANELS}
+    curves |= {f"{panel.key}:sd": {} for panel in _AXIS_PANELS}
     for name, comparison in comparisons.items():
         error_deg = np.rad2deg(rotation_error_n(comparison.q_est, comparison.q_true))
-        for axis, panel in enumerate(AXIS_PANELS):
+        for axis, panel in enumerate(_AXIS_PANELS):
             reduced = reduce_angle(comparison.t_ns, error_deg[:, axis], zero_ns, columns)
             curves[panel.key][name] = encode_curve(reduced)
             if comparison.cov_b_rad2 is None:
                 continue
             row = rotation(comparison.q_est).as_matrix()[:, axis]
             sd_deg = np.rad2deg(np.sqrt(np.einsum("ni,nij,nj->n", row, comparison.cov_b_rad2, row)))
-            band = reduce_series(comparison.t_ns, BAND_SDS * sd_deg, zero_ns, columns)
+            band = reduce_series(comparison.t_ns, _BAND_SDS * sd_deg, zero_ns, columns)
             curves[f"{panel.key}:sd"][name] = encode_curve(band)
     return curves
 
@@ -194,6 +194,6 @@ def _make_field_curves(recording: Recording, reference: Reference, zero_ns: int,
     strength_ut = np.linalg.norm(field_n_ut, axis=1)
     dip_deg = np.rad2deg(np.arctan2(-field_n_ut[:, 2], np.hypot(field_n_ut[:, 0], field_n_ut[:, 1])))
     return {
-        "field": {JUDGE: encode_curve(reduce_series(t_ns, strength_ut, zero_ns, columns))},
-        "dip": {JUDGE: encode_curve(reduce_series(t_ns, dip_deg, zero_ns, columns))},
+        "field": {_JUDGE: encode_curve(reduce_series(t_ns, strength_ut, zero_ns, columns))},
+        "dip": {_JUDGE: encode_curve(reduce_series(t_ns, dip_deg, zero_ns, columns))},
     }

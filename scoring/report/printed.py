@@ -12,8 +12,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.atomic import write_atomically
 
 COLUMN_IN = 3.5  # width of a column of a two-column page
-FORMATS = (".pdf", ".svg", ".png")
-STYLE: dict[Any, Any] = {
+_FORMATS = (".pdf", ".svg", ".png")
+_STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 8,
     "axes.labelsize": 8,
@@ -50,9 +50,9 @@ def write_figure(
     ``draw`` gets the axes from top to bottom. The same drawing gives the same bytes. Raises :class:`BadParameter` for
     another ending and for a file that cannot be written.
     """
-    if file.suffix not in FORMATS:
-        raise BadParameter(f"-o {file}: ends in none of {', '.join(FORMATS)}")
-    with mpl.rc_context(STYLE):
+    if file.suffix not in _FORMATS:
+        raise BadParameter(f"-o {file}: ends in none of {', '.join(_FORMATS)}")
+    with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width_in, rows * row_in + 0.45), layout="constrained")
         axes = list(figure.subplots(rows, 1, sharex=time_axis, squeeze=False)[:, 0])
         draw(axes)

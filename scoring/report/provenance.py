@@ -7,7 +7,7 @@ from typing import Any
 
 from stillpoint.datasets.recording import Recording, rate_hz
 
-VERSIONS_OF = ("stillpoint", "numpy", "scipy", "numba", "gtsam", "vqf", "bokeh", "matplotlib")
+_VERSIONS_OF = ("stillpoint", "numpy", "scipy", "numba", "gtsam", "vqf", "bokeh", "matplotlib")
 
 
 def describe_recording(recording: Recording) -> dict[str, str]:
@@ -36,7 +36,7 @@ def flatten_params(params: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
 def list_versions() -> dict[str, str]:
     """Return the versions of stillpoint, of Python, and of the packages that figures depend on."""
     found = {"python": platform.python_version()}
-    for package in VERSIONS_OF:
+    for package in _VERSIONS_OF:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -17,9 +17,9 @@ from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import REST_GREY, count_columns, draw_line, get_colour, thin_line
 from stillpoint.scoring.spin import SpinComparison
 
-BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
-OBSERVATION = "observation"  # its noise is several times that of the rest
-WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
+_BAND_SHOWN = 3.0  # how far beyond its errors a band may be drawn: a wide one would hide them
+_OBSERVATION = "observation"  # its noise is several times that of the rest
+_WIDE_FROM = 3.0  # how far beyond the other methods' errors the observation's may be drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def draw_error_band(axes: Sequence[Axes], c: SpinComparison, colour: int, zero_n
         limit = max(_find_error_limit(error), 1e-6)
         if sd_rad is not None:
             band = 3 * np.rad2deg(sd_rad)
-            limit = max(limit, min(1.1 * float(band.max()), BAND_SHOWN * limit))
+            limit = max(limit, min(1.1 * float(band.max()), _BAND_SHOWN * limit))
             t, edge = thin_line(t_s, band, count_columns(ax))
             ax.fill_between(t, -edge, edge, color=REST_GREY, alpha=0.3, lw=0, label="3 standard deviations")
         _draw_series(ax, c.t_ns, t_s, error, color=get_colour(colour), lw=1.0, label="error")
@@ -91,7 +91,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     truth_degps = np.rad2deg(series.truth_radps)
     errors = {method: np.rad2deg(series.rate_radps[method]) - truth_degps for method in methods}
     limits = {method: _find_error_limit(error) for method, error in errors.items()}
-    shared = float(np.median([limits[method] for method in methods if method != OBSERVATION] or [0.0]))
+    shared = float(np.median([limits[method] for method in methods if method != _OBSERVATION] or [0.0]))
     for method, k in methods.items():
         rate_degps, label = np.rad2deg(series.rate_radps[method]), make_drawable(method)
         draw_line(axes[0], series.t_s, rate_degps, color=get_colour(k), lw=0.9, label=label)
@@ -103,7 +103,7 @@ def draw_rates(axes: Sequence[Axes], series: RateSeries, methods: Mapping[str, i
     for ax, (method, k) in zip(axes[1:], methods.items(), strict=True):
         error = errors[method]
         draw_line(ax, series.t_s, error, color=get_colour(k), lw=0.9)
-        limit = limits[method] if method == OBSERVATION else shared
+        limit = limits[method] if method == _OBSERVATION else shared
         ax.set_ylim(-limit, limit)
         ax.set_ylabel("deg/s")
         beyond = int((np.abs(error) > limit).sum())
@@ -119,7 +119,7 @@ def _find_error_limit(error: Floats) -> float:
     """Return half the height of an error's axis, which holds all but the worst thousandth, or all where that fits."""
     most = float(np.quantile(np.abs(error), 0.999)) * 1.5
     worst = float(np.abs(error).max())
-    return 1.05 * worst if worst < WIDE_FROM * most else most
+    return 1.05 * worst if worst < _WIDE_FROM * most else most
 
 
 def _find_shown_spread(series: RateSeries, methods: Mapping[str, int]) -> float:

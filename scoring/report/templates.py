@@ -10,7 +10,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Te
 from markupsafe import Markup
 
 PARTS = "stillpoint.scoring.report"  # holds style.html.j2, parts.html.j2 and page.js
-BOKEH_SCRIPTS = ("bokeh.min.js", "bokeh-api.min.js")
+_BOKEH_SCRIPTS = ("bokeh.min.js", "bokeh-api.min.js")
 
 
 def load_template(package: str, name: str) -> Template:
@@ -29,7 +29,7 @@ def load_template(package: str, name: str) -> Template:
 def load_bokeh_scripts() -> Markup:
     """Return the script elements of BokehJS, from the installed package."""
     bokeh = resources.files("bokeh") / "server" / "static" / "js"
-    texts = [(bokeh / name).read_text(encoding="utf-8") for name in BOKEH_SCRIPTS]
+    texts = [(bokeh / name).read_text(encoding="utf-8") for name in _BOKEH_SCRIPTS]
     return Markup("\n").join(Markup(f"<script>\n{_escape_end(text)}\n</script>") for text in texts)
 
 

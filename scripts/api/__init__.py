@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
     __version__: str
 
-HOMES = {
+_HOMES = {
     "read": "stillpoint.datasets",
     "write": "stillpoint.datasets",
     "reference": "stillpoint.smoother",
     "estimate": "stillpoint.filters",
     "score": "stillpoint.scoring",
 }
-FOLDERS = ("datasets", "filters", "scoring", "smoother", "studies")
+_FOLDERS = ("datasets", "filters", "scoring", "smoother", "studies")
 
 __all__ = ["__version__", "estimate", "read", "reference", "score", "write"]
 
@@ -33,9 +33,9 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         value: Any = version("stillpoint")
-    elif name in HOMES:
-        value = getattr(importlib.import_module(HOMES[name]), name)
-    elif name in FOLDERS:
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    elif name in _FOLDERS:
         return importlib.import_module(f"stillpoint.{name}")
     else:
         raise AttributeError(f"module 'stillpoint' has no attribute {name!r}")
@@ -45,4 +45,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Return the names that can be imported."""
-    return sorted({*__all__, *FOLDERS})
+    return sorted({*__all__, *_FOLDERS})

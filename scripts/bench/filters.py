@@ -20,10 +20,10 @@ from stillpoint.filters.table import Estimator
 from stillpoint.scripts.bench.timing import Timing, time_call
 
 MINUTES = 120.0  # 720 000 samples
-HUNDREDTH = 100
+_HUNDREDTH = 100
 STREAMED = 20_000
-COMPILED_PEERS = ("vqf", "offline-vqf")
-PEERS_PACKAGES = ("vqf", "ahrs", "imufusion")
+_COMPILED_PEERS = ("vqf", "offline-vqf")
+_PEERS_PACKAGES = ("vqf", "ahrs", "imufusion")
 
 # The filters of the package ahrs that are of the same kind as ours: entries of the table, or classes of ahrs. Tilt and
 # Complementary work on whole columns, of Euler angles; mahony is a PI observer.
@@ -48,12 +48,12 @@ def bench_filters(runs: int) -> list[Timing]:
     _require_packages()
     whole = simulate("phone-3", minutes=MINUTES)
     n = len(whole.require_imu().t_ns)
-    part = take_first(whole, n // HUNDREDTH)
+    part = take_first(whole, n // _HUNDREDTH)
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
-    steps: dict[str, Callable[[], float]] = {name: _time_batch(whole, name, 1) for name in (*ours, *COMPILED_PEERS)}
+    steps: dict[str, Callable[[], float]] = {name: _time_batch(whole, name, 1) for name in (*ours, *_COMPILED_PEERS)}
     for name, entry in ESTIMATORS.items():
-        if entry.is_peer and name not in COMPILED_PEERS:
-            steps[name] = _time_batch(part, name, HUNDREDTH)
+        if entry.is_peer and name not in _COMPILED_PEERS:
+            steps[name] = _time_batch(part, name, _HUNDREDTH)
     for kind in sorted({kind for kinds in KINDS.values() for kind in kinds if kind not in ESTIMATORS}):
         steps[kind] = _time_ahrs(part, kind)
     for name in ours:
@@ -77,11 +77,11 @@ def take_first(recording: Recording, n: int) -> Recording:
 
 
 def _make_rows(ours: list[str], seconds: dict[str, list[float]], n: int) -> list[Timing]:
-    share = f"(a hundredth, times {HUNDREDTH})"
+    share = f"(a hundredth, times {_HUNDREDTH})"
     peers: dict[str, Timing] = {}
     for name in (name for name in seconds if name not in ours and not name.startswith("stream ")):
         shown = name if name in ESTIMATORS else f"ahrs {name}"
-        peers[name] = Timing(shown if name in COMPILED_PEERS else f"{shown} {share}", seconds[name], n)
+        peers[name] = Timing(shown if name in _COMPILED_PEERS else f"{shown} {share}", seconds[name], n)
     rows = [*peers.values()]
     rows += [Timing(name, seconds[name], n, against=peers["vqf"]) for name in ours]
     rows += [Timing(name, seconds[name], n, against=peers[kind]) for name in ours for kind in KINDS[name]]
@@ -127,11 +127,11 @@ def _time_ahrs(recording: Recording, kind: str) -> Callable[[], float]:
         arrays = {"gyr": imu.gyro_b_radps}
     filters: Any = import_module("ahrs").filters
     copies = {name: np.array(values) for name, values in arrays.items()}
-    return lambda: time_call(lambda: getattr(filters, kind)(**copies)) * HUNDREDTH
+    return lambda: time_call(lambda: getattr(filters, kind)(**copies)) * _HUNDREDTH
 
 
 def _require_packages() -> None:
-    for name in PEERS_PACKAGES:
+    for name in _PEERS_PACKAGES:
         try:
             import_module(name)
         except ImportError as error:

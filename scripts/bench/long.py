@@ -19,10 +19,10 @@ from stillpoint.datasets.mcap.store import open_recording
 from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece
 from stillpoint.scripts.shared.output import print_line
 
-START_NS = 1_700_000_000_000_000_000
-PIECE_S = 600
-MAG_EVERY, GPS_HZ = 4, 1  # a field with every fourth sample of the IMU
-REST_S, TURN_S, SWING_S = 60, 240, 8  # at rest, then swinging, in turn: what a reference and the doctor look for
+_START_NS = 1_700_000_000_000_000_000
+_PIECE_S = 600
+_MAG_EVERY, _GPS_HZ = 4, 1  # a field with every fourth sample of the IMU
+_REST_S, _TURN_S, _SWING_S = 60, 240, 8  # at rest, then swinging, in turn: what a reference and the doctor look for
 
 # The peak of a process of its own and of those that it starts.
 _MEASURE = """
@@ -60,17 +60,17 @@ def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0) 
 
 def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
     rng = np.random.default_rng(seed)
-    for begin_s in range(0, round(hours * 3600), PIECE_S):
-        n = PIECE_S * rate_hz
-        t_ns = START_NS + begin_s * 1_000_000_000 + np.arange(n, dtype=np.int64) * (1_000_000_000 // rate_hz)
+    for begin_s in range(0, round(hours * 3600), _PIECE_S):
+        n = _PIECE_S * rate_hz
+        t_ns = _START_NS + begin_s * 1_000_000_000 + np.arange(n, dtype=np.int64) * (1_000_000_000 // rate_hz)
         t_s = begin_s + np.arange(n) / rate_hz
         # The heading swings by 60 deg and comes back; the body stays level.
-        phase = np.maximum((t_s % (REST_S + TURN_S)) - REST_S, 0) / SWING_S * 2 * np.pi
+        phase = np.maximum((t_s % (_REST_S + _TURN_S)) - _REST_S, 0) / _SWING_S * 2 * np.pi
         yaw = np.pi / 6 * (1 - np.cos(phase))
-        rate = np.pi / 6 * np.sin(phase) * 2 * np.pi / SWING_S
+        rate = np.pi / 6 * np.sin(phase) * 2 * np.pi / _SWING_S
         gyro = rng.normal(size=(n, 3)) * 0.005 + rate[:, None] * np.array([0, 0, 1.0])
         accel = rng.normal(size=(n, 3)) * 0.02 + np.array([0, 0, 9.81])
-        of_mag, of_gps = slice(None, None, MAG_EVERY), slice(None, None, rate_hz // GPS_HZ)
+        of_mag, of_gps = slice(None, None, _MAG_EVERY), slice(None, None, rate_hz // _GPS_HZ)
         field = 20 * np.stack([np.sin(yaw), np.cos(yaw), np.full(n, -2.0)], axis=1)[of_mag]
         fixes = len(t_ns[of_gps])
         yield Piece(

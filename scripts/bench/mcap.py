@@ -25,12 +25,12 @@ from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Truth
 from stillpoint.scripts.bench.timing import Timing, time_call
 
 HOUR = 360_000  # samples at 100 Hz
-TENTH = 10  # the peer needs about a minute for the hour: it gets a tenth of the data, and its seconds count ten times
-REPEATS = 3  # of ours per run: a short time is hit harder by what else the machine does
-TOPICS = 3
+_TENTH = 10  # the peer needs about a minute for the hour: it gets a tenth of the data, and its seconds count ten times
+_REPEATS = 3  # of ours per run: a short time is hit harder by what else the machine does
+_TOPICS = 3
 
 # The peak that a process has reached by its own: Linux hands ru_maxrss of a parent down to its children.
-MEASURE = """
+_MEASURE = """
 import json, resource, sys, time
 from stillpoint.datasets import read
 def measure_peak():
@@ -47,7 +47,7 @@ print(json.dumps({"seconds": time.perf_counter() - start, "bytes": measure_peak(
 def bench_mcap(runs: int) -> list[Timing]:
     """Return the rows of writing, reading and peak memory."""
     peer = Peer()
-    hour, tenth = make_phone(HOUR), make_phone(HOUR // TENTH)
+    hour, tenth = make_phone(HOUR), make_phone(HOUR // _TENTH)
     seconds: dict[str, list[float]] = {"peer write": [], "write": [], "peer read": [], "read": []}
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.mcap", Path(folder) / "theirs.mcap"
@@ -62,11 +62,11 @@ def bench_mcap(runs: int) -> list[Timing]:
         for _ in track(range(runs), "mcap", console=Console(stderr=True), transient=True):
             for name, step in steps.items():
                 if name.startswith("peer"):
-                    seconds[name].append(time_call(step) * TENTH)
+                    seconds[name].append(time_call(step) * _TENTH)
                 else:
-                    seconds[name] += [time_call(step) for _ in range(REPEATS)]
+                    seconds[name] += [time_call(step) for _ in range(_REPEATS)]
         peaks = [_measure(ours) for _ in range(runs)]
-    n = HOUR * TOPICS
+    n = HOUR * _TOPICS
     name = "mcap + mcap-ros2-support (a tenth, times 10)"
     peer_write = Timing(f"write, {name}", seconds["peer write"], n)
     peer_read = Timing(f"read, {name}", seconds["peer read"], n)
@@ -186,6 +186,6 @@ def _count_bytes(recording: Recording) -> int:
 
 
 def _measure(path: Path) -> dict[str, float]:
-    done = subprocess.run([sys.executable, "-c", MEASURE, str(path)], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", _MEASURE, str(path)], capture_output=True, text=True, check=True)
     result: dict[str, float] = json.loads(done.stdout)
     return result

@@ -22,10 +22,10 @@ from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import reference
 
-RECORDINGS = 8
-MINUTES, RATE_HZ = 5.0, 100.0
-EMPTY_TASKS = 200
-COUNTS = (1, 2)  # of workers
+_RECORDINGS = 8
+_MINUTES, _RATE_HZ = 5.0, 100.0
+_EMPTY_TASKS = 200
+_COUNTS = (1, 2)  # of workers
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ def bench_scale(_runs: int) -> list[Timing]:
     Each is done once: by 1 and 2 processes, by 1 and 2 workers of a cluster, and by 1 process with nothing compiled.
     """
     with tempfile.TemporaryDirectory() as folder:
-        files = [_write_recording(Path(folder), seed) for seed in range(RECORDINGS)]
+        files = [_write_recording(Path(folder), seed) for seed in range(_RECORDINGS)]
         run_jobs(_process, files[:1], Workers(1), "compile")
         rows: list[Timing] = []
-        for count in COUNTS:
+        for count in _COUNTS:
             pool = _time_batch(files, Workers(count), f"{count} local", rows[0] if rows else None)
             with _start_cluster(count) as address:
                 cluster = _time_batch(files, Workers(scheduler=address), f"{count} on Dask", pool)
             rows += [pool, cluster]
-        for count in COUNTS:
+        for count in _COUNTS:
             pool = _time_empty(Workers(count), f"{count} local", None)
             with _start_cluster(count) as address:
                 rows += [pool, _time_empty(Workers(scheduler=address), f"{count} on Dask", pool)]
@@ -80,18 +80,18 @@ def _time_batch(files: Sequence[Path], workers: Workers, name: str, against: Tim
         f"{figures['recordings_per_minute']:.1f} recordings/min, {figures['cpu_s_per_recording']:.1f} s of CPU each, "
         f"{peak_bytes / 1e6:.0f} MB per process, {compiling:.0%} compiling, {figures['start_s']:.1f} s to start"
     )
-    title = f"{len(files)} recordings of {MINUTES:g} min, {name}"
+    title = f"{len(files)} recordings of {_MINUTES:g} min, {name}"
     return Timing(title, [seconds], None, against, "times as long", figures, note)
 
 
 def _time_empty(workers: Workers, name: str, against: Timing | None) -> Timing:
     """Return the row of tasks that do nothing, from the second outcome on: the cost of passing them round."""
     arrived: list[float] = []
-    _run(_do_nothing, range(EMPTY_TASKS), workers, lambda *_: arrived.append(time.perf_counter()))
+    _run(_do_nothing, range(_EMPTY_TASKS), workers, lambda *_: arrived.append(time.perf_counter()))
     seconds = arrived[-1] - arrived[0]
-    each_ms = 1e3 * seconds / (EMPTY_TASKS - 1)
+    each_ms = 1e3 * seconds / (_EMPTY_TASKS - 1)
     extra = {"per_task_ms": each_ms}
-    title = f"{EMPTY_TASKS} empty tasks, {name}"
+    title = f"{_EMPTY_TASKS} empty tasks, {name}"
     return Timing(title, [seconds], None, against, "times as long", extra, f"{each_ms:.2f} ms per task")
 
 
@@ -140,7 +140,7 @@ def _sum_by_process(used: Sequence[_Used]) -> dict[int, float]:
 
 def _write_recording(folder: Path, seed: int) -> Path:
     file = folder / f"{seed}.mcap"
-    write(file, simulate("phone-3", seed, minutes=MINUTES, rate_hz=RATE_HZ))
+    write(file, simulate("phone-3", seed, minutes=_MINUTES, rate_hz=_RATE_HZ))
     return file
 
 

@@ -13,12 +13,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.bench.timing import Timing, time_call
 from stillpoint.smoother import reference
 
-SHORT_S, SHORT_HZ = 200, 286  # the length and rate of BROAD's trials
-HOURS = (1, 4)
-LONG_HZ = 100
+_SHORT_S, _SHORT_HZ = 200, 286  # the length and rate of BROAD's trials
+_HOURS = (1, 4)
+_LONG_HZ = 100
 
 # In a process of its own: the peak of this one would hide it. Simulated data are part of the peak.
-MEASURE = """
+_MEASURE = """
 import json, resource, sys
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.bench.timing import time_call
@@ -33,20 +33,20 @@ print(json.dumps({"seconds": seconds, "bytes": unit * resource.getrusage(resourc
 
 def bench_smoother(runs: int) -> list[Timing]:
     """Return the rows of a short recording beside its peer, and of an hour and four hours."""
-    short = simulate("phone-3", minutes=SHORT_S / 60, rate_hz=SHORT_HZ)
+    short = simulate("phone-3", minutes=_SHORT_S / 60, rate_hz=_SHORT_HZ)
     peer, ours = _time_side_by_side(short, runs)
     n = len(short.require_imu().t_ns)
-    offline = Timing(f"offlineVQF, {SHORT_S} s at {SHORT_HZ} Hz", peer, n)
-    graph = f"graph, {SHORT_S} s at {SHORT_HZ} Hz, with covariances"
+    offline = Timing(f"offlineVQF, {_SHORT_S} s at {_SHORT_HZ} Hz", peer, n)
+    graph = f"graph, {_SHORT_S} s at {_SHORT_HZ} Hz, with covariances"
     rows = [offline, Timing(graph, ours, n, against=offline, ratio_is="times as long")]
     before: Timing | None = None
-    for hours in HOURS:
+    for hours in _HOURS:
         measured = _measure(hours)
         peak = measured["bytes"]
         row = Timing(
-            f"graph, {hours} h at {LONG_HZ} Hz: peak memory {peak / 1e6:.0f} MB",
+            f"graph, {hours} h at {_LONG_HZ} Hz: peak memory {peak / 1e6:.0f} MB",
             [measured["seconds"]],
-            int(hours * 3600 * LONG_HZ),
+            int(hours * 3600 * _LONG_HZ),
             against=before,
             ratio_is="times as long",
             extra={"peak_bytes": peak},
@@ -67,7 +67,7 @@ def _time_side_by_side(recording: Recording, runs: int) -> tuple[list[float], li
     held = mag.mag_b_ut[(mag.t_ns.searchsorted(imu.t_ns, side="right") - 1).clip(0)]
 
     def peer() -> object:
-        return offlineVQF(imu.gyro_b_radps, imu.accel_b_mps2, held, 1 / SHORT_HZ, {})
+        return offlineVQF(imu.gyro_b_radps, imu.accel_b_mps2, held, 1 / _SHORT_HZ, {})
 
     peer()
     reference(recording)
@@ -80,7 +80,7 @@ def _time_side_by_side(recording: Recording, runs: int) -> tuple[list[float], li
 
 def _measure(hours: float) -> dict[str, float]:
     done = subprocess.run(
-        [sys.executable, "-c", MEASURE, str(hours), str(LONG_HZ)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", _MEASURE, str(hours), str(_LONG_HZ)], capture_output=True, text=True, check=True
     )
     result: dict[str, float] = json.loads(done.stdout)
     return result

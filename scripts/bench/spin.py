@@ -21,15 +21,15 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.bench.timing import Timing, time_call
 from stillpoint.smoother import reference
 
-MINUTES = 20.0
-STREAMED = 5_000
-HORIZONTAL_DEG = 90.0
+_MINUTES = 20.0
+_STREAMED = 5_000
+_HORIZONTAL_DEG = 90.0
 
 
 def bench_spin(runs: int) -> list[Timing]:
     """Return the rows of a vertical axis, the same with the encoder, and a horizontal axis, run by run in turn."""
     vertical = simulate("spin-variable", sensor="white")
-    tilted = replace(VARIABLE["white"], name="horizontal", tilt_deg=HORIZONTAL_DEG)
+    tilted = replace(VARIABLE["white"], name="horizontal", tilt_deg=_HORIZONTAL_DEG)
     cases: dict[str, tuple[Recording, dict[str, bool]]] = {
         "roll-graph, vertical axis": (vertical, {}),
         "roll-graph, vertical axis, with the encoder": (vertical, {"encoder.use": True}),
@@ -46,14 +46,14 @@ def bench_spin(runs: int) -> list[Timing]:
 
 def bench_spin_filters(runs: int) -> list[Timing]:
     """Return the rows of every estimator of roll, run by run in turn."""
-    recording = simulate("spin-constant", minutes=MINUTES, sensor="glitch")
+    recording = simulate("spin-constant", minutes=_MINUTES, sensor="glitch")
     assert recording.spin is not None
     n = len(recording.spin.t_ns)
     steps: dict[str, tuple[Callable[[], float], int]] = {}
     for name in ROLLS:
         steps[name] = _time_batch(recording, name, "double", n), n
         steps[f"{name}, single precision"] = _time_batch(recording, name, "single", n), n
-        steps[f"{name}, a call of a stream"] = _time_stream(recording, name), STREAMED
+        steps[f"{name}, a call of a stream"] = _time_stream(recording, name), _STREAMED
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for step, _ in steps.values():
         step()  # compiles, and fills the caches of the machine
@@ -68,10 +68,10 @@ def _time_batch(recording: Recording, name: str, precision: Precision, n: int) -
 
 
 def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
-    """Return the seconds of ``STREAMED`` calls, from lists as a program would have them."""
+    """Return the seconds of ``_STREAMED`` calls, from lists as a program would have them."""
     spin = recording.spin
     assert spin is not None
-    rows = list(zip(spin.t_ns[:STREAMED].tolist(), spin.accel_mps2[:STREAMED].tolist(), strict=True))
+    rows = list(zip(spin.t_ns[:_STREAMED].tolist(), spin.accel_mps2[:_STREAMED].tolist(), strict=True))
 
     def fed() -> float:
         update = SpinStream(name, spin.geometry).update

@@ -13,9 +13,9 @@ from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.table import Estimator
 from stillpoint.scripts.bench.timing import Timing, time_call
 
-HELP = "import sys; from stillpoint.scripts.main import main; main(['--help'])"
+_HELP = "import sys; from stillpoint.scripts.main import main; main(['--help'])"
 # The imports count too: they are part of what a user waits for. Simulated data and the interpreter do not.
-FIRST = """
+_FIRST = """
 import json, sys, time
 start = time.perf_counter()
 from stillpoint.datasets import Recording
@@ -31,11 +31,11 @@ print(json.dumps(time.perf_counter() - start))
 
 def bench_start(runs: int) -> list[Timing]:
     """Return the rows of the help page, and of each estimator of attitude with nothing compiled (once each)."""
-    rows = [Timing("stillpoint --help", [time_call(lambda: _time_command(HELP)) for _ in range(runs)], None)]
+    rows = [Timing("stillpoint --help", [time_call(lambda: _time_command(_HELP)) for _ in range(runs)], None)]
     ours = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
     for name in track(ours, "start", console=Console(stderr=True), transient=True):
         with tempfile.TemporaryDirectory() as cache:
-            seconds = [float(json.loads(_time_command(FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
+            seconds = [float(json.loads(_time_command(_FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
         rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
         rows.append(Timing(f"the next process with {name}", seconds[1:], None))
     return rows

@@ -24,8 +24,8 @@ from stillpoint.smoother.attitude.evidence import gather_evidence
 from stillpoint.smoother.attitude.graph import reference_from_evidence
 from stillpoint.smoother.attitude.params import HANDHELD
 
-ALIGNMENTS: tuple[AlignKind, ...] = ("heading+mounting+time", "heading")
-FIGURES = ("total", "heading", "inclination", "worst total", "in 95 %", "NEES/3")
+_ALIGNMENTS: tuple[AlignKind, ...] = ("heading+mounting+time", "heading")
+_FIGURES = ("total", "heading", "inclination", "worst total", "in 95 %", "NEES/3")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Variant:
     optimised: bool = True  # else the start value is scored
 
 
-NO_CALIBRATION = {
+_NO_CALIBRATION = {
     "inertial.gyro_matrix_sd": 1e-5,
     "inertial.accel_matrix_sd": 1e-5,
     "inertial.free_matrix_sd": 1e-5,
@@ -48,9 +48,9 @@ NO_CALIBRATION = {
 }
 VARIANTS = (
     Variant("everything"),
-    Variant("no calibration matrices", NO_CALIBRATION),
+    Variant("no calibration matrices", _NO_CALIBRATION),
     Variant("no delay of the accelerometer", {"inertial.accel_late_sd_s": 1e-5}),
-    Variant("neither matrices nor delay", {**NO_CALIBRATION, "inertial.accel_late_sd_s": 1e-5}),
+    Variant("neither matrices nor delay", {**_NO_CALIBRATION, "inertial.accel_late_sd_s": 1e-5}),
     Variant("no delay of the magnetometer", {"magnetic.late_sd_s": 1e-5}),
     Variant("no matrix of the magnetometer", {"magnetic.matrix_sd": 1e-6}),
     Variant("gyro bias constant", {"inertial.gyro_bias_walk": 1e-7}),
@@ -78,9 +78,9 @@ def main(*folders: Path) -> None:
     for folder in folders:
         sources = recordings([folder])
         rows = [(variant.name, _score_variant(variant, sources)) for variant in VARIANTS]
-        for align in ALIGNMENTS:
+        for align in _ALIGNMENTS:
             print(f"\n{folder.name}, {len(sources)} recordings, aligned: {align}\n")
-            print(f"| | {' | '.join(FIGURES)} | refused |\n|{'---|' * (len(FIGURES) + 2)}")
+            print(f"| | {' | '.join(_FIGURES)} | refused |\n|{'---|' * (len(_FIGURES) + 2)}")
             for name, scores in rows:
                 found = [each[align] for each in scores if each is not None]
                 print(f"| {name} | {' | '.join(_format_cells(found))} | {len(scores) - len(found)} |", flush=True)
@@ -98,7 +98,7 @@ def _score_recording(source: Path, variant: Variant) -> dict[AlignKind, Score]:
         raise StillpointError(f"{source}: has no independent truth; an ablation needs one")
     given = recording if variant.magnetometer else replace(recording, mag=None)
     made = solve_variant(given, variant)
-    return {align: score(made, recording.truth, align) for align in ALIGNMENTS}
+    return {align: score(made, recording.truth, align) for align in _ALIGNMENTS}
 
 
 def solve_variant(recording: Recording, variant: Variant) -> Reference | Estimate:
@@ -116,8 +116,8 @@ def solve_variant(recording: Recording, variant: Variant) -> Reference | Estimat
 def _format_cells(scores: Sequence[Score]) -> list[str]:
     """Return means over the recordings with medians in brackets, and the worst total."""
     if not scores:
-        return ["–"] * len(FIGURES)
-    errors = {name: [getattr(s, f"{name}_rmse_deg") for s in scores] for name in FIGURES[:3]}
+        return ["–"] * len(_FIGURES)
+    errors = {name: [getattr(s, f"{name}_rmse_deg") for s in scores] for name in _FIGURES[:3]}
     cells = [f"{mean(values):.2f} ({median(values):.2f})" for values in errors.values()]
     inside = [s.coverage95 for s in scores if s.coverage95 is not None]
     nees = [s.nees_per_dof for s in scores if s.nees_per_dof is not None]

@@ -19,11 +19,11 @@ from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring import score
 
-PAGE = Path("docs/estimator-accuracy.md")
-BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)
+_PAGE = Path("docs/estimator-accuracy.md")
+_BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def main(folder: Path, page: Path = PAGE) -> None:
+def main(folder: Path, page: Path = _PAGE) -> None:
     """Rewrite the table of this page from BROAD's trials in ``folder``."""
     trials = [trial for path in sorted(folder.glob("*.mat")) for trial in IMPORTERS["broad"](path)]
     console = Console(stderr=True)
@@ -50,7 +50,7 @@ def replace_table(text: str, trials: Sequence[Recording], totals: Mapping[str, S
         cells = [f"{np.mean(degs):.2f}", f"{np.median(degs):.2f}", *(f"{deg:.1f}" for deg in degs)]
         lines.append(f"| {shown} | " + " | ".join(cells) + " |")
     table = "\n".join(lines) + "\n"
-    return BETWEEN_MARKS.sub(lambda match: f"{match[1]}{table}{match[2]}", text)
+    return _BETWEEN_MARKS.sub(lambda match: f"{match[1]}{table}{match[2]}", text)
 
 
 if __name__ == "__main__":

@@ -15,21 +15,21 @@ from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import reference
 
-MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}
-HEAD = "| | seeds | total, deg | worst total | in 95 % | NEES/3 | of single seeds | refused |"
+_MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}
+_HEAD = "| | seeds | total, deg | worst total | in 95 % | NEES/3 | of single seeds | refused |"
 
 
 def main(seeds: int = 30) -> None:
     """Print a Markdown table, one row per kind of phone."""
-    print(f"{HEAD}\n|{'---|' * HEAD.count('| ')}")
-    for kind in MINUTES:
+    print(f"{_HEAD}\n|{'---|' * _HEAD.count('| ')}")
+    for kind in _MINUTES:
         outcomes = run_jobs(partial(_score_seed, kind), list(range(seeds)), LOCAL, kind)
         scores = [outcome.value for outcome in outcomes if outcome.value is not None]
         print(f"| {kind} | {seeds} | {' | '.join(_format_cells(scores))} | {seeds - len(scores)} |", flush=True)
 
 
 def _score_seed(kind: str, seed: int) -> Score:
-    recording = simulate(kind, seed=seed, minutes=MINUTES[kind])
+    recording = simulate(kind, seed=seed, minutes=_MINUTES[kind])
     assert recording.truth is not None
     made = reference(recording)
     assert isinstance(made, Reference)

@@ -14,12 +14,12 @@ from stillpoint.filters.c.export import CSource
 from stillpoint.filters.sample import Log
 from stillpoint.filters.spin.sample import SpinLog
 
-TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
-CPU = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+_TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm")
+_CPU = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wdouble-promotion", "-O2", "-DSTILLPOINT_SINGLE")
-TIMEOUT_S = 120
+_TIMEOUT_S = 120
 
-LAYOUT = """MEMORY { ram (rwx) : ORIGIN = 0, LENGTH = 4M }
+_LAYOUT = """MEMORY { ram (rwx) : ORIGIN = 0, LENGTH = 4M }
 ENTRY(reset)
 SECTIONS {
     .text : { KEEP(*(.vectors)) *(.text* .rodata*) } > ram
@@ -30,7 +30,7 @@ SECTIONS {
 }
 """
 # The emulator counts one instruction as 1 ns (-icount shift=0), and the system's timer runs at 25 MHz.
-START = """#include <stdint.h>
+_START = """#include <stdint.h>
 #include <stddef.h>
 #include "{stem}.h"
 
@@ -135,9 +135,9 @@ void reset(void)
     main();
 }}
 """
-ATTITUDE_UPDATE = """    {stem}_update(&filter, dt[k], gyro + 3 * k, has_accel[k] ? accel + 3 * k : NULL,
+_ATTITUDE_UPDATE = """    {stem}_update(&filter, dt[k], gyro + 3 * k, has_accel[k] ? accel + 3 * k : NULL,
         has_mag[k] ? mag + 3 * k : NULL, out, out + 4, NULL);"""
-SPIN_UPDATE = """    int turns;
+_SPIN_UPDATE = """    int turns;
     {stem}_update(&filter, dt[k], has_accel[k] ? accel + k : NULL, has_square[k] ? square + k : NULL,
         direction[k], &turns, out, out + 1, out + 2);"""
 
@@ -156,12 +156,12 @@ class OnTarget:
 
 def list_missing_tools() -> list[str]:
     """Return the programs that are not installed."""
-    return [tool for tool in TOOLS if shutil.which(tool) is None]
+    return [tool for tool in _TOOLS if shutil.which(tool) is None]
 
 
 def run_on_cortex_m4(made: CSource, log: Log | SpinLog, folder: Path) -> OnTarget:
     """Compile a filter for a Cortex-M4F, run it over a log in the emulator, and measure what it needs."""
-    for name, text in (("layout.ld", LAYOUT), (f"{made.stem}.h", made.header), (f"{made.stem}.c", made.source)):
+    for name, text in (("layout.ld", _LAYOUT), (f"{made.stem}.h", made.header), (f"{made.stem}.c", made.source)):
         (folder / name).write_text(text)
     columns = {
         "dt": log.dt_s,
@@ -182,9 +182,9 @@ def run_on_cortex_m4(made: CSource, log: Log | SpinLog, folder: Path) -> OnTarge
         f"static const signed char {name}[] = {{{', '.join(str(int(v)) for v in mask)}}};"
         for name, mask in masks.items()
     ]
-    update = (SPIN_UPDATE if isinstance(log, SpinLog) else ATTITUDE_UPDATE).format(stem=made.stem)
-    (folder / "start.c").write_text(START.format(stem=made.stem, data="\n".join(data), update=update))
-    compile_ = ["arm-none-eabi-gcc", *CPU, *FLAGS]
+    update = (_SPIN_UPDATE if isinstance(log, SpinLog) else _ATTITUDE_UPDATE).format(stem=made.stem)
+    (folder / "start.c").write_text(_START.format(stem=made.stem, data="\n".join(data), update=update))
+    compile_ = ["arm-none-eabi-gcc", *_CPU, *FLAGS]
     for stem in (made.stem, "start"):
         _run([*compile_, "-c", f"{stem}.c", "-o", f"{stem}.o"], folder)
     _run([*compile_, "-nostartfiles", "-T", "layout.ld", f"{made.stem}.o", "start.o", "-lm", "-o", "run.elf"], folder)
@@ -208,7 +208,7 @@ def _list_reals(values: Any) -> str:
 
 def _run(words: list[str], folder: Path) -> str:
     """Run a program in a folder and return what it printed."""
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S)
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S)
     if done.returncode:
         raise RuntimeError(f"{words[0]} failed: {(done.stderr or done.stdout)[-2000:]}")
     return done.stdout + done.stderr

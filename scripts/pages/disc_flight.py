@@ -28,12 +28,12 @@ from stillpoint.smoother.spin.params import (
     SpinNoise,
 )
 
-FLYING_RADPS = np.deg2rad(3000.0)  # spin rate, by the gyro, between release and catch
-FILTER_S = 1 / (2 * np.pi * 1.04)  # time constant of the accelerometers' low-pass at a hundredth of 104 Hz
-SETTLED = 4.0  # of these after the release
-CATCH_S = 0.05  # before the last sample of the flight, which the catch has touched
-GUESS_M = 0.03  # lever arm to begin with, from the size of the circuit board
-PARAMS = SpinGraphParams(
+_FLYING_RADPS = np.deg2rad(3000.0)  # spin rate, by the gyro, between release and catch
+_FILTER_S = 1 / (2 * np.pi * 1.04)  # time constant of the accelerometers' low-pass at a hundredth of 104 Hz
+_SETTLED = 4.0  # of these after the release
+_CATCH_S = 0.05  # before the last sample of the flight, which the catch has touched
+_GUESS_M = 0.03  # lever arm to begin with, from the size of the circuit board
+_PARAMS = SpinGraphParams(
     noise=SpinNoise(unseen_radps2=10.0),
     calibration=SpinCalibration(accel_bias_sd_mps2=0.1, accel_bias_walk=0.02, lever_arm_sd=0.7, step_s=0.5),
     harmonic=HarmonicParams(search="off"),
@@ -63,16 +63,16 @@ def read_disc_flight(file: Path) -> DiscFlight:
     recording = next(IMPORTERS["flatball"](file, Options(units_unchecked=True)))
     spin = recording.spin
     assert spin is not None
-    flying = np.flatnonzero(spin.gyro_radps[:, 0] > FLYING_RADPS)
+    flying = np.flatnonzero(spin.gyro_radps[:, 0] > _FLYING_RADPS)
     if len(flying) < 100:
         raise BadRecording(f"{file}: spins above 3000 deg/s for less than a second; there is no flight to look at")
     t_s = (spin.t_ns - spin.t_ns[flying[0]]) / 1e9
-    rows = np.flatnonzero((t_s > SETTLED * FILTER_S) & (t_s < t_s[flying[-1]] - CATCH_S))
+    rows = np.flatnonzero((t_s > _SETTLED * _FILTER_S) & (t_s < t_s[flying[-1]] - _CATCH_S))
     flight = _place_at_arm(recording, spin, rows)
     taught = t_s[rows] < (t_s[rows[0]] + t_s[rows[-1]]) / 2
     assert flight.encoder is not None
     half = replace(flight, encoder=_find_first(flight.encoder, int(taught.sum())))
-    made = make_spin_reference(half, PARAMS)
+    made = make_spin_reference(half, _PARAMS)
     error, sd = made.diagnostics["arm_squared"]
     wobble = np.where(taught, _measure_wobble_radps(made, taught), _measure_wobble_radps(made, ~taught))
     return DiscFlight(
@@ -85,7 +85,7 @@ def read_disc_flight(file: Path) -> DiscFlight:
         reference=made,
         sd_radps=np.hypot(made.rate_sd_radps, wobble),
         wobble_radps=wobble,
-        arm_m=(GUESS_M * (1 + error), GUESS_M * sd),
+        arm_m=(_GUESS_M * (1 + error), _GUESS_M * sd),
     )
 
 
@@ -93,7 +93,7 @@ def _place_at_arm(recording: Recording, spin: Spin, rows: NDArray[np.int64]) -> 
     """Return the two accelerometers across the spin axis at the guessed arm, with the gyro's angle as an encoder."""
     across = spin.accel_mps2[rows, 1:]
     inward = np.median(across, axis=0)
-    arm = np.array([0.0, *(-GUESS_M * inward / np.linalg.norm(inward))])
+    arm = np.array([0.0, *(-_GUESS_M * inward / np.linalg.norm(inward))])
     geometry = SpinGeometry(np.tile(arm, (2, 1)), np.eye(3)[1:], np.empty((0, 3)), None, fixed_axis=True)
     t_ns = spin.t_ns[rows] - spin.t_ns[rows[0]]
     rate = spin.gyro_radps[rows, 0]

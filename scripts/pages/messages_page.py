@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-FOLDERS = ("datasets", "filters", "smoother", "scoring", "studies", "scripts")
-ERRORS = ("BadSource", "BadParameter", "BadFile", "BadRecording", "Unobservable")
-PAGE = Path("docs/messages.md")
-HEAD = """# Messages
+_ROOT = Path(__file__).parents[2]
+_FOLDERS = ("datasets", "filters", "smoother", "scoring", "studies", "scripts")
+_ERRORS = ("BadSource", "BadParameter", "BadFile", "BadRecording", "Unobservable")
+_PAGE = Path("docs/messages.md")
+_HEAD = """# Messages
 
 What the command line says where something is wrong, in one line after `stillpoint:` and with exit code 2.
 Words in braces and `…` stand for names and numbers.
@@ -20,20 +20,20 @@ Words in braces and `…` stand for names and numbers.
 """
 
 
-def main(page: Path = PAGE) -> None:
+def main(page: Path = _PAGE) -> None:
     """Write the page."""
     page.write_text(make_page(), encoding="utf-8")
 
 
 def make_page() -> str:
     """Return the page: a section per folder, a list of messages per file."""
-    parts = [HEAD]
-    for folder in FOLDERS:
+    parts = [_HEAD]
+    for folder in _FOLDERS:
         parts.append(f"\n## {folder}\n")
-        for file in sorted((ROOT / folder).rglob("*.py")):
+        for file in sorted((_ROOT / folder).rglob("*.py")):
             found = list(dict.fromkeys(find_messages(file)))
             if found:
-                parts.append(f"\n`{file.relative_to(ROOT)}`\n\n" + "".join(f"- {message}\n" for message in found))
+                parts.append(f"\n`{file.relative_to(_ROOT)}`\n\n" + "".join(f"- {message}\n" for message in found))
     return "".join(parts)
 
 
@@ -41,7 +41,7 @@ def find_messages(file: Path) -> Iterator[str]:
     """Yield the texts of the errors that a file raises, with … for what is filled in."""
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         call = node.exc if isinstance(node, ast.Raise) else None
-        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ERRORS and call.args:
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in _ERRORS and call.args:
             text = " ".join(_show(call.args[0]).split())
             if any(letter.islower() for letter in re.sub(r"\{\w+\}", "", text)):
                 yield text.replace("<", "&lt;").replace("|", "\\|")
@@ -57,8 +57,8 @@ def _show(node: ast.expr) -> str:
         return _show(node.left) + _show(node.right)
     value = node.value if isinstance(node, ast.FormattedValue) else node
     if isinstance(value, ast.Attribute):
-        return f"{{{value.attr}}}"
-    return f"{{{value.id}}}" if isinstance(value, ast.Name) else "…"
+        return f"{{{value.attr.lstrip('_')}}}"
+    return f"{{{value.id.lstrip('_')}}}" if isinstance(value, ast.Name) else "…"
 
 
 if __name__ == "__main__":

@@ -22,20 +22,20 @@ from stillpoint.scoring.report.figures import COLOURS, draw_band, make_view
 from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
-ALIGN: AlignKind = "heading+mounting+time"
-TRIALS, BANDS = Path("docs/figures/method_trials.png"), Path("docs/figures/method_bands.png")
-MARKS = ("o", "s", "^", "D")
-DPI = 80
+_ALIGN: AlignKind = "heading+mounting+time"
+_TRIALS, _BANDS = Path("docs/figures/method_trials.png"), Path("docs/figures/method_bands.png")
+_MARKS = ("o", "s", "^", "D")
+_DPI = 80
 
 
 def main(*files: Path) -> None:
     """Draw both figures of docs/history.md."""
     tables = [file for file in files if file.suffix == ".json"]
     recordings = [file for file in files if file.suffix == ".mcap"]
-    TRIALS.parent.mkdir(parents=True, exist_ok=True)
+    _TRIALS.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
-        _read_trials(tables).savefig(TRIALS, dpi=DPI, metadata={"Software": None})
-        _draw_bands(recordings).savefig(BANDS, dpi=DPI, metadata={"Software": None})
+        _read_trials(tables).savefig(_TRIALS, dpi=_DPI, metadata={"Software": None})
+        _draw_bands(recordings).savefig(_BANDS, dpi=_DPI, metadata={"Software": None})
 
 
 def _read_trials(tables: Sequence[Path]) -> Figure:
@@ -57,7 +57,7 @@ def _draw_trials(ax: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str
     for k, method in enumerate(methods):
         found = {row["recording"]: row["total_rmse_deg"] for row in rows if row["method"] == method}
         values = [np.nan if found[name] is None else found[name] for name in names]
-        ax.plot(values, MARKS[k % len(MARKS)], color=COLOURS[k], label=method, ms=7 if k == 0 else 5)
+        ax.plot(values, _MARKS[k % len(_MARKS)], color=COLOURS[k], label=method, ms=7 if k == 0 else 5)
     ax.set_yscale("log")
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     ax.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
@@ -72,7 +72,7 @@ def _draw_bands(recordings: Sequence[Path]) -> Figure:
         recording = read_recording(file)
         if recording.truth is None:
             raise BadParameter(f"{file}: has no independent truth to draw the error against")
-        comparison = compare(attitude_reference(recording, DEFAULT_METHOD), recording.truth, ALIGN)
+        comparison = compare(attitude_reference(recording, DEFAULT_METHOD), recording.truth, _ALIGN)
         draw_band(list(column), make_view([comparison], recording.truth, "nwu", int(recording.truth.t_ns[0])))
         column[0].set_title(recording.name, loc="left", fontsize=9)
         column[-1].set_xlabel("time (s)")

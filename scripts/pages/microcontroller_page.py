@@ -18,12 +18,12 @@ from stillpoint.filters.spin.sample import SpinLog
 from stillpoint.scripts.pages.cortex_m import FLAGS, OnTarget, run_on_cortex_m4
 
 PAGE = Path(__file__).parents[2] / "docs" / "microcontroller.md"
-SAMPLES = 1500
-HEAD = f"""# Filters on a microcontroller: what they need
+_SAMPLES = 1500
+_HEAD = f"""# Filters on a microcontroller: what they need
 
 Made by `python -m stillpoint.scripts.pages.microcontroller_page`. Single precision, `arm-none-eabi-gcc` with
 `{" ".join(FLAGS)}`
-for a Cortex-M4F, run in the emulator `qemu-system-arm` (machine `mps2-an386`) over {SAMPLES}
+for a Cortex-M4F, run in the emulator `qemu-system-arm` (machine `mps2-an386`) over {_SAMPLES}
 samples of a simulated recording: `phone-1`, seed 3, for attitudes, and `spin-variable`, seed 1, for spins.
 
 Code is the filter with its constants, without the C library's mathematical functions. Stack is the most that an
@@ -46,8 +46,8 @@ def make_logs() -> dict[str, Log | SpinLog]:
     front_c = spin_front.coefficients(make_channels(params, spin.geometry), params, "double")
     _, spins = spin_front.filter_log(spin.t_ns, spin.accel_mps2, spin.gyro_radps, spin_front.start(), front_c)
     return {
-        "attitude": Log._make(column[:SAMPLES] for column in log),
-        "spin": SpinLog._make(column[:SAMPLES] for column in spins),
+        "attitude": Log._make(column[:_SAMPLES] for column in log),
+        "spin": SpinLog._make(column[:_SAMPLES] for column in spins),
     }
 
 
@@ -68,7 +68,7 @@ def _make_page(found: Mapping[str, OnTarget]) -> str:
         f"| {one.most_instructions} |\n"
         for name, one in found.items()
     ]
-    return HEAD + "".join(rows)
+    return _HEAD + "".join(rows)
 
 
 if __name__ == "__main__":

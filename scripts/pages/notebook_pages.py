@@ -9,19 +9,19 @@ from pathlib import Path
 import nbformat
 from nbclient import NotebookClient
 
-FOLDER = Path("docs/notebooks")
-FIGURES = Path("docs/figures/notebooks")
-LONGEST_S = 900  # of one cell
+_FOLDER = Path("docs/notebooks")
+_FIGURES = Path("docs/figures/notebooks")
+_LONGEST_S = 900  # of one cell
 
 
 def main() -> None:
     """Write a page beside each notebook, and its figures."""
-    FIGURES.mkdir(parents=True, exist_ok=True)
-    for path in sorted(FOLDER.glob("*.ipynb")):
+    _FIGURES.mkdir(parents=True, exist_ok=True)
+    for path in sorted(_FOLDER.glob("*.ipynb")):
         text, figures = make_page(path)
         path.with_suffix(".md").write_text(text, encoding="utf-8")
         for name, content in figures.items():
-            (FIGURES / name).write_bytes(content)
+            (_FIGURES / name).write_bytes(content)
 
 
 def make_page(path: Path) -> tuple[str, dict[str, bytes]]:
@@ -30,7 +30,7 @@ def make_page(path: Path) -> tuple[str, dict[str, bytes]]:
     Raises ``nbclient.exceptions.CellExecutionError`` for a cell that fails.
     """
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=LONGEST_S, kernel_name="python3").execute()
+    NotebookClient(notebook, timeout=_LONGEST_S, kernel_name="python3").execute()
     figures: dict[str, bytes] = {}
     parts = []
     for cell in notebook.cells:

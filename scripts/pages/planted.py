@@ -24,9 +24,9 @@ from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.smoother import attitude_reference
 
-RAMP_S = 2.0  # over which a return is turned before a rest, and turned back after it
-RAW = np.diag([1.08, 0.94, 1.05])  # scales of a raw gyro
-SEED = 7
+_RAMP_S = 2.0  # over which a return is turned before a rest, and turned back after it
+_RAW = np.diag([1.08, 0.94, 1.05])  # scales of a raw gyro
+_SEED = 7
 
 
 def turn_last_return(recording: Recording, angle_deg: float) -> Recording:
@@ -39,7 +39,7 @@ def turn_last_return(recording: Recording, angle_deg: float) -> Recording:
     start_ns = truth.t_ns[first]
 
     def angle_rad(t_ns: Times) -> Floats:
-        share = np.clip((t_ns - start_ns) / 1e9 / RAMP_S + 1, 0, 1)
+        share = np.clip((t_ns - start_ns) / 1e9 / _RAMP_S + 1, 0, 1)
         return np.asarray(np.deg2rad(angle_deg) * share)
 
     def turn_body(t_ns: Times, vector_b: Floats) -> Floats:
@@ -108,7 +108,7 @@ def slow_down(recording: Recording, rate_hz: float, averaged: bool) -> Recording
 def add_noise(recording: Recording, gyro_radps: float, accel_mps2: float) -> Recording:
     """Return the recording with white noise on each sample."""
     imu = recording.require_imu()
-    gyro, accel = np.random.default_rng(SEED).standard_normal((2, len(imu.t_ns), 3))
+    gyro, accel = np.random.default_rng(_SEED).standard_normal((2, len(imu.t_ns), 3))
     return replace(
         recording, imu=Imu(imu.t_ns, imu.gyro_b_radps + gyro_radps * gyro, imu.accel_b_mps2 + accel_mps2 * accel)
     )
@@ -117,10 +117,10 @@ def add_noise(recording: Recording, gyro_radps: float, accel_mps2: float) -> Rec
 def make_raw(recording: Recording) -> Recording:
     """Return the recording with the scales of a gyro that nobody calibrated."""
     imu = recording.require_imu()
-    return replace(recording, imu=Imu(imu.t_ns, imu.gyro_b_radps @ RAW, imu.accel_b_mps2))
+    return replace(recording, imu=Imu(imu.t_ns, imu.gyro_b_radps @ _RAW, imu.accel_b_mps2))
 
 
-PLANTED: dict[str, Callable[[Recording], Recording]] = {
+_PLANTED: dict[str, Callable[[Recording], Recording]] = {
     "nothing": lambda recording: recording,
     "last return turned by 0.5 deg": partial(turn_last_return, angle_deg=0.5),
     "last return turned by 2.5 deg": partial(turn_last_return, angle_deg=2.5),
@@ -141,7 +141,7 @@ PLANTED: dict[str, Callable[[Recording], Recording]] = {
 def main(*files: Path) -> None:
     """Print one row for each kind of copy."""
     print("| planted | mean total, deg | worst | mean in 95 % | least | refused |\n|---|---|---|---|---|---|")
-    for name in PLANTED:
+    for name in _PLANTED:
         outcomes = run_jobs(partial(_score_copy, name=name), files, LOCAL, name)
         found = [outcome.value for outcome in outcomes if outcome.value is not None]
         totals, inside = [one.total_rmse_deg for one in found], [one.coverage95 or 0.0 for one in found]
@@ -150,7 +150,7 @@ def main(*files: Path) -> None:
 
 
 def _score_copy(path: Path, name: str) -> Score:
-    changed = PLANTED[name](read_recording(path))
+    changed = _PLANTED[name](read_recording(path))
     return score(attitude_reference(changed), _require_truth(changed), "heading+mounting+time")
 
 

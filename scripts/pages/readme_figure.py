@@ -15,7 +15,7 @@ from stillpoint.scoring.report.page import Material, Verdict, judge
 from stillpoint.scripts.verbs.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
 
-TARGET = Path("docs/figures/demo.png")
+_TARGET = Path("docs/figures/demo.png")
 STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -25,7 +25,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def main(target: Path = TARGET) -> None:
+def main(target: Path = _TARGET) -> None:
     """Simulate, make the reference, run the demo's estimators, and draw their errors over time beside their scores."""
     recording = simulate(KIND)
     estimates = tuple(estimate(recording, name) for name in SHOWN)

@@ -14,22 +14,22 @@ from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import find_estimator
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
-PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
-FAMILIES = ("complementary", "kalman", PEERS, "spin")
-PAGES = (
+_PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
+FAMILIES = ("complementary", "kalman", _PEERS, "spin")
+_PAGES = (
     Path("docs/estimators.md"),
     *(Path(f"docs/estimators-{family}.md") for family in FAMILIES),
     Path("docs/reference-settings.md"),
     Path("docs/roll.md"),
     Path("docs/streaming.md"),
 )
-BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
-NEW_SECTIONS = re.compile(r"<!-- new sections of (\w+) -->")  # they come before
+_BETWEEN_MARKS = re.compile(r"(<!-- (estimators|settings) ?([\w-]*) -->\n).*?(<!-- end -->)", re.DOTALL)
+_NEW_SECTIONS = re.compile(r"<!-- new sections of (\w+) -->")  # they come before
 
 
 def main(*pages: Path) -> None:
     """Rewrite the text between the marks of these pages, by default of all pages that have marks."""
-    for page in pages or PAGES:
+    for page in pages or _PAGES:
         page.write_text(refresh_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
@@ -40,17 +40,17 @@ def refresh_tables(text: str) -> str:
         made = _list_estimators() if match[2] == "estimators" else _list_settings(_find_defaults(match[3]))
         return f"{match[1]}{made}{match[4]}"
 
-    family = NEW_SECTIONS.search(text)
+    family = _NEW_SECTIONS.search(text)
     if family is not None:
         names = [name for name in ESTIMATORS if find_family(name) == family[1] and f"\n## {name}\n" not in text]
         text = text.replace(family[0], "".join(map(_make_section, names)) + family[0])
-    return BETWEEN_MARKS.sub(make_table, text)
+    return _BETWEEN_MARKS.sub(make_table, text)
 
 
 def find_family(name: str) -> str:
     """Return the family of an estimator: its page is ``docs/estimators-FAMILY.md``."""
     if ESTIMATORS[name].is_peer:
-        return PEERS
+        return _PEERS
     return find_estimator(name).params.__module__.split(".")[2]
 
 

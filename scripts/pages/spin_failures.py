@@ -18,8 +18,8 @@ from stillpoint.scoring.spin import score_roll
 from stillpoint.smoother import reference
 from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, make_settings
 
-QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
-AT, LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
+_QUIET = make_white_noise("quiet", 0.06, 0.13, 0.08)  # the bench of tests/filters/spin/test_guarded.py
+_AT, _LONG = 3000, 250  # samples: where the fault is, and how long it lasts when it lasts
 
 
 def _change_nothing(accel: Floats) -> None:
@@ -35,15 +35,15 @@ def _add_radial_bias(accel: Floats) -> None:
 
 
 def _drop_samples(accel: Floats) -> None:
-    accel[AT, 0] = np.nan
+    accel[_AT, 0] = np.nan
 
 
 def _set_zeros(accel: Floats) -> None:
-    accel[AT : AT + 3] = 0.0
+    accel[_AT : _AT + 3] = 0.0
 
 
 def _freeze_sensor(accel: Floats) -> None:
-    accel[AT : AT + LONG, 0] = accel[AT, 0]
+    accel[_AT : _AT + _LONG, 0] = accel[_AT, 0]
 
 
 def _kill_start(accel: Floats) -> None:
@@ -54,7 +54,7 @@ def _spoil_start(accel: Floats) -> None:
     accel[0, 0] += 60.0
 
 
-FAULTS: dict[str, Callable[[Floats], None]] = {
+_FAULTS: dict[str, Callable[[Floats], None]] = {
     "nothing": _change_nothing,
     "F5 off by 0.4 m/s² (40 mg)": _add_tangential_bias,
     "F4 off by 0.1 m/s² (10 mg)": _add_radial_bias,
@@ -70,8 +70,8 @@ def main() -> None:
     """Print the table."""
     print(f"| fault | {' | '.join(FILTERS)} | smoother |")
     print("|---" * (len(FILTERS) + 2) + "|")
-    for name, spoil in FAULTS.items():
-        recording = _spoil_trial(simulate("spin-constant", seed=0, sensor=QUIET), spoil)
+    for name, spoil in _FAULTS.items():
+        recording = _spoil_trial(simulate("spin-constant", seed=0, sensor=_QUIET), spoil)
         smoothed = reference(recording)
         assert isinstance(smoothed, SpinReference)
         made: list[Estimate | SpinReference] = [

@@ -22,16 +22,16 @@ from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 from stillpoint.scripts.pages.readme_figure import STYLE
 from stillpoint.smoother import reference
 
-FOLDER = Path("docs/figures")
-DPI = 80
-ERRORS = {"bias_mg": 10.0, "arm_error": 1e-3}  # sd of what is drawn for each trial: a calibrated rig
-RIG = {"calibration.accel_bias_sd_mps2": 0.1, "calibration.lever_arm_sd": 1e-3}  # the same as the graph's prior
-BAND_SD = 2.0
+_FOLDER = Path("docs/figures")
+_DPI = 80
+_ERRORS = {"bias_mg": 10.0, "arm_error": 1e-3}  # sd of what is drawn for each trial: a calibrated rig
+_RIG = {"calibration.accel_bias_sd_mps2": 0.1, "calibration.lever_arm_sd": 1e-3}  # the same as the graph's prior
+_BAND_SD = 2.0
 
 
 def main(*logs: Path) -> None:
     """Draw all figures of docs/roll.md."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    _FOLDER.mkdir(parents=True, exist_ok=True)
     pictures = {"roll_geometry": _draw_geometry, "roll_graph": _draw_graph, "roll_errors": _draw_errors}
     with mpl.rc_context(STYLE):
         for name, draw in pictures.items():
@@ -43,7 +43,7 @@ def main(*logs: Path) -> None:
 
 
 def _save_figure(figure: Figure, name: str) -> None:
-    figure.savefig(FOLDER / f"{name}.png", dpi=DPI, metadata={"Software": None})
+    figure.savefig(_FOLDER / f"{name}.png", dpi=_DPI, metadata={"Software": None})
 
 
 def _draw_geometry() -> Figure:
@@ -129,7 +129,7 @@ def _draw_errors() -> Figure:
     axes = figure.subplots(2, 2, sharex=True)
     for column, tilt_deg in zip(axes.T, (0.0, 90.0), strict=True):
         recording = simulate("spin-constant", seed=1, sensor=_wrong(CONSTANT["white"], tilt_deg))
-        made, truth = reference(recording, params=RIG), recording.roll_truth
+        made, truth = reference(recording, params=_RIG), recording.roll_truth
         assert isinstance(made, SpinReference)
         assert truth is not None
         _draw_band(column[0], made, made.angle_rad - truth.angle_rad, made.angle_sd_rad)
@@ -143,14 +143,14 @@ def _draw_errors() -> Figure:
 
 
 def _wrong(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
-    radial, tangential = replace(sensor.radial, **ERRORS), replace(sensor.tangential, **ERRORS)
+    radial, tangential = replace(sensor.radial, **_ERRORS), replace(sensor.tangential, **_ERRORS)
     return replace(sensor, name="docs", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
 
 
 def _draw_band(ax: Axes, made: SpinReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
     t_s = (made.t_ns - made.t_ns[0]) / 1e9
     whole = 2 * np.pi * np.round(np.median(error_rad) / (2 * np.pi))
-    band = BAND_SD * np.rad2deg(sd_rad)
+    band = _BAND_SD * np.rad2deg(sd_rad)
     ax.fill_between(t_s, -band, band, color="0.88", label="2 sd, as stated")
     ax.plot(t_s, np.rad2deg(error_rad - whole), color=COLOURS[0], lw=0.8, label="error")
 
@@ -165,7 +165,7 @@ def _draw_disc(flight: DiscFlight) -> Figure:
     rate.set_ylabel("spin rate (deg/s)")
     rate.legend(frameon=False, ncols=3)
     left = np.rad2deg(flight.reference.rate_radps - flight.gyro_radps)
-    band = BAND_SD * np.rad2deg(flight.sd_radps)
+    band = _BAND_SD * np.rad2deg(flight.sd_radps)
     error.fill_between(flight.t_s, -band, band, color="0.88", label="2 sd, with the wobble")
     error.plot(flight.t_s, left, color=COLOURS[0], label="graph less gyro")
     parting = flight.t_s[flight.taught][-1]

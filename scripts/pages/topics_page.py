@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME, TOPICS, Topic
 
-TITLES = {
+_TITLES = {
     "recording": "Recordings",
     "reference": "References",
     "roll reference": "Roll references",
     "estimate": "Estimates",
 }
-HEAD = f"""# Topics
+_HEAD = f"""# Topics
 
 Which quantity lies where in a file. This page is made from `datasets/mcap/topics.py`:
 `python -m stillpoint.scripts.pages.topics_page > docs/topics.md`.
@@ -24,8 +24,8 @@ provenance, parameters, rests, calibration) is JSON in the metadata record `stil
 
 def make_page() -> str:
     """Return the text of ``docs/topics.md``."""
-    parts = [HEAD]
-    for kind, title in TITLES.items():
+    parts = [_HEAD]
+    for kind, title in _TITLES.items():
         topics = [topic for topic in TOPICS if topic.kind == kind]
         rows = [row for topic in topics for row in _list_rows(topic)]
         notes = [f"- `{topic.name}`: {topic.holds}." for topic in topics]

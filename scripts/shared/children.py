@@ -22,8 +22,8 @@ from typing import Any, Generic, TypeVar
 
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 
-END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
-NO_MEMORY = "needs more memory than it may use; give more (--memory-limit, fewer --jobs), or `stillpoint cut` it"
+_END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
+_NO_MEMORY = "needs more memory than it may use; give more (--memory-limit, fewer --jobs), or `stillpoint cut` it"
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -96,7 +96,7 @@ def end_children(children: Iterable[Child]) -> None:
     for child in ending:
         child.process.terminate()
     for child in ending:
-        child.process.join(END_WAIT_S)
+        child.process.join(_END_WAIT_S)
         if child.process.is_alive():
             child.process.kill()
             child.process.join()
@@ -109,7 +109,7 @@ def run_item(function: Callable[[Item], Result], item: Item) -> Outcome[Result]:
     except StillpointError as error:
         return Outcome(error=str(error), refused=not isinstance(error, BadParameter | BadFile))
     except MemoryError:
-        return Outcome(error=NO_MEMORY)
+        return Outcome(error=_NO_MEMORY)
     except Exception as error:
         return Outcome(error=_describe_defect(error), defect=True)
 
@@ -231,5 +231,5 @@ def _end_with_parent() -> None:
         return
     parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(END_WAIT_S)
+    time.sleep(_END_WAIT_S)
     os._exit(1)

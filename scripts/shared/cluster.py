@@ -31,9 +31,9 @@ from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.studies.result_store import product_version
 
-CONNECT_S = 20.0
-LEAST_AHEAD = 64  # inputs that the scheduler knows of at a time, so that ten million do not fill it
-AHEAD_PER_THREAD = 4
+_CONNECT_S = 20.0
+_LEAST_AHEAD = 64  # inputs that the scheduler knows of at a time, so that ten million do not fill it
+_AHEAD_PER_THREAD = 4
 
 
 class Children(WorkerPlugin):
@@ -122,7 +122,7 @@ def run_in_child(item: object, name: str) -> Outcome[Any]:
 
 def _connect(address: str) -> Client:
     try:
-        return Client(address, timeout=CONNECT_S, set_as_default=False)
+        return Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:  # TimeoutError is an OSError
         reason = " ".join(str(error).split())
         raise StillpointError(
@@ -143,7 +143,7 @@ def _gather(client: Client, items: Sequence[Item], name: str, address: str) -> I
             futures.append(future)
         return futures
 
-    ahead = max(LEAST_AHEAD, AHEAD_PER_THREAD * sum(client.nthreads().values()))
+    ahead = max(_LEAST_AHEAD, _AHEAD_PER_THREAD * sum(client.nthreads().values()))
     done = as_completed(submit(ahead), loop=client.loop)
     for future in done:
         place = places.pop(future.key)
@@ -173,4 +173,4 @@ def _leave(client: Client, name: str) -> None:
     except Exception as error:  # the batch is over, whatever became of the scheduler
         print_line(f"stillpoint: the workers could not be told to end: {type(error).__name__}: {error}", sys.stderr)
     finally:
-        client.close(timeout=CONNECT_S)
+        client.close(timeout=_CONNECT_S)

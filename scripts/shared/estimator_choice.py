@@ -13,7 +13,7 @@ from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, SpinEstimator, find
 from stillpoint.scripts.shared.batch import assignments
 
 EXAMPLE = "cf.omega0_radps=0.3"
-HEADING, RANGE = "heading", "range"  # of --set, beside the estimators
+_HEADING, _RANGE = "heading", "range"  # of --set, beside the estimators
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precisio
             f"--heading {heading}: {', '.join(spins)} follows a spin, which has no heading; leave it out"
         )
     settings = _parse_settings(set_, names)
-    make_front(heading, settings[HEADING], settings[RANGE], None)
+    make_front(heading, settings[_HEADING], settings[_RANGE], None)
     for name, entry in entries.items():
         choose_settings(entry.params(), settings[name], name)
-    return [Run(name, settings[name], precision, heading, settings[HEADING], settings[RANGE]) for name in names]
+    return [Run(name, settings[name], precision, heading, settings[_HEADING], settings[_RANGE]) for name in names]
 
 
 def _parse_names(estimators: str) -> list[str]:
@@ -59,7 +59,7 @@ def _parse_names(estimators: str) -> list[str]:
 
 def _parse_settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return settings by what they are of: an estimator, the source of the heading, the sensors' ranges."""
-    settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, HEADING, RANGE)}
+    settings: dict[str, dict[str, Any]] = {name: {} for name in (*names, _HEADING, _RANGE)}
     for path, value in assignments(set_, EXAMPLE).items():
         owner, dot, name = path.partition(".")
         if not dot:

@@ -38,7 +38,7 @@ _MEMORY_LIMIT = (
     "Most memory of each process, for example 2GB. An input that needs more is named, and the others are done."
 )
 _POWERS = {None: 0, "k": 1, "M": 2, "G": 3, "T": 4}
-LEAST_MEMORY_BYTES = 100_000_000  # Python with numpy alone holds more than half of it
+_LEAST_MEMORY_BYTES = 100_000_000  # Python with numpy alone holds more than half of it
 
 
 def parse_memory(_: Any, tokens: Sequence[Token]) -> int:
@@ -46,7 +46,7 @@ def parse_memory(_: Any, tokens: Sequence[Token]) -> int:
     text = tokens[0].value
     match = _SIZE.fullmatch(text.strip())
     size = 0.0 if match is None else float(match[1]) * (1024 if match[3] else 1000) ** _POWERS[match[2]]
-    if size < LEAST_MEMORY_BYTES:
+    if size < _LEAST_MEMORY_BYTES:
         raise ValueError(f"{text!r} is no size of memory of 100MB or more; write for example 2GB.")
     return int(size)
 

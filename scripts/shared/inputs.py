@@ -16,7 +16,7 @@ from stillpoint.datasets.mcap.summary import summarise
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
 RECORDING = "recording"
-A = {RECORDING: "a recording", "reference": "a reference", "estimate": "an estimate"}
+_A = {RECORDING: "a recording", "reference": "a reference", "estimate": "an estimate"}
 
 Thing = TypeVar("Thing")
 
@@ -82,7 +82,7 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
     for path in named:
         if file_exists(path) and path.name.endswith(SUFFIX) and kind_of(path) != kind:
-            raise BadParameter(f"{path}: is {A[kind_of(path)]} by its name; give {A[kind]}")
+            raise BadParameter(f"{path}: is {_A[kind_of(path)]} by its name; give {_A[kind]}")
     found = [file for file in mcap_files(named) if kind_of(file) == kind]
     if not found:
         wanted = KINDS.get(kind, SUFFIX)

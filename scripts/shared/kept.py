@@ -27,10 +27,10 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.studies.result_store import ResultStore, hash_code, key_of, product_version
 
-FOLDER = "STILLPOINT_RESULTS"  # the variable that names the folder of results
-ROW = "row"  # of the record in a file that was made: the facts that the verb prints, as JSON
-PEERS = ("vqf", "ahrs", "imufusion", "riann")  # packages outside stillpoint whose code gives results
-FEW = 64  # files whose records this process reads itself
+_FOLDER = "STILLPOINT_RESULTS"  # the variable that names the folder of results
+_ROW = "row"  # of the record in a file that was made: the facts that the verb prints, as JSON
+_PEERS = ("vqf", "ahrs", "imufusion", "riann")  # packages outside stillpoint whose code gives results
+_FEW = 64  # files whose records this process reads itself
 
 _FORCE = "Compute all anew, also what an earlier run has computed from the same files with the same settings."
 _RESULTS = (
@@ -77,7 +77,7 @@ class Task(Generic[Item]):
 
     def origin_with(self, row: Mapping[str, Any]) -> Mapping[str, str]:
         """Return the record of a file with the facts that the verb prints; empty where it has no key."""
-        return {**self.origin, ROW: to_json(row)} if self.origin else {}
+        return {**self.origin, _ROW: to_json(row)} if self.origin else {}
 
 
 def run_kept(
@@ -146,8 +146,8 @@ class _Store:
         if not origin:
             return None
         same_file = made.get("key") == origin["key"]
-        if same_file and ROW in made:
-            return Outcome(from_json(made[ROW]), kept=True)
+        if same_file and _ROW in made:
+            return Outcome(from_json(made[_ROW]), kept=True)
         facts = None if self._store is None else self._store.facts(origin["key"])
         if facts is None:
             return None
@@ -184,7 +184,7 @@ def _find_folder(asked: Path | None) -> Path | None:
     """Return the folder of kept results, which need not exist; None for a user without a home."""
     if asked is not None:
         return asked
-    named = os.environ.get(FOLDER)
+    named = os.environ.get(_FOLDER)
     if named:
         return Path(named)
     caches = os.environ.get("XDG_CACHE_HOME")
@@ -202,7 +202,7 @@ def _describe_origins(
     """Return the record of each result: its key and what the key was made of. Empty where an input cannot be read."""
     paths = list(dict.fromkeys(path for plan in plans for path in plan.inputs))
     digests = dict(zip(paths, _hash_files(paths, workers, what), strict=True))
-    code, peers = hash_code(("scripts",))[:12], {name: _find_version(name) for name in PEERS}
+    code, peers = hash_code(("scripts",))[:12], {name: _find_version(name) for name in _PEERS}
     origins: list[Mapping[str, str]] = []
     for plan in plans:
         inputs = [(path.name, digests[path]) for path in plan.inputs]
@@ -254,7 +254,7 @@ def _read_targets(
         if origin and plan.target is not None and plan.target.is_file()
     ]
     if targets:
-        read = run_jobs(read_origin, [path for _, path in targets], workers, f"{what}: kept", here_up_to=FEW)
+        read = run_jobs(read_origin, [path for _, path in targets], workers, f"{what}: kept", here_up_to=_FEW)
         for (place, _), outcome in zip(targets, read, strict=True):
             found[place] = outcome.value or {}  # a damaged file is made anew
     return found

@@ -16,18 +16,23 @@ from stillpoint.datasets.recording import Encoder, Floats, Recording, Times
 from stillpoint.datasets.times import is_inside
 from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference, total_sd_rad
 
-TIMELINE = "time"
-AXIS_LENGTH = 0.5
-ANGLES, SD_ABOUT, SD, BIAS = "roll pitch yaw, deg, NWU", "sd about east north up, deg", "sd, deg", "gyro bias, deg/s"
-RATE, FORCE, FIELD, REST = "rate, deg/s", "specific force, m/s2", "field, uT", "at rest"
-SPIN_RATE, SPIN_ANGLE = "spin rate, deg/s", "spin angle within a turn, deg"
-SPIN_RATE_SD, SPIN_ANGLE_SD = "sd of spin rate, deg/s", "sd of spin angle, deg"
-SPIN_FORCE, SPIN_GYRO = "accelerometers, m/s2", "gyros, deg/s"
-QUANTITIES = (ANGLES, SD_ABOUT, SD, BIAS, RATE, FORCE, FIELD, REST)
-SPIN_QUANTITIES = (SPIN_RATE, SPIN_RATE_SD, SPIN_ANGLE, SPIN_ANGLE_SD, SPIN_FORCE, SPIN_GYRO)
-LABELS = {ANGLES: ("roll", "pitch", "yaw"), SD_ABOUT: ("east", "north", "up"), SD: ("",), REST: ("",)}
-LABELS |= dict.fromkeys((SPIN_RATE, SPIN_RATE_SD, SPIN_ANGLE, SPIN_ANGLE_SD), ("",))
-AXES = ("x", "y", "z")
+_TIMELINE = "time"
+_AXIS_LENGTH = 0.5
+_ANGLES, _SD_ABOUT, _SD, _BIAS = (
+    "roll pitch yaw, deg, NWU",
+    "sd about east north up, deg",
+    "sd, deg",
+    "gyro bias, deg/s",
+)
+_RATE, _FORCE, _FIELD, _REST = "rate, deg/s", "specific force, m/s2", "field, uT", "at rest"
+_SPIN_RATE, _SPIN_ANGLE = "spin rate, deg/s", "spin angle within a turn, deg"
+_SPIN_RATE_SD, _SPIN_ANGLE_SD = "sd of spin rate, deg/s", "sd of spin angle, deg"
+_SPIN_FORCE, _SPIN_GYRO = "accelerometers, m/s2", "gyros, deg/s"
+_QUANTITIES = (_ANGLES, _SD_ABOUT, _SD, _BIAS, _RATE, _FORCE, _FIELD, _REST)
+_SPIN_QUANTITIES = (_SPIN_RATE, _SPIN_RATE_SD, _SPIN_ANGLE, _SPIN_ANGLE_SD, _SPIN_FORCE, _SPIN_GYRO)
+_LABELS = {_ANGLES: ("roll", "pitch", "yaw"), _SD_ABOUT: ("east", "north", "up"), _SD: ("",), _REST: ("",)}
+_LABELS |= dict.fromkeys((_SPIN_RATE, _SPIN_RATE_SD, _SPIN_ANGLE, _SPIN_ANGLE_SD), ("",))
+_AXES = ("x", "y", "z")
 
 
 def open_scene(save: Path | None, things: Sequence[Kept]) -> rr.RecordingStream:
@@ -73,26 +78,26 @@ def show_thing(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     if thing.cov_b_rad2 is not None:
         _spread(scene, name, thing.t_ns, thing.q_nb, thing.cov_b_rad2)
     if thing.gyro_bias_b_radps is not None:
-        _lines(scene, BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
+        _lines(scene, _BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
     if isinstance(thing, Reference):
         at_rest = is_inside(thing.t_ns, thing.rests_ns)
-        _lines(scene, REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
+        _lines(scene, _REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
         _log_returns(scene, name, thing)
 
 
 def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) -> None:
     if recording.imu is not None:
-        _lines(scene, RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
-        _lines(scene, FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
+        _lines(scene, _RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
+        _lines(scene, _FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
     if recording.mag is not None:
-        _lines(scene, FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
+        _lines(scene, _FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
     if recording.truth is not None:
         _attitude(scene, f"{name} truth", recording.truth.t_ns, recording.truth.q_nb)
     spin = recording.spin
     if spin is not None:
-        _lines(scene, SPIN_FORCE, name, spin.t_ns, spin.accel_mps2)
+        _lines(scene, _SPIN_FORCE, name, spin.t_ns, spin.accel_mps2)
         if spin.gyro_radps.shape[1]:
-            _lines(scene, SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
+            _lines(scene, _SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
     for what, shaft in (("truth", recording.roll_truth), ("encoder", recording.encoder)):
         if shaft is not None:
             _show_spin(scene, f"{name} {what}", shaft)
@@ -101,10 +106,10 @@ def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) 
 def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinReference | Estimate) -> None:
     """Show angle and rate about the spin axis, which is x of the body, with their standard deviations."""
     columns = {
-        SPIN_ANGLE: None if thing.angle_rad is None else wrap(thing.angle_rad),
-        SPIN_RATE: thing.rate_radps,
-        SPIN_ANGLE_SD: getattr(thing, "angle_sd_rad", None),
-        SPIN_RATE_SD: getattr(thing, "rate_sd_radps", None),
+        _SPIN_ANGLE: None if thing.angle_rad is None else wrap(thing.angle_rad),
+        _SPIN_RATE: thing.rate_radps,
+        _SPIN_ANGLE_SD: getattr(thing, "angle_sd_rad", None),
+        _SPIN_RATE_SD: getattr(thing, "rate_sd_radps", None),
     }
     for quantity, values in columns.items():
         if values is not None:
@@ -117,13 +122,13 @@ def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinRefere
 def _attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
     """Show the body, and its angles."""
     _body(scene, name, t_ns, q_nb)
-    _lines(scene, ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
+    _lines(scene, _ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
 
 
 def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
     """Show the body as three axes that turn."""
     entity = _entity("body", name)
-    rr.log(entity, rr.TransformAxes3D(AXIS_LENGTH), static=True, recording=scene)
+    rr.log(entity, rr.TransformAxes3D(_AXIS_LENGTH), static=True, recording=scene)
     columns = rr.Transform3D.columns(quaternion=to_xyzw(q_nb))
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
 
@@ -132,15 +137,15 @@ def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov
     """Show standard deviations about east, north and up, and of the whole."""
     turn = rotation(q_nb).as_matrix()
     variance = np.einsum("nij,njk,nik->ni", turn, cov_b_rad2, turn)
-    _lines(scene, SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
-    _lines(scene, SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
+    _lines(scene, _SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
+    _lines(scene, _SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
 
 
 def _lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
     """One line per column of (N, k)."""
     entity = _entity(quantity, name)
-    numbers = tuple(str(k + 1) for k in range(values.shape[1])) if quantity in (SPIN_FORCE, SPIN_GYRO) else AXES
-    labels = [f"{name} {axis}".strip() for axis in LABELS.get(quantity, numbers)]
+    numbers = tuple(str(k + 1) for k in range(values.shape[1])) if quantity in (_SPIN_FORCE, _SPIN_GYRO) else _AXES
+    labels = [f"{name} {axis}".strip() for axis in _LABELS.get(quantity, numbers)]
     rr.log(entity, rr.SeriesLines(names=labels), static=True, recording=scene)
     columns = rr.Scalars.columns(scalars=values.ravel()).partition(np.full(len(t_ns), values.shape[1]))
     rr.send_columns(entity, indexes=[_time(t_ns)], columns=columns, recording=scene)
@@ -158,7 +163,7 @@ def _log_returns(scene: rr.RecordingStream, name: str, reference: Reference) -> 
 
 def _time(t_ns: Times) -> rr.TimeColumn:
     """Stamps are ns since 1970, or since the source's own start, which rerun then shows as 1970."""
-    return rr.TimeColumn(TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
+    return rr.TimeColumn(_TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
 
 
 def _entity(quantity: str, name: str) -> str:
@@ -173,7 +178,7 @@ def _quantities(things: Sequence[Kept]) -> tuple[str, ...]:
         or (isinstance(thing, Recording) and thing.imu is None)
         for thing in things
     ]
-    return (() if all(spins) else QUANTITIES) + (SPIN_QUANTITIES if any(spins) else ())
+    return (() if all(spins) else _QUANTITIES) + (_SPIN_QUANTITIES if any(spins) else ())
 
 
 def _layout(quantities: Sequence[str]) -> rrb.Blueprint:

@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.companions import files_of, neighbours, recording
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.tables import print_table
 
-COLUMNS = (
+_COLUMNS = (
     "recording",
     "estimate",
     "angle max",
@@ -28,7 +28,7 @@ COLUMNS = (
     "95 %",
     "rate",
 )
-ZEROS: dict[AlignKind, AngleZero | None] = {"heading": None, "none": "none"}  # None: the usual one of each
+_ZEROS: dict[AlignKind, AngleZero | None] = {"heading": None, "none": "none"}  # None: the usual one of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,12 @@ def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path |
 
 def zero_of(align: AlignKind, where: str) -> AngleZero | None:
     """Return what is taken off an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
-    if align not in ZEROS:
+    if align not in _ZEROS:
         raise BadParameter(
             f"{where}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "
             "(the angle counts from the first sample, or is absolute where gravity fixes it) or none"
         )
-    return ZEROS[align]
+    return _ZEROS[align]
 
 
 def find_spin_judge(path: Path) -> SpinJudge:
@@ -87,7 +87,7 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
     for (against, taken_off), same in groupby(ordered, key=lambda s: (s.against, s.zero)):
         judged = list(same)
         sections = [[_cells(s) for s in rows] for _, rows in groupby(judged, key=lambda s: s.recording)]
-        print_table(f"roll against the {against}, {ZERO_WORDS[taken_off]}; deg and deg/s", COLUMNS, sections)
+        print_table(f"roll against the {against}, {ZERO_WORDS[taken_off]}; deg and deg/s", _COLUMNS, sections)
         for s in judged:
             for note in _notes(s):
                 print_line(note)

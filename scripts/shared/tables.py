@@ -14,8 +14,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.names import make_printable
 from stillpoint.scripts.shared.output import print_cells, print_line
 
-ALL = "all"
-BORDER = 3  # characters that a column takes besides its text, and one more for the table
+_ALL = "all"
+_BORDER = 3  # characters that a column takes besides its text, and one more for the table
 
 
 def print_table(
@@ -33,7 +33,7 @@ def print_table(
     columns = list(map(make_printable, columns))
     rows = [[list(map(make_printable, row)) for row in section] for section in sections]
     title = make_printable(title)
-    chosen = range(len(columns)) if wanted in (None, ALL) else choose_columns(columns, str(wanted))
+    chosen = range(len(columns)) if wanted in (None, _ALL) else choose_columns(columns, str(wanted))
     console = Console()
     if not console.is_terminal:
         _print_lines(title, columns, rows, chosen)
@@ -61,7 +61,7 @@ def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
     for name in wanted.split(","):
         if name.strip().lower() not in names:
             raise BadParameter(
-                f"--columns {name.strip()}: there is no such column; there are {', '.join(names)}, {ALL}"
+                f"--columns {name.strip()}: there is no such column; there are {', '.join(names)}, {_ALL}"
             )
         chosen.append(names[name.strip().lower()])
     return chosen
@@ -72,7 +72,7 @@ def fit_columns(columns: Sequence[str], sections: Sequence[Sequence[Sequence[str
     cells = [columns, *(row for section in sections for row in section)]
     taken, fitting = 1, []
     for k in range(len(columns)):
-        taken += BORDER + max(len(line[k]) for line in cells)
+        taken += _BORDER + max(len(line[k]) for line in cells)
         if taken > width and k >= 2:
             break
         fitting.append(k)

@@ -27,10 +27,10 @@ from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival
 from stillpoint.scripts.streaming.streams import replay_samples
 
-ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
-POSES_HZ = 60.0  # of real time: no screen shows more
-PATIENCE_S = 0.5  # for a client to ask for all its topics, and for the last messages to leave
-BACKLOG = 16384  # messages that wait for a slow client
+_ORIGIN = Vector3(x=0.0, y=0.0, z=0.0)
+_POSES_HZ = 60.0  # of real time: no screen shows more
+_PATIENCE_S = 0.5  # for a client to ask for all its topics, and for the last messages to leave
+_BACKLOG = 16384  # messages that wait for a slow client
 
 
 class _FirstClient(ServerListener):
@@ -61,7 +61,7 @@ def replay_live(
             capabilities=[Capability.Time],
             server_listener=client,
             context=context,
-            message_backlog_size=BACKLOG,
+            message_backlog_size=_BACKLOG,
         )
     except Exception as error:  # the package has no class of its own for it
         raise BadParameter(
@@ -71,10 +71,10 @@ def replay_live(
         print_line(f"stillpoint: waiting for Foxglove to open ws://{host}:{server.port}", file=sys.stderr, flush=True)
         while not client.is_there.wait(0.1):
             pass
-        time.sleep(PATIENCE_S)
+        time.sleep(_PATIENCE_S)
         stamped = ((sample.t_ns, sample) for sample in replay_samples(recording))
         _send_messages(heapq.merge(raw, stamped, key=lambda timed: timed[0]), server, raw, estimates, speed)
-        time.sleep(PATIENCE_S)
+        time.sleep(_PATIENCE_S)
     except KeyboardInterrupt:
         pass  # the ordinary way to end it early
     finally:
@@ -141,7 +141,7 @@ class _Estimates:
         """Feed one sample to every stream; send to Foxglove no more often than a screen shows it."""
         said = {name: stream.update(*sample) for name, stream in self._streams.items()}
         self.n_samples += 1
-        if time.monotonic() - self._sent < 1 / POSES_HZ:
+        if time.monotonic() - self._sent < 1 / _POSES_HZ:
             return
         self._sent = time.monotonic()
         stamp = Timestamp(sec=sample.t_ns // 10**9, nsec=sample.t_ns % 10**9)
@@ -154,10 +154,10 @@ class _Estimates:
                     timestamp=stamp,
                     parent_frame_id=LOCAL_FRAME,
                     child_frame_id=f"{BODY_FRAME}/{name}",
-                    translation=ORIGIN,
+                    translation=_ORIGIN,
                     rotation=turned,
                 )
             )
-            pose = PoseInFrame(timestamp=stamp, frame_id=LOCAL_FRAME, pose=Pose(position=ORIGIN, orientation=turned))
+            pose = PoseInFrame(timestamp=stamp, frame_id=LOCAL_FRAME, pose=Pose(position=_ORIGIN, orientation=turned))
             self._poses[name].log(pose, log_time=sample.t_ns)
         self._transforms.log(FrameTransforms(transforms=transforms), log_time=sample.t_ns)

@@ -7,7 +7,7 @@ from stillpoint.filters.front.heading_source import Heading
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival, SpinArrival
 
-PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixes come once a second
+_PATIENCE_NS = 5_000_000_000  # of the samples' time; slow magnetometers and fixes come once a second
 
 
 class HeadingWatch:
@@ -27,8 +27,8 @@ class HeadingWatch:
             self._is_done = True
         elif self._begun_ns is None:
             self._begun_ns = sample.t_ns
-        elif sample.t_ns - self._begun_ns >= PATIENCE_NS:
-            self._say(f" in the first {PATIENCE_NS // 10**9} s; until one comes")
+        elif sample.t_ns - self._begun_ns >= _PATIENCE_NS:
+            self._say(f" in the first {_PATIENCE_NS // 10**9} s; until one comes")
 
     def end(self) -> None:
         """Warn at the end of the samples, where it is still due."""

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 from stillpoint.datasets.errors import BadParameter
 
-NAN = float("nan")
-IMU = ("gx", "gy", "gz", "ax", "ay", "az")
-MAG = ("mx", "my", "mz")
-FIX = ("course_rad", "speed_mps")
-TIME = ("t_ns", "t_s")
+_NAN = float("nan")
+_IMU = ("gx", "gy", "gz", "ax", "ay", "az")
+_MAG = ("mx", "my", "mz")
+_FIX = ("course_rad", "speed_mps")
+_TIME = ("t_ns", "t_s")
 
 Vector = tuple[float, ...]
 
@@ -92,34 +92,34 @@ class Lines:
 
     def _require(self, names: list[str]) -> None:
         missing = [name for name in self._layout.required if name not in names]
-        if not set(TIME) & set(names):
+        if not set(_TIME) & set(names):
             missing.insert(0, "t_ns")
         if missing:
             given = ", ".join(names)[:100]
             raise BadParameter(
                 f"the first line names {given}, but not {', '.join(missing)}; give t_ns or t_s, {self._layout.says}"
             )
-        known = {*TIME, *self._layout.required, *self._layout.optional}
+        known = {*_TIME, *self._layout.required, *self._layout.optional}
         self.ignored = tuple(name for name in names if name not in known)
 
 
 def _make_arrival(values: Mapping[str, Any]) -> Arrival:
     """Return the sample that these fields make; a missing field is NaN, which the guard of a stream handles."""
     gyro, accel, mag, fix = (
-        tuple(_parse_number(values, name) for name in names) for names in (IMU[:3], IMU[3:], MAG, FIX)
+        tuple(_parse_number(values, name) for name in names) for names in (_IMU[:3], _IMU[3:], _MAG, _FIX)
     )
     return Arrival(
         _parse_stamp(values),
         gyro,
         accel,
-        mag if _parse_any(values, MAG) else None,
-        (fix[0], fix[1]) if _parse_any(values, FIX) else None,
+        mag if _parse_any(values, _MAG) else None,
+        (fix[0], fix[1]) if _parse_any(values, _FIX) else None,
     )
 
 
 ATTITUDE = Layout(
-    IMU,
-    (*MAG, *FIX),
+    _IMU,
+    (*_MAG, *_FIX),
     "gx, gy, gz (rad/s), ax, ay, az (m/s^2), where there are some mx, my, mz (uT), course_rad, speed_mps",
     _make_arrival,
 )
@@ -127,7 +127,7 @@ ATTITUDE = Layout(
 
 def format_csv_header(has_mag: bool, has_fix: bool) -> str:
     """Return the first line of samples as CSV; field and fix are optional columns."""
-    return ",".join(("t_ns", *IMU, *(MAG if has_mag else ()), *(FIX if has_fix else ())))
+    return ",".join(("t_ns", *_IMU, *(_MAG if has_mag else ()), *(_FIX if has_fix else ())))
 
 
 def format_csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -> Iterator[str]:
@@ -138,9 +138,9 @@ def format_csv_lines(samples: Iterable[Arrival], has_mag: bool, has_fix: bool) -
     for sample in samples:
         numbers: list[float | str] = [*sample.gyro_b_radps, *sample.accel_b_mps2]
         if has_mag:
-            numbers += [""] * len(MAG) if sample.mag_b_ut is None else sample.mag_b_ut
+            numbers += [""] * len(_MAG) if sample.mag_b_ut is None else sample.mag_b_ut
         if has_fix:
-            numbers += [""] * len(FIX) if sample.course is None else sample.course
+            numbers += [""] * len(_FIX) if sample.course is None else sample.course
         yield ",".join((str(sample.t_ns), *(each if isinstance(each, str) else repr(each) for each in numbers)))
 
 
@@ -175,7 +175,7 @@ def _parse_any(values: Mapping[str, Any], names: tuple[str, ...]) -> bool:
 def _parse_number(values: Mapping[str, Any], name: str) -> float:
     value = values.get(name)
     if value is None or value == "":
-        return NAN
+        return _NAN
     if isinstance(value, bool):
         raise Malformed(f"{name} is {short(value)}, not a number")
     try:
@@ -185,9 +185,9 @@ def _parse_number(values: Mapping[str, Any], name: str) -> float:
 
 
 def _parse_stamp(values: Mapping[str, Any]) -> int:
-    given = [name for name in TIME if values.get(name) not in (None, "")]
+    given = [name for name in _TIME if values.get(name) not in (None, "")]
     if not given:
-        raise Malformed(f"{' and '.join(name for name in TIME if name in values) or 't_ns'} has no value")
+        raise Malformed(f"{' and '.join(name for name in _TIME if name in values) or 't_ns'} has no value")
     name = given[0]
     value = values[name]
     if isinstance(value, bool):

@@ -20,9 +20,9 @@ from stillpoint.scripts.streaming.latency import Latency
 from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, Layout, Lines, Malformed, SpinArrival
 from stillpoint.scripts.streaming.streams import Live
 
-SHOWN = 20  # malformed lines said one by one; the others are counted
-PATIENCE_S = 1.0  # after a signal, for an output that is not read
-END = "end of input"
+_SHOWN = 20  # malformed lines said one by one; the others are counted
+_PATIENCE_S = 1.0  # after a signal, for an output that is not read
+_END = "end of input"
 
 
 @dataclass
@@ -34,7 +34,7 @@ class Counts:
     n_samples: int = 0
     update: Latency = field(default_factory=Latency)  # all estimators, without reading and writing
     whole: Latency = field(default_factory=Latency)  # from the line that was read to the lines that were written
-    ended_by: str = END
+    ended_by: str = _END
     failure: str = ""  # what went wrong with a pipe, where that ended it
 
 
@@ -48,7 +48,7 @@ def run_pipe(
     """Feed every sample to every stream and write the estimates, until the input ends or the output is closed.
 
     ``see`` gets each sample too. SIGINT and SIGTERM end it between two samples; an output that nobody reads is waited
-    for ``PATIENCE_S`` then, or until the second signal. Raises :class:`BadParameter` for a first line that names no
+    for ``_PATIENCE_S`` then, or until the second signal. Raises :class:`BadParameter` for a first line that names no
     samples.
     """
     passed, lines = Counts(), Lines(layout)
@@ -61,7 +61,7 @@ def run_pipe(
                 sample = lines.read(raw)
             except Malformed as error:
                 passed.n_malformed += 1
-                if passed.n_malformed <= SHOWN:
+                if passed.n_malformed <= _SHOWN:
                     print_line(f"stillpoint: line {passed.n_lines}: {error}; left out", file=sys.stderr)
                 continue
             if is_first and lines.ignored:
@@ -120,16 +120,16 @@ def _end_at_signals(
     waits_for = ""
 
     def on_signal(number: int, _: FrameType | None) -> None:
-        is_over = passed.ended_by != END
+        is_over = passed.ended_by != _END
         if not is_over:
             passed.ended_by = signal.Signals(number).name
-            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)  # again and again: it may be no wait yet
+            signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S, _PATIENCE_S)  # again and again: it may be no wait yet
         if waits_for == "input" or (waits_for == "output" and is_over):
             raise _Ended
 
     def read(source: BinaryIO) -> bytes:
         nonlocal waits_for
-        if passed.ended_by != END:
+        if passed.ended_by != _END:
             return b""
         try:
             waits_for = "input"

@@ -14,10 +14,10 @@ from stillpoint.datasets.plausible import (
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.streaming.lines import Arrival, SpinArrival
 
-ENOUGH = 20  # samples in a window, so that a spread means something
-MOST_SAMPLES = 2000  # kept of one window; an IMU gives fewer in a second
-SPINNING_RADPS = 10.0  # 570 deg/s while the force keeps still is no rest, and hardly a spin about a sensor
-SLOWEST_HZ, FASTEST_HZ = 2.0, 50_000.0
+_ENOUGH = 20  # samples in a window, so that a spread means something
+_MOST_SAMPLES = 2000  # kept of one window; an IMU gives fewer in a second
+_SPINNING_RADPS = 10.0  # 570 deg/s while the force keeps still is no rest, and hardly a spin about a sensor
+_SLOWEST_HZ, _FASTEST_HZ = 2.0, 50_000.0
 
 
 class UnitWatch:
@@ -33,19 +33,19 @@ class UnitWatch:
         if self._is_done or not isinstance(sample, Arrival):
             return
         self._window.append(sample)
-        if not self._rate_is_known and len(self._window) == ENOUGH:
+        if not self._rate_is_known and len(self._window) == _ENOUGH:
             self._rate_is_known = True
             self._check_rate()
         spans = sample.t_ns - self._window[0].t_ns >= WINDOW_S * 1e9
-        if len(self._window) >= MOST_SAMPLES or (spans and len(self._window) >= ENOUGH):
+        if len(self._window) >= _MOST_SAMPLES or (spans and len(self._window) >= _ENOUGH):
             self._check_sizes()
             self._window = []
 
     def _check_rate(self) -> None:
         step_s = float(np.median(np.diff([each.t_ns for each in self._window]))) / 1e9
-        if step_s <= 0 or SLOWEST_HZ <= 1 / step_s <= FASTEST_HZ:
+        if step_s <= 0 or _SLOWEST_HZ <= 1 / step_s <= _FASTEST_HZ:
             return
-        slow = 1 / step_s < SLOWEST_HZ
+        slow = 1 / step_s < _SLOWEST_HZ
         likely = "ms or us, not s" if slow else "s, not a finer unit"
         _warn(f"the samples come at {1 / step_s:.3g} Hz by their time; it looks as if t_s were in {likely}")
 
@@ -57,7 +57,7 @@ class UnitWatch:
             return
         self._is_done = True
         turning = float(np.linalg.norm(rate.mean(axis=0)))
-        if turning > SPINNING_RADPS:
+        if turning > _SPINNING_RADPS:
             _warn(
                 f"the gyro reads {turning:.3g} rad/s while the accelerometer keeps still: it looks like deg/s: "
                 "multiply by pi/180"

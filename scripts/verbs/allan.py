@@ -17,8 +17,8 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.smoother.rest import find_rests
 
-COLUMNS = ("sensor", "axis", "noise density", "bias instability", "at, s", "random walk of the bias", "unit")
-UNITS = {"gyro": ("deg/s", np.rad2deg(1.0)), "accel": ("m/s²", 1.0)}
+_COLUMNS = ("sensor", "axis", "noise density", "bias instability", "at, s", "random walk of the bias", "unit")
+_UNITS = {"gyro": ("deg/s", np.rad2deg(1.0)), "accel": ("m/s²", 1.0)}
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def allan(
     recording = read_recording(path)
     figures = _measure(recording)
     if json != STDOUT:
-        print_table(f"Allan deviation, {figures[0].found.length_s:.0f} s of rest", COLUMNS, [_rows(figures)])
+        print_table(f"Allan deviation, {figures[0].found.length_s:.0f} s of rest", _COLUMNS, [_rows(figures)])
         for name, value in _settings(figures)["reference"].items():
             print_line(f"reference --set {name}={value:.3g}")
     if out is not None:
@@ -83,7 +83,7 @@ def _measure(recording: Recording) -> list[_Figures]:
 def _rows(figures: list[_Figures]) -> list[list[str]]:
     rows = []
     for one in figures:
-        unit, factor = UNITS[one.name]
+        unit, factor = _UNITS[one.name]
         columns = (one.found.noise_density, one.found.bias_instability, one.found.bias_walk)
         density, floor, walk = (factor * column for column in columns)
         rows += [
@@ -159,7 +159,7 @@ def _draw(path: Path, name: str, figures: list[_Figures]) -> None:
         raise BadParameter(f"--plot {path}: give a name that ends in .png, .svg or .pdf")
     figure = Figure(figsize=(9, 4), layout="constrained")
     for axes, one in zip(figure.subplots(1, 2), figures, strict=True):
-        unit, factor = UNITS[one.name]
+        unit, factor = _UNITS[one.name]
         for k, axis in enumerate("xyz"):
             (line,) = axes.loglog(one.found.tau_s, factor * one.found.deviation[:, k], label=axis)
             density = factor * one.found.noise_density[k] / np.sqrt(one.found.tau_s)

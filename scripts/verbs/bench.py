@@ -21,7 +21,7 @@ BENCHES = {
     "smoother": "stillpoint.scripts.bench.smoother:bench_smoother",
     "start": "stillpoint.scripts.bench.start:bench_start",
 }
-COLUMNS = ("what", "against", "median, s", "beside 'against'", "per sample, ns", "min", "max", "runs")
+_COLUMNS = ("what", "against", "median, s", "beside 'against'", "per sample, ns", "min", "max", "runs")
 
 
 def bench(
@@ -57,7 +57,7 @@ def bench(
     timings = getattr(import_module(module), function)(runs)
     rows = [timing.row() for timing in timings]
     if json != STDOUT:
-        print_table(f"bench {name}", COLUMNS, [[_cells(row) for row in rows]], wanted=columns)
+        print_table(f"bench {name}", _COLUMNS, [[_cells(row) for row in rows]], wanted=columns)
         for row in rows:
             if row["note"]:
                 print_line(f"{row['name']}: {row['note']}")

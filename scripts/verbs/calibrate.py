@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import attitude_reference
 from stillpoint.smoother.device import PARTS, DeviceCalibration, calibrate_device
 
-COLUMNS = ("recording", *(f"{part}, %" for part in PARTS), "accel bias, m/s²")
+_COLUMNS = ("recording", *(f"{part}, %" for part in PARTS), "accel bias, m/s²")
 
 
 def calibrate(
@@ -66,7 +66,7 @@ def calibrate(
     if plot is not None:
         _draw(plot, device)
     if json != STDOUT:
-        print_table(f"{out}: the device by {len(made)} recordings, deviation ± sd", COLUMNS, [_table(device)], texts=1)
+        print_table(f"{out}: the device by {len(made)} recordings, deviation ± sd", _COLUMNS, [_table(device)], texts=1)
         print_line(
             f"two devices would explain them better by {device.split:.0f}; {device.split_of_one:.0f} may be chance"
         )

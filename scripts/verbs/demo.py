@@ -27,7 +27,7 @@ from stillpoint.scripts.verbs.score import print_scores
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 KIND = "phone-3"
-COMPARED = "redistribution"  # the method of the literature, scored beside the graph
+_COMPARED = "redistribution"  # the method of the literature, scored beside the graph
 # Few enough to tell their lines apart; with the package that each needs.
 SHOWN = {"cf": None, "ekf": None, "vqf": "vqf", "offline-vqf": "vqf", "madgwick": "ahrs"}
 
@@ -65,9 +65,9 @@ def demo(
     with _step(f"reference by {DEFAULT_METHOD}"):
         made = replace(attitude_reference(recording), made_from=made_from)
         write(folder / f"{recording.name}.reference.mcap", made)
-    with _step(f"reference by {COMPARED}, to compare"):
-        compared = replace(attitude_reference(recording, COMPARED), made_from=made_from)
-        write(folder / f"{recording.name}.{COMPARED}.reference.mcap", compared)
+    with _step(f"reference by {_COMPARED}, to compare"):
+        compared = replace(attitude_reference(recording, _COMPARED), made_from=made_from)
+        write(folder / f"{recording.name}.{_COMPARED}.reference.mcap", compared)
     for name in _list_installed():
         with _step(f"estimate by {name}"):
             found = replace(estimate(recording, name), made_from=made_from)

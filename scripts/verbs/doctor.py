@@ -29,9 +29,9 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 from stillpoint.scripts.shared.recordings import find_rests_at_default
 from stillpoint.scripts.shared.tables import print_table
 
-UNREADABLE = "unreadable"  # the code of a file that could not be opened
-COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
-MOST_NAMED = 3  # recordings that a row of the summary names
+_UNREADABLE = "unreadable"  # the code of a file that could not be opened
+_COLOURS = {"error": "red", "warning": "yellow", "fact": "default"}
+_MOST_NAMED = 3  # recordings that a row of the summary names
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def doctor(
             if len(work) == 1 and not outcome.defect:
                 raise StillpointError(str(outcome.error))
             print_line(f"stillpoint: {outcome.error}", file=sys.stderr)
-            made.append(Diagnosis(job.source.stem, (Finding(UNREADABLE, "error", str(outcome.error)),)))
+            made.append(Diagnosis(job.source.stem, (Finding(_UNREADABLE, "error", str(outcome.error)),)))
             continue
         diagnosis = outcome.value.diagnosis
         made.append(diagnosis)
@@ -192,7 +192,7 @@ def _print_summary(made: Sequence[Diagnosis], severities: tuple[Severity, ...]) 
     clean = sum(diagnosis.clean for diagnosis in made)
     ordered = sorted(found.items(), key=lambda item: (item[0][0], -len(item[1]), item[0][1]))
     rows = [
-        [severity, code, str(len(names)), ", ".join(names[:MOST_NAMED]) + (" …" if len(names) > MOST_NAMED else "")]
+        [severity, code, str(len(names)), ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")]
         for (severity, code), names in ordered
     ]
     title = f"{len(made)} recordings, {clean} clean"
@@ -239,4 +239,4 @@ def _show(console: Console, path: Path, diagnosis: Diagnosis, shown: Sequence[Se
         for finding in diagnosis.findings:
             if finding.severity == kind:
                 line = make_printable(f"  {kind:7} {finding.code:18} {finding.message}")
-                console.print(line, style=COLOURS[kind])
+                console.print(line, style=_COLOURS[kind])

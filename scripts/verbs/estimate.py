@@ -26,8 +26,8 @@ from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_k
 from stillpoint.scripts.shared.output import JsonFile
 from stillpoint.scripts.shared.recordings import open_recording, print_losses
 
-DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
-COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
+_DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
+_COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def estimate(
         made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
-    return report_made("estimates", COLUMNS, rows, _cells, json, columns)
+    return report_made("estimates", _COLUMNS, rows, _cells, json, columns)
 
 
 def _runs_by_source(
@@ -103,7 +103,7 @@ def _runs_by_source(
     if estimators is not None:
         return dict.fromkeys(sources, runs_of_names(estimators))
     spins = {source: inputs.is_of_spin(source) for source in sources}
-    wanted = [DEFAULT] * (not all(spins.values())) + list(ROLLS) * any(spins.values())
+    wanted = [_DEFAULT] * (not all(spins.values())) + list(ROLLS) * any(spins.values())
     runs = runs_of_names(",".join(wanted))
     return {source: [run for run in runs if (run.estimator in ROLLS) == spins[source]] for source in sources}
 

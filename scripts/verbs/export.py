@@ -28,7 +28,7 @@ from stillpoint.scripts.streaming.lines import format_csv_lines
 from stillpoint.scripts.streaming.streams import list_arrivals, make_raw_logs
 
 Format = Literal["csv", "stream", "tum", "kml"]
-SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum", "kml": "kml"}
+_SUFFIXES: dict[Format, str] = {"csv": "csv", "stream": "csv", "tum": "tum", "kml": "kml"}
 
 
 def export(
@@ -81,7 +81,7 @@ def _export_file(file: Path, folder: Path | None, format: Format) -> list[Path]:
     with ExitStack() as files:
         puts: dict[Path, Callable[[str], object]] = {}
         for label, text in _FORMATS[format](file):
-            target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{SUFFIXES[format]}"
+            target = inputs.folder_for(file, folder) / f"{stem}{f'.{label}' if label else ''}.{_SUFFIXES[format]}"
             if target not in puts:
                 puts[target] = files.enter_context(open_text(target))
             puts[target](text)

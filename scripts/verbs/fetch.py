@@ -11,7 +11,7 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.import_ import Flags, import_
 
-HERE = Path("data")
+_HERE = Path("data")
 
 
 def fetch(
@@ -52,7 +52,7 @@ def fetch(
     print_line(source.title)
     print_line(f"licence: {source.licence}")
     print_line(f"cite: {source.citation}")
-    folder = output_dir((HERE if out is None else out) / source.name)
+    folder = output_dir((_HERE if out is None else out) / source.name)
     all_fetched = fetch_trials(source, chosen, folder, mirror, _say)
     new, unpinned = (sum(getattr(one, name) for one in all_fetched) for name in ("downloaded", "first_seen"))
     print_line(f"{len(all_fetched)} files of {len(chosen)} trials in {folder}, {new} of them new")

@@ -25,27 +25,27 @@ from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
-STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
+_STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
 
 # The kinds that take a flag, on the help page, and the types of the flags.
-ALL = Group("All kinds", sort_key=1)
-OWN = Group("Own recordings: all kinds but broad, tyrex, bench, flatball", sort_key=2)
-PHONES = Group("Phones: tyrex, sensorlogger, sensorlog", sort_key=3)
-LOG = Group("Delimited logs: csv, spin; --rate also movella", sort_key=4)
-CSV = Group("Logs of an IMU: csv", sort_key=5)
-SPIN = Group("Logs of a spinning body: spin", sort_key=6)
-ROS = Group("Bags: ros", sort_key=7)
+_ALL = Group("All kinds", sort_key=1)
+_OWN = Group("Own recordings: all kinds but broad, tyrex, bench, flatball", sort_key=2)
+_PHONES = Group("Phones: tyrex, sensorlogger, sensorlog", sort_key=3)
+_LOG = Group("Delimited logs: csv, spin; --rate also movella", sort_key=4)
+_CSV = Group("Logs of an IMU: csv", sort_key=5)
+_SPIN = Group("Logs of a spinning body: spin", sort_key=6)
+_ROS = Group("Bags: ros", sort_key=7)
 
-AnyKind = Annotated[bool, Parameter(group=ALL, negative="")]
-Own = Annotated[str | None, Parameter(group=OWN)]
-Phone = Annotated[str | None, Parameter(group=PHONES)]
-LogSetting = Annotated[str | None, Parameter(group=LOG)]
-Setting = Annotated[str | None, Parameter(group=CSV)]
-Columns = Annotated[str | None, Parameter(group=CSV, allow_leading_hyphen=True)]
-SpinSetting = Annotated[str | None, Parameter(group=SPIN)]
-SpinColumns = Annotated[str | None, Parameter(group=SPIN, allow_leading_hyphen=True)]
-SpinSize = Annotated[float | None, Parameter(group=SPIN)]
-TopicName = Annotated[str | None, Parameter(group=ROS)]
+AnyKind = Annotated[bool, Parameter(group=_ALL, negative="")]
+Own = Annotated[str | None, Parameter(group=_OWN)]
+Phone = Annotated[str | None, Parameter(group=_PHONES)]
+LogSetting = Annotated[str | None, Parameter(group=_LOG)]
+Setting = Annotated[str | None, Parameter(group=_CSV)]
+Columns = Annotated[str | None, Parameter(group=_CSV, allow_leading_hyphen=True)]
+SpinSetting = Annotated[str | None, Parameter(group=_SPIN)]
+SpinColumns = Annotated[str | None, Parameter(group=_SPIN, allow_leading_hyphen=True)]
+SpinSize = Annotated[float | None, Parameter(group=_SPIN)]
+TopicName = Annotated[str | None, Parameter(group=_ROS)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,17 +157,17 @@ class Flags:
     """
 
     units_unchecked: AnyKind = False
-    place: Annotated[str | None, Parameter(group=ALL, allow_leading_hyphen=True)] = None
-    date: Annotated[str | None, Parameter(group=ALL)] = None
+    place: Annotated[str | None, Parameter(group=_ALL, allow_leading_hyphen=True)] = None
+    date: Annotated[str | None, Parameter(group=_ALL)] = None
     licence: Own = None
     citation: Own = None
     sensor: Own = None
-    mag_uncalibrated: Annotated[bool, Parameter(group=OWN, negative="")] = False
-    mag: Annotated[str | None, Parameter(group=[PHONES, CSV], allow_leading_hyphen=True)] = None
+    mag_uncalibrated: Annotated[bool, Parameter(group=_OWN, negative="")] = False
+    mag: Annotated[str | None, Parameter(group=[_PHONES, _CSV], allow_leading_hyphen=True)] = None
     platform: Phone = None
-    config: Annotated[Path | None, Parameter(group=LOG)] = None
+    config: Annotated[Path | None, Parameter(group=_LOG)] = None
     time: LogSetting = None
-    rate: Annotated[float | None, Parameter(group=LOG)] = None
+    rate: Annotated[float | None, Parameter(group=_LOG)] = None
     gyro: Columns = None
     accel: Columns = None
     gyro_time: Setting = None
@@ -181,11 +181,11 @@ class Flags:
     truth_euler: Columns = None
     truth_order: Setting = None
     truth_frame: Setting = None
-    truth_inverse: Annotated[bool, Parameter(group=CSV, negative="")] = False
+    truth_inverse: Annotated[bool, Parameter(group=_CSV, negative="")] = False
     position: Columns = None
     moving: Setting = None
     delimiter: LogSetting = None
-    drop_disordered: Annotated[bool, Parameter(group=LOG, negative="")] = False
+    drop_disordered: Annotated[bool, Parameter(group=_LOG, negative="")] = False
     geometry: SpinSetting = None
     d1_m: SpinSize = None
     d2_m: SpinSize = None
@@ -207,7 +207,7 @@ class Flags:
     body_frame: TopicName = None
 
 
-NO_FLAGS = Flags()
+_NO_FLAGS = Flags()
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def import_(
     skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
     split: str | None = None,
     json: JsonFile = None,
-    flags: Annotated[Flags, Parameter(name="*")] = NO_FLAGS,
+    flags: Annotated[Flags, Parameter(name="*")] = _NO_FLAGS,
 ) -> int:
     """Turn recordings of other formats into MCAP files, one NAME.mcap each, and say what was converted.
 
@@ -373,7 +373,7 @@ def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unc
 
 def _show(kept: list[_Kept]) -> None:
     """Print one table of the recordings; below it what was converted, once where it holds for all, and notes."""
-    present = [name for name in STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
+    present = [name for name in _STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
     rows = []
     for one in kept:
         rates = {name: f"{rate_hz(t_ns):.1f}" for name, t_ns in one.recording.streams()}

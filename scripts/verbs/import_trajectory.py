@@ -16,7 +16,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.filters.table import ESTIMATORS
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 
-LEAST_OVERLAP = 0.5  # of the trajectory within the recording; less is another clock
+_LEAST_OVERLAP = 0.5  # of the trajectory within the recording; less is another clock
 
 
 def import_trajectory(
@@ -82,7 +82,7 @@ def import_trajectory(
     of = read_recording(recording)
     made = read_trajectory(file, name=name, **{key: value for key, value in options.items() if value is not None})
     share = _find_overlap(made, of)
-    if share < LEAST_OVERLAP:
+    if share < _LEAST_OVERLAP:
         raise BadSource(
             f"{file}: {share:.0%} of its stamps lie within {recording.name} "
             f"({_span_of(made.t_ns)} against {_span_of(of.require_imu().t_ns)}); bring both to one clock first"

@@ -28,12 +28,12 @@ from stillpoint.scripts.shared.jobs import SHORT, exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
-STREAM_ORDER = ("imu", "mag", "gps", "spin", "encoder", *TRUTHS)
-ROWS_AT_ONCE = 1 << 19  # samples among which rests are looked for together: 44 minutes at 200 Hz
+_STREAM_ORDER = ("imu", "mag", "gps", "spin", "encoder", *TRUTHS)
+_ROWS_AT_ONCE = 1 << 19  # samples among which rests are looked for together: 44 minutes at 200 Hz
 LARGE_BYTES = 64 << 20  # a file above this is summarised: reading 64 MiB takes about a second
-COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
+_COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
-SHOWN = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
+_SHOWN = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
 
 
 def info(
@@ -88,7 +88,7 @@ def _read_facts(full: bool, units_unchecked: bool, path: Path) -> dict[str, Any]
     is_large = not is_url(path) and path.is_file() and path.stat().st_size > LARGE_BYTES
     if is_url(path) or (is_large and not full):
         return _list_summary_facts(path, summarise(path))
-    return _list_all_facts(PieceReader(path, units_unchecked, ROWS_AT_ONCE))
+    return _list_all_facts(PieceReader(path, units_unchecked, _ROWS_AT_ONCE))
 
 
 def _list_summary_facts(path: Path, summary: FileSummary) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _list_all_facts(reader: PieceReader) -> dict[str, Any]:
                     again[name].add(t_ns)
         clocks |= again
     found = {name: clock.facts() for name, clock in clocks.items()}
-    order = [name for name in STREAM_ORDER if name in found] + [name for name in found if name not in STREAM_ORDER]
+    order = [name for name in _STREAM_ORDER if name in found] + [name for name in found if name not in _STREAM_ORDER]
     streams = [_describe_clock(name, found[name]) for name in order]
     return {"file": str(reader.path), "kind": reader.kind, **content.list_facts(reader, found, streams)}
 
@@ -240,7 +240,7 @@ class _Trajectory:
             facts["rests"] = _list_spans(thing.rests_ns, clocks["q_nb"].first_ns)
             facts |= {"returns": len(returns), "returns_accepted": sum(returns), **sd}
             facts |= {"heading_sd_deg": float(np.rad2deg(thing.heading_sd_rad))}
-            facts |= {name: thing.diagnostics[name] for name in SHOWN if name in thing.diagnostics}
+            facts |= {name: thing.diagnostics[name] for name in _SHOWN if name in thing.diagnostics}
         else:
             facts |= sd
         return facts | {"params": dict(thing.params), "made_from": dict(thing.made_from)}
@@ -310,7 +310,7 @@ def _print_facts(facts: dict[str, Any], wanted: str | None) -> None:
         for one in facts["streams"]
     ]
     print_line(f"{facts['file']}: {facts['kind']} {facts['name']}")
-    print_table("streams", COLUMNS, [rows], texts=1, wanted=wanted)
+    print_table("streams", _COLUMNS, [rows], texts=1, wanted=wanted)
     if "rests" in facts:
         print_line(f"  {'rests':17} {_describe_rests(facts['rests'])}")
     shown = {"file", "kind", "name", "streams", "rests", "duration_s"}

@@ -29,9 +29,9 @@ from stillpoint.studies.publish.paper import write_paper
 from stillpoint.studies.publish.run_pages import write_run_pages
 from stillpoint.studies.result_store import ResultStore
 
-DEFAULT_OUT = Path("leaderboard")
-COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
-EXAMPLE = "cf.omega0_radps=0.3"
+_DEFAULT_OUT = Path("leaderboard")
+_COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
+_EXAMPLE = "cf.omega0_radps=0.3"
 
 
 def leaderboard(
@@ -39,7 +39,7 @@ def leaderboard(
     /,
     *,
     estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = DEFAULT_OUT,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])] = _DEFAULT_OUT,
     against: Against | None = None,
     align: AlignKind | None = None,
     calibration: str | None = None,
@@ -137,7 +137,7 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
         title = (
             f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned{whose}; RMSE of {what}"
         )
-        print_table(title, COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
+        print_table(title, _COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
         print_line(table.conclusion)
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
@@ -188,10 +188,10 @@ def _study(
     for name, text in (("estimators", estimators), ("calibration", calibration), ("groups", groups)):
         given[name] = None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
     params = {name: dict(values) for name, values in base.params.items()}
-    for path, value in assignments(set_, EXAMPLE).items():
+    for path, value in assignments(set_, _EXAMPLE).items():
         owner, dot, name = path.partition(".")
         if not dot:
-            raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {EXAMPLE}")
+            raise BadParameter(f"--set {path}={value}: write ESTIMATOR.NAME=VALUE, for example {_EXAMPLE}")
         params.setdefault(owner, {})[name] = value
     files = tuple(map(str, inputs.recordings(base.recordings)))
     changed = {name: value for name, value in given.items() if value is not None}

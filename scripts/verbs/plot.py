@@ -21,8 +21,8 @@ from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.report import gather_material
 
 Kind = Literal["angles", "errors", "ranking", "map"]
-BOARD_FILE = "leaderboard.json"
-ANGLE_ROW_IN, ERROR_ROW_IN = 1.1, 0.8  # heights of axes
+_BOARD_FILE = "leaderboard.json"
+_ANGLE_ROW_IN, _ERROR_ROW_IN = 1.1, 0.8  # heights of axes
 
 
 def plot(
@@ -87,8 +87,8 @@ def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
 
 def _find_board_file(paths: Sequence[Path]) -> Path:
     if len(paths) != 1:
-        raise BadParameter(f"plot: {len(paths)} files; --kind ranking and map take one {BOARD_FILE}")
-    file = paths[0] / BOARD_FILE if paths[0].is_dir() else paths[0]
+        raise BadParameter(f"plot: {len(paths)} files; --kind ranking and map take one {_BOARD_FILE}")
+    file = paths[0] / _BOARD_FILE if paths[0].is_dir() else paths[0]
     if not file.is_file():
         raise BadParameter(f"{file}: there is no such file; make it first: stillpoint leaderboard")
     return file
@@ -109,10 +109,10 @@ def _plot_run(
     first = verdicts[0]
     view = _cut_view(make_view(first.comparisons, first.truth, frame, int(first.truth.t_ns[0])), span_s)
     if kind == "angles":
-        write_figure(out, 3, ANGLE_ROW_IN, lambda axes: draw_angles(axes, view), width, time_axis=True)
+        write_figure(out, 3, _ANGLE_ROW_IN, lambda axes: draw_angles(axes, view), width, time_axis=True)
     else:
         rows = len(view.comparisons)
-        write_figure(out, rows, ERROR_ROW_IN, lambda axes: draw_errors(axes, view), width, time_axis=True)
+        write_figure(out, rows, _ERROR_ROW_IN, lambda axes: draw_errors(axes, view), width, time_axis=True)
 
 
 def _gather_material(paths: Sequence[Path]) -> Material:

@@ -27,9 +27,9 @@ from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
 
-AUTO = "auto"  # the preset that each recording's streams speak for
+_AUTO = "auto"  # the preset that each recording's streams speak for
 
-COLUMNS = (
+_COLUMNS = (
     "recording",
     "method",
     "sd median, deg",
@@ -43,7 +43,7 @@ COLUMNS = (
 )
 
 
-ROLL_COLUMNS = (
+_ROLL_COLUMNS = (
     "recording",
     "method",
     "sd of rate, deg/s",
@@ -144,8 +144,8 @@ def reference(
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
-        return report_made("references", ROLL_COLUMNS, rows, _format_spin_cells, json, columns)
-    code = report_made("references", COLUMNS, rows, _format_cells, json, columns)
+        return report_made("references", _ROLL_COLUMNS, rows, _format_spin_cells, json, columns)
+    code = report_made("references", _COLUMNS, rows, _format_cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
@@ -163,11 +163,11 @@ def _choose_settings(
 
     Raises :class:`BadParameter` for a preset that is not there or not the method's.
     """
-    if preset in (None, AUTO) and (preset is None or list(methods) == ["graph"]):
+    if preset in (None, _AUTO) and (preset is None or list(methods) == ["graph"]):
         checked = {name: settings_of(name, changes) for name in methods}
         return {name: changes if name == "graph" else settings for name, settings in checked.items()}
     assert preset is not None
-    require_known(preset, [AUTO, *PRESETS], "preset")
+    require_known(preset, [_AUTO, *PRESETS], "preset")
     others = [name for name in methods if name != "graph"]
     if others:
         raise BadParameter(f"--preset {preset}: is for the method graph, not {', '.join(others)}; leave one out")
@@ -282,7 +282,7 @@ def _list_spin_facts(made: SpinReference) -> dict[str, Any]:
 
 def _format_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
-        return [row["recording"], row["method"], *["-"] * (len(COLUMNS) - 2)]
+        return [row["recording"], row["method"], *["-"] * (len(_COLUMNS) - 2)]
     if row["method"] == DEFAULT_ROLL_METHOD:
         return _format_spin_among_attitudes(row)
     accepted = sum(one["accepted"] for one in row["returns"])
@@ -311,7 +311,7 @@ def _format_spin_among_attitudes(row: dict[str, Any]) -> list[str]:
 
 def _format_spin_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
-        return [row["recording"], row["method"], *["-"] * (len(ROLL_COLUMNS) - 2)]
+        return [row["recording"], row["method"], *["-"] * (len(_ROLL_COLUMNS) - 2)]
     found = row["diagnostics"]
     return [
         row["recording"],

@@ -27,7 +27,7 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
 
-COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
+_COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def print_scores(scores: Sequence[Score], wanted: str | None = None) -> None:
         title = f"{whose}against the {against}, aligned: {judged[0].alignment.kind}; RMSE in deg"
         print_table(
             title,
-            COLUMNS[first:],
+            _COLUMNS[first:],
             [[cells[first:] for cells in rows] for rows in sections],
             texts=2 - first,
             wanted=wanted,

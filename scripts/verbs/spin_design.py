@@ -17,7 +17,7 @@ from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.design import Placement, Rig, evaluate_placement, find_longest_arms, limits_m
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_both, draw_radial, draw_tangential
 
-DESIGN_COLUMNS = (
+_DESIGN_COLUMNS = (
     "d1, m",
     "d2, m",
     "F4, % of range",
@@ -98,7 +98,7 @@ def spin_design(
     if json == STDOUT:
         return
     d1_m, d2_m = limits_m(rig)
-    print_table("placements, the best that fits first", DESIGN_COLUMNS, [[_format_row(one) for one in rows]], texts=0)
+    print_table("placements, the best that fits first", _DESIGN_COLUMNS, [[_format_row(one) for one in rows]], texts=0)
     print_line(f"F4 reads the whole range at d1 = {d1_m:.3f} m, F5 at d2 = {d2_m:.3f} m")
     print_line(f"{folder / 'spin-design.png'}, {folder / 'spin-design.json'}")
 

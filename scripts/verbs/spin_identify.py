@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.tables import print_table
 from stillpoint.studies.rig.figures import DPI, STYLE, draw_variances
 from stillpoint.studies.rig.identify import Identified, Trial, identify_variances
 
-TRIAL_COLUMNS = (
+_TRIAL_COLUMNS = (
     "recording",
     "samples",
     "D4",
@@ -35,8 +35,8 @@ TRIAL_COLUMNS = (
     "D5 alone",
     "left out",
 )
-TURNING_SHARE = 0.1  # of D4, from which on it is said that it turns with the shaft
-ENCODER_SHARE = 0.1  # of D4, from which on it is said that it is the encoder's
+_TURNING_SHARE = 0.1  # of D4, from which on it is said that it turns with the shaft
+_ENCODER_SHARE = 0.1  # of D4, from which on it is said that it is the encoder's
 
 
 def spin_identify(
@@ -78,12 +78,12 @@ def spin_identify(
 
 
 def _print_variances(found: Identified) -> None:
-    most = dict.fromkeys(TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
+    most = dict.fromkeys(_TRIAL_COLUMNS, "") | {"recording": "maximum", "D4": f"{found.d4_m2ps4:.3f}"}
     most |= {"D5": f"{found.d5_m2ps4:.3f}", "D5 alone": f"{found.d5_alone_m2ps4:.3f}"}
     sections: list[list[Sequence[str]]] = [[_format_row(one) for one in found.trials], [list(most.values())]]
-    print_table("variances in (m/s²)², means and what turns once per turn in m/s²", TRIAL_COLUMNS, sections, texts=1)
+    print_table("variances in (m/s²)², means and what turns once per turn in m/s²", _TRIAL_COLUMNS, sections, texts=1)
     for one in found.trials:
-        if one.turning_share > TURNING_SHARE:
+        if one.turning_share > _TURNING_SHARE:
             tilt_deg = np.rad2deg(np.arcsin(min(one.radial.once_per_turn_mps2 / STANDARD_GRAVITY_MPS2, 1.0)))
             print_line(
                 f"note: {one.recording}: {100 * one.turning_share:.0f} % of D4 turns with the shaft, as if it were "
@@ -120,7 +120,7 @@ def _list_notes(found: Identified) -> list[str]:
                 "motion that is faster counts as noise of F4 and F5"
             )
         share = one.encoder_radial_m2ps4 / one.radial.variance_m2ps4
-        if share > ENCODER_SHARE:
+        if share > _ENCODER_SHARE:
             notes.append(f"{one.recording}: {100 * share:.0f} % of D4 is the encoder's noise: D4 is too large by it")
         if not one.tells_tangential:
             notes.append(

@@ -34,10 +34,10 @@ from stillpoint.scripts.streaming.streams import (
 )
 from stillpoint.scripts.streaming.unit_watch import UnitWatch
 
-SPIN = Group("Estimators of roll", sort_key=1)
-HOST = "127.0.0.1"
-SpinText = Annotated[str, Parameter(group=SPIN)]
-SpinSize = Annotated[float | None, Parameter(group=SPIN)]
+_SPIN = Group("Estimators of roll", sort_key=1)
+_HOST = "127.0.0.1"
+SpinText = Annotated[str, Parameter(group=_SPIN)]
+SpinSize = Annotated[float | None, Parameter(group=_SPIN)]
 
 
 def stream(
@@ -118,7 +118,7 @@ def stream(
         if spin is not None:
             raise BadParameter(f"--foxglove: replays attitudes; for {estimators} use stillpoint estimate and view")
         _stream_to_foxglove(
-            file, runs, declination, HOST if host is None else host, foxglove, 1.0 if speed is None else speed
+            file, runs, declination, _HOST if host is None else host, foxglove, 1.0 if speed is None else speed
         )
         return
     if file is not None:

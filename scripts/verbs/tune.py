@@ -22,7 +22,7 @@ from stillpoint.studies.tune import ParamRange, Sampler, Tuning, forget_trials, 
 from stillpoint.studies.tune import tune as tune_estimator
 from stillpoint.studies.tune_figure import draw_tuning
 
-COLUMNS = ("recording", "defaults", "common", "own best", "left out")
+_COLUMNS = ("recording", "defaults", "common", "own best", "left out")
 
 
 def tune(
@@ -133,7 +133,7 @@ def _print_tuning(tuning: Tuning) -> None:
     rows = [[name, *(f"{column[k]:.2f}" for column in columns)] for k, name in enumerate(tuning.recordings)]
     means = ["mean", *(f"{np.mean(column):.2f}" for column in columns)]
     title = f"{tuning.estimator}: {tuning.figure} RMSE in deg after {len(tuning.trials)} trials"
-    print_table(title, COLUMNS, [rows, [means]], texts=1)
+    print_table(title, _COLUMNS, [rows, [means]], texts=1)
     setting = ", ".join(f"{name} = {value:.4g}" for name, value in tuning.best.params.items())
     print_line(
         f"common setting: {setting} (typical {tuning.best.typical_deg:.2f}, defaults {tuning.defaults.typical_deg:.2f})"

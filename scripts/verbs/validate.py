@@ -31,9 +31,9 @@ from stillpoint.studies.fidelity_figure import draw_fidelity
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
 from stillpoint.studies.validation import validate as validate_recording
 
-FIDELITY_OUT = Path("fidelity")
-FIDELITY_COLUMNS = ("judge", "n", "tau", "median", "worst", "RMSE off", "95 %", "wrong", "other half")
-COLUMNS = (
+_FIDELITY_OUT = Path("fidelity")
+_FIDELITY_COLUMNS = ("judge", "n", "tau", "median", "worst", "RMSE off", "95 %", "wrong", "other half")
+_COLUMNS = (
     "recording",
     "method",
     "total, deg",
@@ -57,7 +57,7 @@ def validate(
     methods: Annotated[str | None, Parameter(name=["--method", "--methods"])] = None,
     fidelity: Annotated[bool, Parameter(negative=())] = False,
     estimators: Annotated[str | None, Parameter(name=["--estimators", "-e"])] = None,
-    out: OutDir = FIDELITY_OUT,
+    out: OutDir = _FIDELITY_OUT,
     workers: Workers = LOCAL,
     keeping: Keeping = REUSE,
     columns: Columns = None,
@@ -205,7 +205,7 @@ def _validate_fidelity(
     if json != STDOUT:
         estimated = len({row.estimator for row in found.rows})
         title = f"judges of {estimated} estimators on {found.recordings} recordings, aligned: {align}"
-        print_table(title, FIDELITY_COLUMNS, [[_fidelity_cells(judge) for judge in found.judges]], texts=1)
+        print_table(title, _FIDELITY_COLUMNS, [[_fidelity_cells(judge) for judge in found.judges]], texts=1)
         errors = ((row.error, f"{row.judge} of {row.estimator}") for row in found.rows if row.error is not None)
         print_refusals("not compared", errors)
         print_line(f"written to {out}: fidelity.json, fidelity.png")
@@ -232,7 +232,7 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, w
         [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_figures(row), "", "", ""]
         for row in means
     ]
-    print_table(f"against the truth, aligned: {align}", COLUMNS, [named, below], wanted=wanted)
+    print_table(f"against the truth, aligned: {align}", _COLUMNS, [named, below], wanted=wanted)
     left_out = ((row.magnetometer_left_out, row.recording) for row in rows if row.magnetometer_left_out is not None)
     print_refusals("without magnetometer", left_out)
     print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))

@@ -13,7 +13,7 @@ from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import kind_of, mcap_files
 from stillpoint.scripts.shared.output import print_line
 
-NEEDED = "0.41.0"  # rerun's files and columns change between versions
+_NEEDED = "0.41.0"  # rerun's files and columns change between versions
 
 
 def view(
@@ -37,7 +37,7 @@ def view(
         Show the named files only.
     """
     if importlib.util.find_spec("rerun") is None:
-        raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={NEEDED}")
+        raise BadParameter(f"view: rerun-sdk is not installed; install it: pip install rerun-sdk=={_NEEDED}")
     from stillpoint.scripts.shared.rerun_scene import finish_scene, open_scene, show_thing
 
     if save is not None and not save.absolute().parent.is_dir():

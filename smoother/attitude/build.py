@@ -16,8 +16,8 @@ from stillpoint.smoother.attitude.magnetometer import field_prior
 from stillpoint.smoother.attitude.outside.satellite import fix_factors, lone_stretch_factors
 from stillpoint.smoother.attitude.params import GraphParams
 
-UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
-DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
+_UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
+_DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
 
 
 def build_graph(
@@ -69,7 +69,7 @@ def _find_anchors(recording: Recording, evidence: Evidence, params: GraphParams)
     base = evidence.return_states()[0]
     known_pose = has_known_base_pose(recording, evidence)
     absolute = evidence.field_start is not None or evidence.fixes is not None or known_pose
-    spread = np.diag([UNKNOWN_RAD**2, UNKNOWN_RAD**2, UNKNOWN_RAD**2 if absolute else DEFINED_RAD**2])
+    spread = np.diag([_UNKNOWN_RAD**2, _UNKNOWN_RAD**2, _UNKNOWN_RAD**2 if absolute else _DEFINED_RAD**2])
     turn = rotation(evidence.q_nb[0]).as_matrix()
     return factors.Anchors(
         base=base,

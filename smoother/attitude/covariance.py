@@ -15,9 +15,9 @@ from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.returns import closing_error, closing_square
 from stillpoint.smoother.attitude.solve import Solution, make_unobservable, rotations_of
 
-MOST_RETURNS = 6  # that count in the covariance factor
-LEAST_EIGENVALUE = 1e-6  # of the trace of the wider covariance: below it, rounding decides
-LEAST_SHARE = 1e-3  # of the largest eigenvalue: heading and mounting are not told apart where attitudes hardly change
+_MOST_RETURNS = 6  # that count in the covariance factor
+_LEAST_EIGENVALUE = 1e-6  # of the trace of the wider covariance: below it, rounding decides
+_LEAST_SHARE = 1e-3  # of the largest eigenvalue: heading and mounting are not told apart where attitudes hardly change
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def compute_accuracy(
     of_means = np.mean(shared.transpose(0, 2, 1) @ covariance_with_means(counted), axis=0)  # cov of the means, (4, 4)
     with_means, here = covariance_with_means(states), _shared_errors(rotations_of(values, states))
     of_heading = _subtract_shared(attitude, with_means[:, :, :1], of_means[:1, :1], here[:, :, :1])
-    fit = np.linalg.pinv(np.mean(shared.transpose(0, 2, 1) @ shared, axis=0), rcond=LEAST_SHARE, hermitian=True)
+    fit = np.linalg.pinv(np.mean(shared.transpose(0, 2, 1) @ shared, axis=0), rcond=_LEAST_SHARE, hermitian=True)
     relative = _subtract_shared(attitude, with_means @ fit, fit @ of_means @ fit, here)
     relative = _replace_indefinite(_replace_indefinite(relative, of_heading), attitude)
     mounting = _nearest_covariance(np.mean(of_heading - relative, axis=0))
@@ -116,7 +116,7 @@ def choose_factors(closing_squares: Sequence[float], has_rest: bool, blind: bool
     factors were calibrated on recordings that miss nothing: of a ``blind`` one, with a gap or with samples dropped from
     a slow log, they are at least 1.
     """
-    heading, count = params.heading_variance_factor, min(len(closing_squares), MOST_RETURNS)
+    heading, count = params.heading_variance_factor, min(len(closing_squares), _MOST_RETURNS)
     if count:
         closing = count * float(np.mean(closing_squares))
         heading = (params.prior_returns * heading + closing) / (params.prior_returns + count)
@@ -169,7 +169,7 @@ def _replace_indefinite(covariance: Floats, wider: Floats) -> Floats:
     What is left after the shared part is subtracted can be a small difference of large numbers.
     """
     least = np.linalg.eigvalsh((covariance + covariance.transpose(0, 2, 1)) / 2)[:, 0]
-    sound = least > LEAST_EIGENVALUE * np.trace(wider, axis1=1, axis2=2)
+    sound = least > _LEAST_EIGENVALUE * np.trace(wider, axis1=1, axis2=2)
     return np.where(sound[:, None, None], covariance, wider)
 
 

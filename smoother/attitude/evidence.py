@@ -31,8 +31,8 @@ from stillpoint.smoother.base_pose import BasePose, Returns, find_base_pose, fin
 from stillpoint.smoother.rest import find_rests
 from stillpoint.smoother.strapdown import GyroErrors
 
-SHORTEST_S = 2.0
-SHORTEST_MOTION_S = 8.0  # without any rest: in 5 s of motion the bias was wrong by more than its covariance said
+_SHORTEST_S = 2.0
+_SHORTEST_MOTION_S = 8.0  # without any rest: in 5 s of motion the bias was wrong by more than its covariance said
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +127,11 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
     rests_ns = not_under_way(found_ns, recording.gps)
     if recording.gps is None and allows_vehicle(params):
         rests_ns = not_in_curves(rests_ns, imu, params.rest.bias_change_radps)
-    least_s = SHORTEST_S if len(rests_ns) else SHORTEST_MOTION_S
+    least_s = _SHORTEST_S if len(rests_ns) else _SHORTEST_MOTION_S
     if seconds < least_s:
         raise Unobservable(
-            f"{recording.name}: {seconds:.2f} s are too short to tell bias from motion; give {SHORTEST_S:.0f} s "
-            f"or more with a rest, {SHORTEST_MOTION_S:.0f} s without"
+            f"{recording.name}: {seconds:.2f} s are too short to tell bias from motion; give {_SHORTEST_S:.0f} s "
+            f"or more with a rest, {_SHORTEST_MOTION_S:.0f} s without"
         )
     motion = prepare_motion(imu, rests_ns)
     keys = choose_keys(motion, params.keys)

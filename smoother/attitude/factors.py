@@ -28,8 +28,8 @@ from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.samples.compound import compound_samples
 
 CALIBRATION = 19  # unknowns: 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
-EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
-FREE = gtsam.imuBias.ConstantBias()
+_EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
+_FREE = gtsam.imuBias.ConstantBias()
 
 _isotropic = gtsam.noiseModel.Isotropic.Sigma
 _diagonal = gtsam.noiseModel.Diagonal.Sigmas
@@ -99,12 +99,12 @@ def _interval_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> g
 
 def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
     """Tie the effective bias of an interval to bias and calibration: C = B + M [mean force, mean rate, jerk]."""
-    noise, eye, step = _diagonal(EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
+    noise, eye, step = _diagonal(_EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
     # Without a linearisation point gtsam applies the factors to changes, and never sees a violation. The unknowns are
     # renamed afterwards: to make a ConstantBias for each takes longer than all else here.
     origin = gtsam.Values()
-    origin.insert(C(0), FREE)
-    origin.insert(B(0), FREE)
+    origin.insert(C(0), _FREE)
+    origin.insert(B(0), _FREE)
     origin.insert(M(0), np.zeros(CALIBRATION))
     intervals = keys.intervals(~keys.gap)
     by_matrix = np.zeros((len(intervals), 6, CALIBRATION))
@@ -123,7 +123,7 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
     p, step = params.inertial, bias_steps(keys, params)
     walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
     for k in range(step[keys.first], step[keys.held[-1]]):
-        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), FREE, _diagonal(walk))
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), _FREE, _diagonal(walk))
     if keys.first > 0:
         return
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)

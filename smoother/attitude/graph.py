@@ -32,7 +32,7 @@ from stillpoint.smoother.attitude.report import report_reference
 from stillpoint.smoother.attitude.solve import NoOptimum
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 
-RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
+_RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
 
 
 def make_attitude_reference(
@@ -92,7 +92,7 @@ def _try_restored(recording: Recording, evidence: Evidence, solved: Solved) -> t
     except Unobservable:
         return evidence, solved
     rise = sum(piece.cost for piece in again.pieces) - sum(piece.cost for piece in solved.pieces)
-    return (restored, again) if rise < RESTORED_COST * len(solved.pieces) else (evidence, solved)
+    return (restored, again) if rise < _RESTORED_COST * len(solved.pieces) else (evidence, solved)
 
 
 def _solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:

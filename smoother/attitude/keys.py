@@ -13,8 +13,8 @@ from stillpoint.smoother.attitude.samples.clipping import extend_clipped
 from stillpoint.smoother.attitude.samples.slow_log import estimate_sampling_error, integrate_slow_log
 from stillpoint.smoother.missing import LONG_GAP_S, bridge_gaps
 
-SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
-SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
+_SMALLEST_GYRO_RANGE_RADPS = 4.3  # 250 deg/s: below the smallest range there is no clipping
+_SMALLEST_ACCEL_RANGE_MPS2 = 19.0  # 2 g
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,8 @@ def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for start, end in np.searchsorted(imu.t_ns, rests_ns):
         at_rest[start : end + 1] = True
-    gyro, gyro_beyond = extend_clipped(t_s, imu.gyro_b_radps, SMALLEST_GYRO_RANGE_RADPS)
-    accel, accel_beyond = extend_clipped(t_s, imu.accel_b_mps2, SMALLEST_ACCEL_RANGE_MPS2)
+    gyro, gyro_beyond = extend_clipped(t_s, imu.gyro_b_radps, _SMALLEST_GYRO_RANGE_RADPS)
+    accel, accel_beyond = extend_clipped(t_s, imu.accel_b_mps2, _SMALLEST_ACCEL_RANGE_MPS2)
     step_s = np.diff(t_s)
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
     gyro, gyro_missed = bridge_gaps(dt_s, gyro, ~at_rest)

@@ -21,12 +21,12 @@ from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.params import FieldParams
 
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
-SHRINK = 0.6  # from iteration to iteration
-UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
-HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
-LONGEST_S = 10.0  # over which errors of the field are compared with each other
-LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
-LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
+_SHRINK = 0.6  # from iteration to iteration
+_UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
+_HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
+_LONGEST_S = 10.0  # over which errors of the field are compared with each other
+_LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
+_LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class FieldMeasurements:
 
     state: NDArray[np.int64]  # (K,)
     field_b_ut: Floats  # (K, 3)
-    gyro_b_radps: Floats  # (K, 3) mean over LATE_S before the state
+    gyro_b_radps: Floats  # (K, 3) mean over _LATE_S before the state
 
     def at(self, states: range) -> "FieldMeasurements | None":
         """Return the measurements at some of the states, None where there are none."""
@@ -62,7 +62,7 @@ def select_measurements(
     if len(state) < 3:
         return None
     field = np.stack([np.interp(keys.t_s[state], t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
-    first = np.searchsorted(motion.t_s, keys.t_s[state] - LATE_S)
+    first = np.searchsorted(motion.t_s, keys.t_s[state] - _LATE_S)
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(motion.gyro_b_radps, axis=0)])
     count = keys.row[state] + 1 - first
     rate = (turned[keys.row[state] + 1] - turned[first]) / count[:, None]
@@ -72,7 +72,7 @@ def select_measurements(
 def start_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
     """Return the start value of H (16,): the median field in n at attitudes ``q_nb`` (K, 4), and the hard iron (3,)."""
     field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
-    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(UNKNOWNS - 6)])
+    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(_UNKNOWNS - 6)])
 
 
 def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
@@ -87,7 +87,7 @@ def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: 
     if azimuth_known:
         across = np.array([np.cos(azimuth_rad), -np.sin(azimuth_rad), 0.0])
         along = np.array([np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
-        level_cov = HEADING_SD_UT**2 * np.outer(across, across) + params.field_sd_ut**2 * np.outer(along, along)
+        level_cov = _HEADING_SD_UT**2 * np.outer(across, across) + params.field_sd_ut**2 * np.outer(along, along)
         covariance[:2, :2] = level_cov[:2, :2]
     return gtsam.PriorFactorVector(H(0), mean, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
@@ -164,13 +164,13 @@ def measure_widening(rotations: Floats, residual_ut: Floats, scale_ut: float, pa
     n, total = len(error), float((error**2).sum())
     if total == 0.0:
         return 1.0
-    lags = range(1, min(n // 4, int(LONGEST_S / params.step_s)))
+    lags = range(1, min(n // 4, int(_LONGEST_S / params.step_s)))
     alike = np.array([float((error[k:] * error[:-k]).sum()) / total * n / (n - k) for k in lags])
-    ends = np.flatnonzero(alike < LEAST_CORRELATION)
+    ends = np.flatnonzero(alike < _LEAST_CORRELATION)
     return float(np.sqrt(max(1.0, 1 + 2 * alike[: ends[0] if len(ends) else None].sum())))
 
 
 def shrink_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:
     """Return the scale of the next iteration: smaller, but not below the residuals' own size or ``sd_ut``."""
     size = float(np.median(np.linalg.norm(residual, axis=1)))  # about sd for three axes
-    return max(params.sd_ut, min(SHRINK * scale_ut, max(size, params.sd_ut)))
+    return max(params.sd_ut, min(_SHRINK * scale_ut, max(size, params.sd_ut)))

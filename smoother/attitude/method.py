@@ -18,7 +18,7 @@ from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.plausibility import find_contradicting_factors
 from stillpoint.smoother.stretches import leave_out_islands
 
-PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s says what it is
+_PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s says what it is
 
 
 def make_graph_reference(recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()) -> Reference:
@@ -71,7 +71,7 @@ def _correct_delay(recording: Recording, params: GraphParams, generators: Sequen
     """Return the reference, made once more with the delay of the fixes that the first one shows if it is large."""
     made = make_attitude_reference(recording, params, generators)
     delay_s = made.diagnostics.get("fixes", {}).get("delay_s")
-    if params.gps.late_s != 0.0 or delay_s is None or abs(delay_s) <= PUNCTUAL_S:
+    if params.gps.late_s != 0.0 or delay_s is None or abs(delay_s) <= _PUNCTUAL_S:
         return made
     late = replace(params, gps=replace(params.gps, late_s=float(np.clip(delay_s, -2.0, 5.0))))
     again = make_attitude_reference(recording, late, generators)

@@ -119,9 +119,9 @@ PRESETS: dict[str, GraphParams] = {
     "bench": replace(HANDHELD, motion=replace(HANDHELD.motion, position_sd_m=0.3, velocity_sd_mps=0.5)),
 }
 
-VEHICLE_MPS = 20.0  # a prior of the velocity from here on allows for a vehicle
+_VEHICLE_MPS = 20.0  # a prior of the velocity from here on allows for a vehicle
 
 
 def allows_vehicle(params: GraphParams) -> bool:
     """Return whether the settings allow for the velocities of a vehicle."""
-    return params.motion.velocity_sd_mps >= VEHICLE_MPS
+    return params.motion.velocity_sd_mps >= _VEHICLE_MPS

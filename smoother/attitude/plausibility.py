@@ -32,19 +32,19 @@ from stillpoint.smoother.attitude.outside.added import ADDED, CONTRADICTS
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import NoOptimum, Solution
 
-IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, relative to the noise settings
-SURPRISE_LIMIT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro 5 % off: 6.5
-LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
-PRIOR_LIMIT_SD = 5.0  # largest deviation of calibration and biases, in sd of their priors
-INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, but with a small median residual
-USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there is no field to speak of
-MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
-RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
-DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
-ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
-LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
+_IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, relative to the noise settings
+_SURPRISE_LIMIT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro 5 % off: 6.5
+_LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
+_PRIOR_LIMIT_SD = 5.0  # largest deviation of calibration and biases, in sd of their priors
+_INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, but with a small median residual
+_USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there is no field to speak of
+_MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
+_RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
+_DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
+_ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
+_LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
 
-KINDS = {
+_KINDS = {
     gtsam.BetweenFactorConstantBias: "bias walk",
     gtsam.PriorFactorVector: "velocity and calibration",
     gtsam.GPSFactor: "position",
@@ -58,7 +58,7 @@ class Contradiction(Unobservable):
     ``of_field`` is true where gyro and accelerometer agree.
     """
 
-    def __init__(self, name: str, found: str, of_field: bool = False, advice: str = ADVICE) -> None:
+    def __init__(self, name: str, found: str, of_field: bool = False, advice: str = _ADVICE) -> None:
         super().__init__(f"{name}: {found}; {advice}")
         self.found = found
         self.of_field = of_field
@@ -93,7 +93,7 @@ def priors_to_try(params: GraphParams, evidence: Evidence) -> list[SensorPriors]
     if not sizes:
         return [SensorPriors(params, None)]
     wider = [replace(params, inertial=replace(p, gyro_matrix_sd=sd, accel_matrix_sd=sd)) for sd in sizes]
-    return [SensorPriors(each, SURPRISE_LIMIT_SD) for each in (params, *wider)]
+    return [SensorPriors(each, _SURPRISE_LIMIT_SD) for each in (params, *wider)]
 
 
 def measure_fit(
@@ -115,7 +115,7 @@ def measure_fit(
             kind = "imu at rest" if at_rest[k] else "imu clipped" if clipped[k] else "imu"
             degrees = 9  # gtsam counts only its first part
         else:
-            kind, degrees = KINDS.get(type(factor), "anchors"), factor.dim()
+            kind, degrees = _KINDS.get(type(factor), "anchors"), factor.dim()
         if (kind, degrees) not in alike:
             alike[kind, degrees] = gtsam.NonlinearFactorGraph()
         alike[kind, degrees].push_back(factor)
@@ -156,7 +156,7 @@ def refuse_contradictions(
         raise Contradiction(name, found, of_field=bool(useless))
     upside_down = _find_wrong_dip(fit, solution, info)
     if upside_down:
-        raise Unobservable(f"{name}: {upside_down}; {ADVICE}")
+        raise Unobservable(f"{name}: {upside_down}; {_ADVICE}")
 
 
 def find_contradicting_factors(squares: Mapping[str, float]) -> list[str]:
@@ -173,8 +173,8 @@ def describe_disturbed_field(fit: Fit, params: GraphParams) -> str:
     if fit.field_inlier_share is None or fit.field_misfit_ut is None:
         return ""
     raw = params.inertial.gyro_matrix_sd >= params.inertial.raw_matrix_sd
-    limit_sd = RAW_MISFIT_LIMIT_SD if raw else MISFIT_LIMIT_SD
-    if fit.field_inlier_share >= INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
+    limit_sd = _RAW_MISFIT_LIMIT_SD if raw else _MISFIT_LIMIT_SD
+    if fit.field_inlier_share >= _INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
         return ""
     return (
         f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
@@ -191,7 +191,7 @@ def refuse_disturbed_field(fit: Fit, name: str, params: GraphParams) -> None:
 
 def refuse_fixes(believed: NDArray[np.bool_], name: str) -> None:
     """Raise :class:`Contradiction` when most of a window's satellite fixes (K,) lose their weight."""
-    if len(believed) and believed.mean() < INLIER_SHARE:
+    if len(believed) and believed.mean() < _INLIER_SHARE:
         useless = 100 * (1 - believed.mean())
         raise Contradiction(name, f"the satellite fixes contradict gyro and accelerometer ({useless:.0f} % are off)")
 
@@ -207,7 +207,7 @@ def measure_surprise(calibration: Calibration, params: GraphParams) -> float:
     assert calibration.gyro_matrix_sd is not None
     prior = params.inertial.gyro_matrix_sd
     moved = (calibration.gyro_matrix - np.eye(3)) / prior
-    learnt = np.maximum(1 - (calibration.gyro_matrix_sd / prior) ** 2, LEAST_LEARNT)
+    learnt = np.maximum(1 - (calibration.gyro_matrix_sd / prior) ** 2, _LEAST_LEARNT)
     return float(np.max(np.abs(moved) / np.sqrt(learnt)))
 
 
@@ -217,7 +217,7 @@ def refuse_surprise(calibration: Calibration, limit_sd: float, name: str, params
     if found > limit_sd:
         raise Unobservable(
             f"{name}: the gyro's scale or axes contradict the other sensors ({found:.1f} sd from what a gyro may "
-            f"have); {ADVICE}"
+            f"have); {_ADVICE}"
         )
 
 
@@ -239,7 +239,7 @@ def require_gyro_test(evidence: Evidence, contradiction: Contradiction | NoOptim
     if isinstance(contradiction, Contradiction) and not contradiction.of_field:
         raise contradiction
     found = f"{_describe(contradiction)}; the field is disturbed, and no return to the base pose tests the gyro instead"
-    raise Contradiction(name, found, of_field=True, advice=LEAVE_OUT)
+    raise Contradiction(name, found, of_field=True, advice=_LEAVE_OUT)
 
 
 def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
@@ -247,7 +247,7 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
 
     At rest any axes fit: in a recording that mostly rests, the misfits in motion are too few to show.
     """
-    if inlier_share is not None and inlier_share < INLIER_SHARE and not _axes_fit(recording):
+    if inlier_share is not None and inlier_share < _INLIER_SHARE and not _axes_fit(recording):
         useless = 100 * (1 - inlier_share)
         found = f"the magnetometer's axes do not turn as the gyro's ({useless:.0f} % are useless)"
         raise Contradiction(recording.name, found, of_field=True)
@@ -256,8 +256,8 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
 def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Floats, params: GraphParams) -> str:
     """Return what gyro and accelerometer contradict, "" if nothing."""
     p = params.inertial
-    if fit.squares.get("imu", 0.0) > IMU_LIMIT:
-        times = np.sqrt(fit.squares["imu"] / IMU_LIMIT)
+    if fit.squares.get("imu", 0.0) > _IMU_LIMIT:
+        times = np.sqrt(fit.squares["imu"] / _IMU_LIMIT)
         return f"gyro and accelerometer contradict each other ({times:.1f} times the residuals that a sensor may have)"
     vector = solution.values.atVector(M(0))
     sizes = {
@@ -273,14 +273,14 @@ def _find_inertial_contradiction(fit: Fit, solution: Solution, bias_b_radps: Flo
         sizes["gyro's bias"] = (moved, p.gyro_bias_sd_radps, float(np.rad2deg(1.0)), "deg/s")
     for what, (values, sd, factor, unit) in sizes.items():
         largest = float(np.abs(values).max())
-        if largest > PRIOR_LIMIT_SD * sd:
+        if largest > _PRIOR_LIMIT_SD * sd:
             return f"to fit the data the {what} would have to be off by {largest * factor:.2g} {unit}"
     return ""
 
 
 def _find_useless_field(fit: Fit) -> str:
     """Return that next to no reading of the magnetometer fits, "" if enough of them do."""
-    if fit.field_inlier_share is None or fit.field_inlier_share >= USELESS_SHARE:
+    if fit.field_inlier_share is None or fit.field_inlier_share >= _USELESS_SHARE:
         return ""
     useless = 100 * (1 - fit.field_inlier_share)
     return f"the magnetometer contradicts the gyro ({useless:.0f} % of its readings are useless)"
@@ -294,7 +294,7 @@ def _find_wrong_dip(fit: Fit, solution: Solution, info: Info) -> str:
     east, north, up = solution.values.atVector(H(0))[:3]
     found_rad = np.arctan2(-up, np.hypot(east, north))
     known_rad = np.arctan2(-there[2], np.hypot(*there[:2]))
-    if abs(found_rad - known_rad) <= DIP_LIMIT_RAD:
+    if abs(found_rad - known_rad) <= _DIP_LIMIT_RAD:
         return ""
     return (
         f"the field dips by {np.rad2deg(found_rad):.0f} deg, at this place it does by {np.rad2deg(known_rad):.0f}; "

@@ -19,13 +19,13 @@ from stillpoint.datasets.trajectory import BasePoseReturn
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.base_pose import BasePose, Returns
 
-TILT_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
-UNBOUNDED_SD = 10.0  # sd in rad or m of a component that a factor does not measure
-FIRST_HEADING_SD_RAD = np.deg2rad(2.0)  # of the votes in the first solve: a drifted start value must not decide
-FIRST_KERNEL = 3.0  # of the votes in the first solve
-FIRST_TURN_LIMIT_RAD = np.deg2rad(0.2)  # the first solve ends when no state turns by more
-TILT_LIMIT_SD = 3.0  # a return whose tilt is farther off is rejected
-HEADING_LIMIT_SD = 3.0  # a return whose heading is farther off is called turned
+_TILT_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(3.0)  # a return that is 3 sd off has half its weight
+_UNBOUNDED_SD = 10.0  # sd in rad or m of a component that a factor does not measure
+_FIRST_HEADING_SD_RAD = np.deg2rad(2.0)  # of the votes in the first solve: a drifted start value must not decide
+_FIRST_KERNEL = 3.0  # of the votes in the first solve
+_FIRST_TURN_LIMIT_RAD = np.deg2rad(0.2)  # the first solve ends when no state turns by more
+_TILT_LIMIT_SD = 3.0  # a return whose tilt is farther off is rejected
+_HEADING_LIMIT_SD = 3.0  # a return whose heading is farther off is called turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,22 +38,22 @@ class Votes:
 
 def with_wide_votes(params: GraphParams) -> GraphParams:
     """Return the settings for the first of two solves, in which the headings of the returns hardly count."""
-    heading_sd_rad = max(params.returns.heading_sd_rad, FIRST_HEADING_SD_RAD)
-    wide = replace(params.returns, heading_sd_rad=heading_sd_rad, heading_kernel=FIRST_KERNEL)
-    return replace(params, returns=wide, turn_limit_rad=max(params.turn_limit_rad, FIRST_TURN_LIMIT_RAD))
+    heading_sd_rad = max(params.returns.heading_sd_rad, _FIRST_HEADING_SD_RAD)
+    wide = replace(params.returns, heading_sd_rad=heading_sd_rad, heading_kernel=_FIRST_KERNEL)
+    return replace(params, returns=wide, turn_limit_rad=max(params.turn_limit_rad, _FIRST_TURN_LIMIT_RAD))
 
 
 def vote_factors(votes: Votes, params: GraphParams) -> Iterator[gtsam.NonlinearFactor]:
     """Tie each rest in the base pose to the common pose L: tilt and place by one factor, heading by another."""
     p, along = params.returns, np.outer(votes.up_b, votes.up_b)
-    tilt, heading = np.zeros((6, 6)), UNBOUNDED_SD**2 * np.eye(6)
-    tilt[:3, :3] = p.repeat_sd_rad**2 * (np.eye(3) - along) + UNBOUNDED_SD**2 * along
+    tilt, heading = np.zeros((6, 6)), _UNBOUNDED_SD**2 * np.eye(6)
+    tilt[:3, :3] = p.repeat_sd_rad**2 * (np.eye(3) - along) + _UNBOUNDED_SD**2 * along
     tilt[3:, 3:] = params.motion.return_position_sd_m**2 * np.eye(3)
-    heading[:3, :3] = UNBOUNDED_SD**2 * (np.eye(3) - along) + p.heading_sd_rad**2 * along
+    heading[:3, :3] = _UNBOUNDED_SD**2 * (np.eye(3) - along) + p.heading_sd_rad**2 * along
     heading_loss = gtsam.noiseModel.mEstimator.Cauchy.Create(p.heading_kernel)
     make_robust, gaussian = gtsam.noiseModel.Robust.Create, gtsam.noiseModel.Gaussian.Covariance
     for state in votes.states:
-        yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(TILT_LOSS, gaussian(tilt)))
+        yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(_TILT_LOSS, gaussian(tilt)))
         yield gtsam.BetweenFactorPose3(L(0), X(state), gtsam.Pose3(), make_robust(heading_loss, gaussian(heading)))
 
 
@@ -106,7 +106,7 @@ def _judge_again(
     verdict: BasePoseReturn, tilt_rad: float, heading_rad: float, lone: bool, params: GraphParams
 ) -> BasePoseReturn:
     p = params.returns
-    tilt_limit_rad, heading_limit_rad = TILT_LIMIT_SD * p.repeat_sd_rad, HEADING_LIMIT_SD * p.heading_sd_rad
+    tilt_limit_rad, heading_limit_rad = _TILT_LIMIT_SD * p.repeat_sd_rad, _HEADING_LIMIT_SD * p.heading_sd_rad
     if tilt_rad > tilt_limit_rad:
         tilt, limit = np.rad2deg(tilt_rad), np.rad2deg(tilt_limit_rad)
         reason = f"{verdict.reason}; the other data tilt it by {tilt:.1f} deg, above {limit:.1f}: not the base pose"

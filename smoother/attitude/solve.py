@@ -21,7 +21,7 @@ from stillpoint.smoother.attitude.magnetometer import (
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.connectivity import require_connected
 
-UNKNOWNS_IN_WORDS = {
+_UNKNOWNS_IN_WORDS = {
     "x": "the pose of state",
     "v": "the velocity of state",
     "c": "the effective bias of interval",
@@ -30,9 +30,12 @@ UNKNOWNS_IN_WORDS = {
     "h": "the magnetic field",
     "l": "the common rest pose",
 }
-STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
-REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
-ALIKE, SLOWEST = 0.95, 0.98  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
+_STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
+_REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
+_ALIKE, _SLOWEST = (
+    0.95,
+    0.98,
+)  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
 
 
 class NoOptimum(Unobservable):
@@ -96,15 +99,15 @@ def iterate(
             raise make_unobservable(name)
         longer = 1.0 if not final or before is None else _extrapolate(turns, before)
         before = turns if longer == 1.0 else None  # after a longer step the next one does not show the rate of decay
-        if turn * longer > STEP_LIMIT_RAD:
-            longer = STEP_LIMIT_RAD / turn
+        if turn * longer > _STEP_LIMIT_RAD:
+            longer = _STEP_LIMIT_RAD / turn
         values = values.retract(step if longer == 1.0 else step.scale(longer))
         rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
-        if final and (turn < params.turn_limit_rad or rest < REST_SHARE * params.turn_limit_rad):
+        if final and (turn < params.turn_limit_rad or rest < _REST_SHARE * params.turn_limit_rad):
             return Approach(values, ordering, scale_ut, tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
@@ -199,7 +202,7 @@ def _order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str)
 def _describe_unknown(key: int) -> str:
     """Return in words which unknown of the graph a key stands for."""
     symbol = gtsam.Symbol(key)
-    kind = UNKNOWNS_IN_WORDS.get(chr(symbol.chr()))
+    kind = _UNKNOWNS_IN_WORDS.get(chr(symbol.chr()))
     return f"{kind} {symbol.index()}" if kind else symbol.string()
 
 
@@ -217,4 +220,4 @@ def _extrapolate(turns: Floats, before: Floats) -> float:
     """
     along, size = float(np.vdot(turns, before)), float(np.vdot(before, before))
     ratio, alike = along / size, along / np.sqrt(size * np.vdot(turns, turns))
-    return 1 / (1 - ratio) if alike > ALIKE and ratio < SLOWEST else 1.0
+    return 1 / (1 - ratio) if alike > _ALIKE and ratio < _SLOWEST else 1.0

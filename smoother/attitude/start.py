@@ -26,19 +26,19 @@ from stillpoint.smoother.attitude.keys import Motion
 from stillpoint.smoother.missing import LONG_GAP_S
 from stillpoint.smoother.strapdown import integrate
 
-BLOCKS_S = (3.0, 12.0, 24.0)
-LEVEL_BLOCK_S = 12.0  # of the attitudes that are returned
-NEIGHBOURS = 5  # blocks that decide on a heading together
-WINDOW_S = 0.5  # over which specific force and field are averaged
-SAMPLE_S = 0.02  # bias and iron are fitted to means over so long: finer ones change nothing
-FORCE_SD_MPS2 = 0.3  # of such a mean of the specific force, at the least
-FIELD_SD_UT = 2.0  # of such a mean of the field, at the least
-FIELD_WEIGHT_UT = 5.0  # that counts as much as 1 m/s^2
-EARTH_FIELD_UT = 45.0  # to which the field's size tends where the motion does not tell it from hard iron
-SIZE_SHARE = 0.05  # weight of the size: 20 uT off count like 1 uT of misfit
-BIAS_STEP_RADPS = 0.05  # the most that one iteration changes it
-BIAS_SETTLED_RADPS = 1e-4  # an iteration that changes it by less is the last: the graph's prior is 170 times wider
-ITERATIONS = 12
+_BLOCKS_S = (3.0, 12.0, 24.0)
+_LEVEL_BLOCK_S = 12.0  # of the attitudes that are returned
+_NEIGHBOURS = 5  # blocks that decide on a heading together
+_WINDOW_S = 0.5  # over which specific force and field are averaged
+_SAMPLE_S = 0.02  # bias and iron are fitted to means over so long: finer ones change nothing
+_FORCE_SD_MPS2 = 0.3  # of such a mean of the specific force, at the least
+_FIELD_SD_UT = 2.0  # of such a mean of the field, at the least
+_FIELD_WEIGHT_UT = 5.0  # that counts as much as 1 m/s^2
+_EARTH_FIELD_UT = 45.0  # to which the field's size tends where the motion does not tell it from hard iron
+_SIZE_SHARE = 0.05  # weight of the size: 20 uT off count like 1 uT of misfit
+_BIAS_STEP_RADPS = 0.05  # the most that one iteration changes it
+_BIAS_SETTLED_RADPS = 1e-4  # an iteration that changes it by less is the last: the graph's prior is 170 times wider
+_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def _interpolate_field(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
 
 def _average_samples(motion: Motion, field_b: Floats | None) -> _Samples:
     """Return the means of neighbouring samples over SAMPLE_S; none reaches across a long gap."""
-    count = max(1, round(SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
+    count = max(1, round(_SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
     n = len(motion.t_s)
     first = np.union1d(np.arange(0, n, count), np.flatnonzero(motion.dt_s > LONG_GAP_S))
     size = np.diff(np.append(first, n))[:, None]
@@ -131,15 +131,15 @@ def _fit_bias_and_iron(samples: _Samples, bias: Floats, magnetic: bool) -> tuple
     iron, misfit = np.zeros(3), np.inf
     bias = np.array(bias, dtype=np.float64)
     columns = samples.force, samples.field, samples.dt_s
-    for length_s in BLOCKS_S:
+    for length_s in _BLOCKS_S:
         starts = _split_blocks(samples.t_s, samples.dt_s, length_s)
         windows, block = _split_half_seconds(samples.t_s, starts)
-        for _ in range(ITERATIONS):
+        for _ in range(_ITERATIONS):
             means = _Means(*_block_means(samples.rate - bias, *columns, starts, windows, samples.middle))
             step, misfit = _solve_step(means, iron, block, magnetic)
-            bias = bias + np.clip(step[:3], -BIAS_STEP_RADPS, BIAS_STEP_RADPS)
+            bias = bias + np.clip(step[:3], -_BIAS_STEP_RADPS, _BIAS_STEP_RADPS)
             iron = iron + step[3:]
-            if np.abs(step[:3]).max() < BIAS_SETTLED_RADPS:
+            if np.abs(step[:3]).max() < _BIAS_SETTLED_RADPS:
                 break
     return bias, iron, misfit
 
@@ -147,7 +147,7 @@ def _fit_bias_and_iron(samples: _Samples, bias: Floats, magnetic: bool) -> tuple
 def _split_half_seconds(t_s: Floats, starts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first sample of each half second within each block, (W + 1,) with the end, and its block."""
     block_of = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(t_s))))
-    number = np.floor((t_s - t_s[starts][block_of]) / WINDOW_S).astype(np.int64)
+    number = np.floor((t_s - t_s[starts][block_of]) / _WINDOW_S).astype(np.int64)
     first = np.flatnonzero(np.diff(number, prepend=-1) | np.diff(block_of, prepend=-1))
     return np.append(first, len(t_s)).astype(np.int64), block_of[first].astype(np.int64)
 
@@ -224,23 +224,23 @@ def _rotate_by(x: float, y: float, z: float, out: Floats) -> None:
 def _solve_step(means: _Means, iron: Floats, block: NDArray[np.int64], magnetic: bool) -> tuple[Floats, float]:
     """Return one weighted least-squares step of (bias, hard iron), (6,), and the misfit before it."""
     force, force_by_bias = means.force, -_cross(means.force) @ means.drift
-    weight, size = _compute_robust_weights(_subtract_block_mean(force, block), block, FORCE_SD_MPS2)
+    weight, size = _compute_robust_weights(_subtract_block_mean(force, block), block, _FORCE_SD_MPS2)
     residual = _subtract_block_mean(force, block, weight)
     design = np.concatenate([_subtract_block_mean(force_by_bias, block, weight), np.zeros((len(force), 3, 3))], axis=2)
     rows, values = [np.sqrt(weight)[:, None, None] * design], [np.sqrt(weight)[:, None] * residual]
-    misfit = size / FORCE_SD_MPS2
+    misfit = size / _FORCE_SD_MPS2
     if magnetic:
         field = means.field - means.turn @ iron
         field_by_bias = -_cross(field) @ means.drift
-        weight, size = _compute_robust_weights(_subtract_block_mean(field, block), block, FIELD_SD_UT)
+        weight, size = _compute_robust_weights(_subtract_block_mean(field, block), block, _FIELD_SD_UT)
         both = np.concatenate([field_by_bias, -means.turn], axis=2)
-        scale = np.sqrt(weight) / FIELD_WEIGHT_UT
+        scale = np.sqrt(weight) / _FIELD_WEIGHT_UT
         rows.append(scale[:, None, None] * _subtract_block_mean(both, block, weight))
         values.append(scale[:, None] * _subtract_block_mean(field, block, weight))
         size_row, size_value = _pull_to_earth_size(field, means.turn, scale)
         rows.append(size_row)
         values.append(size_value)
-        misfit += size / FIELD_SD_UT
+        misfit += size / _FIELD_SD_UT
     design = np.concatenate([row.reshape(-1, 6) for row in rows])
     target = -np.concatenate([value.ravel() for value in values])
     normal = design.T @ design + np.diag([0.1] * 3 + [1e-3] * 3) ** 2
@@ -254,8 +254,8 @@ def _pull_to_earth_size(field: Floats, turn: Floats, scale: Floats) -> tuple[Flo
     """
     size = np.linalg.norm(field, axis=1)
     along = -np.einsum("wi,wij->wj", field / np.maximum(size, 1e-9)[:, None], turn)
-    weight = SIZE_SHARE * scale
-    return np.concatenate([np.zeros_like(along), weight[:, None] * along], axis=1), weight * (size - EARTH_FIELD_UT)
+    weight = _SIZE_SHARE * scale
+    return np.concatenate([np.zeros_like(along), weight[:, None] * along], axis=1), weight * (size - _EARTH_FIELD_UT)
 
 
 def _subtract_block_mean(values: Floats, block: NDArray[np.int64], weight: Floats | None = None) -> Floats:
@@ -287,10 +287,10 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
     The gyro carries the heading from block to block; the field corrects it by the angle on which most of the
     neighbouring blocks agree, so that a passing magnet does not turn a block.
     """
-    starts = _split_blocks(motion.t_s, motion.dt_s, LEVEL_BLOCK_S)
+    starts = _split_blocks(motion.t_s, motion.dt_s, _LEVEL_BLOCK_S)
     ends = np.append(starts[1:], len(motion.t_s))
-    # Within a block, medians over SAMPLE_S are as good as those over all samples.
-    stride = max(1, int(SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
+    # Within a block, medians over _SAMPLE_S are as good as those over all samples.
+    stride = max(1, int(_SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
     step_s = motion.dt_s.copy()
     step_s[starts] = 0.0
     rate = motion.gyro_b_radps - bias
@@ -335,7 +335,7 @@ def _turn_blocks(of_block: Floats, starts: NDArray[np.int64], turn: Floats) -> F
 
 def _take_circular_median(angles: Floats) -> Floats:
     """Return each angle replaced by the circular median of its neighbours."""
-    half = NEIGHBOURS // 2
+    half = _NEIGHBOURS // 2
     agreed = np.empty(len(angles))
     for k in range(len(angles)):
         around = angles[max(0, k - half) : k + half + 1]

@@ -51,7 +51,7 @@ class Solved:
     n_doubtful_fixes: int = 0  # fixes that lose more than half of their weight, summed over the windows
 
 
-LEAST_OVERLAP = 2  # states
+_LEAST_OVERLAP = 2  # states
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     begin_s = keys.t_s[0] + (length_s - overlap_s) / count * np.arange(count)
     first = np.append(np.searchsorted(keys.t_s, begin_s), n)
     end = np.append(np.searchsorted(keys.t_s, begin_s[1:] + overlap_s), n)
-    end[:-1] = np.minimum(np.maximum(end[:-1], first[1:-1] + LEAST_OVERLAP), n)  # a gap may take up the overlap
+    end[:-1] = np.minimum(np.maximum(end[:-1], first[1:-1] + _LEAST_OVERLAP), n)  # a gap may take up the overlap
     windows = np.flatnonzero(np.diff(first) > 0)  # or a whole window
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in windows]
 

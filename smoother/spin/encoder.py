@@ -9,10 +9,10 @@ from stillpoint.datasets.recording import Encoder, Floats, Times
 from stillpoint.smoother.spin.params import EncoderParams
 from stillpoint.smoother.spin.state import LATENCY, OFFSET, Layout, SpinState
 
-UNIFORM_SD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
-FINEST = 2 * np.pi / 1e5  # rad: finer steps are not looked for
-RATE_S = 0.1  # over which the encoder's rate is taken
-ROUNDING = 0.05  # of a step, by which angles of whole steps may be off
+_UNIFORM_SD = np.sqrt(1 / 12)  # of a uniform distribution of width 1
+_FINEST = 2 * np.pi / 1e5  # rad: finer steps are not looked for
+_RATE_S = 0.1  # over which the encoder's rate is taken
+_ROUNDING = 0.05  # of a step, by which angles of whole steps may be off
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ def select_readings(encoder: Encoder, t_ns: Times, params: EncoderParams) -> Enc
     step_rad = find_resolution_rad(encoder.angle_rad)
     forward = np.sign(encoder.angle_rad[-1] - encoder.angle_rad[0])
     t_s = (encoder.t_ns - t_ns[0]) / 1e9
-    half = RATE_S / 2
+    half = _RATE_S / 2
     early, late = np.clip(t_s - half, t_s[0], t_s[-1]), np.clip(t_s + half, t_s[0], t_s[-1])
     rate = np.interp(late, t_s, encoder.angle_rad) - np.interp(early, t_s, encoder.angle_rad)
     k = np.searchsorted(t_ns, encoder.t_ns)
@@ -48,7 +48,7 @@ def select_readings(encoder: Encoder, t_ns: Times, params: EncoderParams) -> Enc
         k=k[inside],
         back_s=(t_ns[k[inside]] - encoder.t_ns[inside]) / 1e9,
         resolution_rad=step_rad,
-        sd_rad=float(np.hypot(params.sd_rad, UNIFORM_SD * step_rad)),
+        sd_rad=float(np.hypot(params.sd_rad, _UNIFORM_SD * step_rad)),
         outside=int((~inside).sum()),
     )
 
@@ -57,12 +57,12 @@ def find_resolution_rad(angle_rad: Floats) -> float:
     """Return the step of the angles (E,), a whole fraction of a turn; 0 if no step shows."""
     levels = np.unique(np.round(np.mod(angle_rad - angle_rad[0], 2 * np.pi), 9))
     gaps = np.diff(levels)
-    gaps = gaps[gaps > FINEST]
+    gaps = gaps[gaps > _FINEST]
     if not len(gaps):
         return 0.0
     step = 2 * np.pi / np.round(2 * np.pi / float(gaps.min()))
     off = np.abs(levels / step - np.round(levels / step))
-    return float(step) if off.max() < ROUNDING else 0.0
+    return float(step) if off.max() < _ROUNDING else 0.0
 
 
 def compute_encoder_residuals(

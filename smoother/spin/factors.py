@@ -44,12 +44,12 @@ from stillpoint.smoother.spin.state import (
     split_blocks,
 )
 
-HELD = 1e-4  # sd of a constant that is not estimated: practically zero, but well conditioned
-ZERO_SD_RAD = 1e-4  # of the first angle if nothing else defines the angle zero
-CONSTANT = 1e-3  # sd of a constant's change from step to step, relative to its sd: practically none
-CHANGING = 0.3  # the same for a vibration
-UNOBSERVABLE_SHARE = 0.9  # of the prior's sd: a constant whose posterior sd is larger is fixed
-FREE_SD_RAD = 10.0  # of an angle that the data must determine
+_HELD = 1e-4  # sd of a constant that is not estimated: practically zero, but well conditioned
+_ZERO_SD_RAD = 1e-4  # of the first angle if nothing else defines the angle zero
+_CONSTANT = 1e-3  # sd of a constant's change from step to step, relative to its sd: practically none
+_CHANGING = 0.3  # the same for a vibration
+_UNOBSERVABLE_SHARE = 0.9  # of the prior's sd: a constant whose posterior sd is larger is fixed
+_FREE_SD_RAD = 10.0  # of an angle that the data must determine
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def make_prior(
 ) -> Prior:
     """Return the prior of angle and constants; constants that no data can determine are fixed at their mean."""
     p = params.calibration
-    sizes, steps = np.full((2, len(CONSTANTS)), HELD)
+    sizes, steps = np.full((2, len(CONSTANTS)), _HELD)
     mean = np.zeros(len(CONSTANTS))
     free = {ARM_S: p.lever_arm_sd, ARM_A: p.lever_arm_sd}
     gravity = line is not None and line.is_gravity
@@ -78,22 +78,22 @@ def make_prior(
         # Each channel sees gravity through its own scale and axis, which are as uncertain as the lever arms.
         squared, accel = (np.linalg.norm(k) for k in (samples.squared_gravity, samples.accel_gravity))
         for constant, gravity_sensitivity in ((COS_S, squared), (SIN_S, squared), (COS_A, accel), (SIN_A, accel)):
-            free[constant] = max(HELD, p.lever_arm_sd * line.gravity_mps2 * float(gravity_sensitivity))
+            free[constant] = max(_HELD, p.lever_arm_sd * line.gravity_mps2 * float(gravity_sensitivity))
     if encoder:
         free[LATENCY] = params.encoder.latency_sd_s
     if encoder and gravity:
-        free[OFFSET] = FREE_SD_RAD
+        free[OFFSET] = _FREE_SD_RAD
     for constant, sd in free.items():
-        sizes[constant], steps[constant] = sd, CONSTANT * sd
+        sizes[constant], steps[constant] = sd, _CONSTANT * sd
     if line is not None and line.is_vibration:
         shaken = [COS_S, SIN_S, COS_A, SIN_A]
         mean[shaken], sizes[shaken] = _expect_vibration(samples, line, params)
-        steps[shaken] = CHANGING * sizes[shaken]
+        steps[shaken] = _CHANGING * sizes[shaken]
     cov, walk = np.diag(sizes**2), np.diag(steps**2)
     bias = samples.bias_per_accel @ samples.bias_per_accel.T  # of biases of 1 m/s^2
     cov[:2, :2] = p.accel_bias_sd_mps2**2 * bias
     walk[:2, :2] = p.accel_bias_walk**2 * p.step_s * bias
-    return Prior(angle_rad, FREE_SD_RAD if gravity or encoder else ZERO_SD_RAD, mean, cov, walk)
+    return Prior(angle_rad, _FREE_SD_RAD if gravity or encoder else _ZERO_SD_RAD, mean, cov, walk)
 
 
 def _expect_vibration(samples: SpinSamples, line: Line, params: SpinGraphParams) -> tuple[Floats, Floats]:
@@ -118,7 +118,7 @@ def find_unobservable_constants(linear: "Linear", prior: Prior, name: str) -> ND
         found = np.sqrt(np.diag(linear.tree.marginalCovariance(C(0))))
     except RuntimeError as error:
         raise _rate_not_fixed(name) from error
-    held = found > UNOBSERVABLE_SHARE * np.sqrt(np.diag(prior.cov))
+    held = found > _UNOBSERVABLE_SHARE * np.sqrt(np.diag(prior.cov))
     held[[COS_S, SIN_S]] = True
     return np.asarray(held)
 
@@ -127,7 +127,7 @@ def fix_constants(prior: Prior, held: NDArray[np.bool_]) -> Prior:
     """Return the prior with some constants held at their means."""
 
     def hold(cov: Floats) -> Floats:
-        small = np.where(held, CONSTANT, 1.0)
+        small = np.where(held, _CONSTANT, 1.0)
         return np.where(held[:, None] ^ held[None, :], 0.0, cov * np.outer(small, small))
 
     return replace(prior, cov=hold(prior.cov), walk_cov=hold(prior.walk_cov))

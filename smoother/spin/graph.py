@@ -39,8 +39,8 @@ from stillpoint.smoother.spin.start import add_gravity, add_vibration, make_star
 from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS, COS_S, OFFSET
 from stillpoint.smoother.spin.zero_rate import find_least_squared, find_slow_stretch, require_spin, smooth_squared
 
-ROUGH = 3  # iterations before gravity is looked for
-VIBRATION_ROUNDS = 2  # the vibration disturbs the rates, and through them the angle along which it is fitted
+_ROUGH = 3  # iterations before gravity is looked for
+_VIBRATION_ROUNDS = 2  # the vibration disturbs the rates, and through them the angle along which it is fitted
 
 
 def make_spin_reference(recording: Recording, params: SpinGraphParams) -> SpinReference:
@@ -110,18 +110,18 @@ def _solve(
     prior = make_prior(samples, None, readings is not None, float(integrate_angles(chain, state)[0]), params)
     # Until the once-per-turn line is found, it would count as glitches beside a given noise: use the residuals.
     loose = replace(params, noise=replace(params.noise, source="data"))
-    rough = improve(chain, state, prior, name, loose, ROUGH)
+    rough = improve(chain, state, prior, name, loose, _ROUGH)
     line = None if params.harmonic.search == "off" else find_line(chain, rough.at.state, params.harmonic)
     if line is not None and line.is_gravity:
         chain, state = add_gravity(chain, rough.at.state, line)
         prior = make_prior(samples, line, readings is not None, float(integrate_angles(chain, state)[0]), params)
-        rough = improve(chain, state, prior, name, loose, ROUGH)
+        rough = improve(chain, state, prior, name, loose, _ROUGH)
     if line is not None and line.is_vibration:
-        for _ in range(VIBRATION_ROUNDS):
+        for _ in range(_VIBRATION_ROUNDS):
             line = follow_line(chain, rough.at.state, line, params.harmonic)
             chain, state = add_vibration(chain, rough.at.state, line)
             prior = make_prior(samples, line, readings is not None, float(integrate_angles(chain, state)[0]), params)
-            rough = improve(chain, state, prior, name, loose, ROUGH)
+            rough = improve(chain, state, prior, name, loose, _ROUGH)
     # A constant that the samples do not determine would follow their noise and turn the angle by degrees. It is fixed
     # at its prior mean; the covariance still includes it.
     held = find_unobservable_constants(_linearise(chain, rough, prior, name), prior, name)

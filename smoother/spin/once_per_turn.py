@@ -25,14 +25,14 @@ from stillpoint.smoother.spin.params import HarmonicParams
 from stillpoint.smoother.spin.samples import SpinSamples
 from stillpoint.smoother.spin.state import SpinState
 
-FEWEST_IN_WINDOW = 48  # valid samples of each channel
-LEAST_TURNS = 2.0  # of the body in a window
-ROBUST_ROUNDS = 4
-ROBUST = 5.0  # sd
-RIPPLE_SD = 4.0  # of Z, as :func:`_measure_excess` has it: below, a ripple of the rate explains both channels
-APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
-MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
-NOTHING = 1e-6  # relative: a channel that feels less of gravity feels none
+_FEWEST_IN_WINDOW = 48  # valid samples of each channel
+_LEAST_TURNS = 2.0  # of the body in a window
+_ROBUST_ROUNDS = 4
+_ROBUST = 5.0  # sd
+_RIPPLE_SD = 4.0  # of Z, as :func:`_measure_excess` has it: below, a ripple of the rate explains both channels
+_APART_SD = 3.0  # sd by which gravity in one channel may differ from that in the other, beside what is allowed in parts
+_MOST_GRAVITY = 1.05  # of g: as much as scales and lever arms may be off
+_NOTHING = 1e-6  # relative: a channel that feels less of gravity feels none
 
 Complexes = NDArray[np.complex128]
 Verdict = Literal["ripple", "gravity", "vibration"]
@@ -161,12 +161,12 @@ def judge_line(
     p: HarmonicParams,
 ) -> tuple[Verdict, str]:
     """Return what a line is, and why. ``apart_sd`` is the sd of the difference of the two channels' gravity."""
-    if significance < RIPPLE_SD:
+    if significance < _RIPPLE_SD:
         return "ripple", "a ripple of the rate explains both channels"
     together = k_s + 2j * k_a
     if not (k_s or k_a):
         return "vibration", "neither channel feels gravity"
-    if abs(together) <= NOTHING * (abs(k_s) + 2 * abs(k_a)):
+    if abs(together) <= _NOTHING * (abs(k_s) + 2 * abs(k_a)):
         return "vibration", "by this geometry gravity looks like a ripple of the rate; taken for a vibration"
     if p.search == "gravity":
         return "gravity", "taken for gravity as told, without a test"
@@ -180,9 +180,9 @@ def judge_line(
         f"gravity by the squared rate {abs(by_squared):.3f} m/s^2, by the acceleration {abs(by_accel):.3f}, "
         f"{abs(np.rad2deg(np.angle(by_squared / by_accel))):.0f} deg apart"
     )
-    if abs(by_squared - by_accel) > p.agreement * min(abs(by_squared), abs(by_accel)) + APART_SD * apart_sd:
+    if abs(by_squared - by_accel) > p.agreement * min(abs(by_squared), abs(by_accel)) + _APART_SD * apart_sd:
         return "vibration", f"{shown}: they contradict each other"
-    if abs((squared + 2j * accel) / together) > MOST_GRAVITY * STANDARD_GRAVITY_MPS2:
+    if abs((squared + 2j * accel) / together) > _MOST_GRAVITY * STANDARD_GRAVITY_MPS2:
         return "vibration", f"{shown}: more than g"
     if significance < p.significance:
         return "vibration", f"{shown}: too little to be sure"
@@ -203,9 +203,9 @@ def _fit_windows(chain: Chain, state: SpinState, window_s: float) -> Windows | N
     for first, last in pairwise(edges):
         rows = slice(first, last)
         valid_s, valid_a = samples.squared_valid[rows], samples.accel_valid[rows]
-        if min(valid_s.sum(), valid_a.sum()) < FEWEST_IN_WINDOW:
+        if min(valid_s.sum(), valid_a.sum()) < _FEWEST_IN_WINDOW:
             continue
-        if abs(angle_rad[last - 1] - angle_rad[first]) < LEAST_TURNS * 2 * np.pi:
+        if abs(angle_rad[last - 1] - angle_rad[first]) < _LEAST_TURNS * 2 * np.pi:
             continue
         squared = _fit(samples.squared_rad2ps2[rows][valid_s], angle_rad[rows][valid_s], samples.squared_sd)
         accel = _fit(samples.accel_radps2[rows][valid_a], angle_rad[rows][valid_a], samples.accel_sd)
@@ -231,11 +231,11 @@ def _fit(values: Floats, angle_rad: Floats, least_sd: float) -> tuple[complex, f
     root = np.ones(len(values))
     solution: Floats = np.zeros(design.shape[1])
     sd = least_sd
-    for _ in range(ROBUST_ROUNDS):
+    for _ in range(_ROBUST_ROUNDS):
         solution = np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0])
         left = values - design @ solution
         sd = max(least_sd, MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(left))))
-        root = 1 / (1 + (left / (ROBUST * sd)) ** 2)
+        root = 1 / (1 + (left / (_ROBUST * sd)) ** 2)
     white = design * root[:, None]
     covariance = np.linalg.pinv(white.T @ white) * sd**2
     return complex(solution[0], -solution[1]), float(np.trace(covariance[:2, :2]) / 2)

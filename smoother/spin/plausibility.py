@@ -15,11 +15,11 @@ from stillpoint.smoother.spin.solve import SpinSolution
 from stillpoint.smoother.spin.state import AMPLITUDE, CONSTANTS
 
 GLITCH = 0.25  # of the weight of a sample without error: below, a sample counts as a glitch
-RUN = 8  # glitches in a row are more than that
-APART = 3  # samples between glitches of one run
-BIASED_SD = 5.0  # of the prior: as far as a bias or an arm may be off
-SCATTER = 5.0  # times what the samples show by themselves
-OR_ELSE = "the spin rests, turns back or is too slow for its square"
+_RUN = 8  # glitches in a row are more than that
+_APART = 3  # samples between glitches of one run
+_BIASED_SD = 5.0  # of the prior: as far as a bias or an arm may be off
+_SCATTER = 5.0  # times what the samples show by themselves
+_OR_ELSE = "the spin rests, turns back or is too slow for its square"
 
 
 def require_agreement(chain: Chain, solution: SpinSolution, prior: Prior, least_radps: float, name: str) -> None:
@@ -32,27 +32,27 @@ def require_agreement(chain: Chain, solution: SpinSolution, prior: Prior, least_
     at, sizes, n = solution.at, solution.sizes, len(chain.samples)
     off = np.abs(at.state.constants - prior.mean)[:, :AMPLITUDE] / np.sqrt(np.diag(prior.cov))[:AMPLITUDE]
     most = int(off.max(axis=0).argmax())
-    if off.max() > BIASED_SD:
+    if off.max() > _BIASED_SD:
         raise Unobservable(
-            f"{name}: the optimum has {CONSTANTS[most]} {off.max():.0f} sd from what `calibration` expects: {OR_ELSE}, "
-            "or the calibration is worse than said; cut it to a fast spin (stillpoint cut), or widen the calibration"
+            f"{name}: the optimum has {CONSTANTS[most]} {off.max():.0f} sd from what `calibration` expects: {_OR_ELSE}"
+            ", or the calibration is worse than said; cut it to a fast spin (stillpoint cut), or widen the calibration"
         )
     ratio = sizes.accel_radps2 / chain.samples.accel_sd
-    if ratio > SCATTER:
+    if ratio > _SCATTER:
         raise Unobservable(
             f"{name}: around the optimum the angular acceleration scatters {ratio:.0f} times as much as by itself: "
-            f"{OR_ELSE}; cut it to a fast spin (stillpoint cut), and check lever arms, signs and axes of the geometry"
+            f"{_OR_ELSE}; cut it to a fast spin (stillpoint cut), and check lever arms, signs and axes of the geometry"
         )
     weight = compute_roots(chain, at, sizes).accel * sizes.accel_radps2
     glitch = ((weight < GLITCH) & chain.accel_seen).ravel()[:n]
     missing = (chain.span_s * at.accel_residual).ravel()[:n]
     for first, last in _find_runs(glitch):
         change = abs(float(missing[first : last + 1][glitch[first : last + 1]].sum()))
-        if glitch[first : last + 1].sum() >= RUN and change > least_radps:
+        if glitch[first : last + 1].sum() >= _RUN and change > least_radps:
             t_s = (chain.samples.t_ns[[first, last]] - chain.samples.t_ns[0]) / 1e9
             raise Unobservable(
                 f"{name}: between {t_s[0]:.2f} and {t_s[1]:.2f} s the angular acceleration and the squared rate differ "
-                f"by {np.rad2deg(change):.0f} deg/s: {OR_ELSE}, or F5 is disturbed; cut it there (stillpoint cut)"
+                f"by {np.rad2deg(change):.0f} deg/s: {_OR_ELSE}, or F5 is disturbed; cut it there (stillpoint cut)"
             )
 
 
@@ -61,5 +61,5 @@ def _find_runs(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
     rows = np.flatnonzero(wanted)
     if not len(rows):
         return []
-    breaks = np.flatnonzero(np.diff(rows) > APART)
+    breaks = np.flatnonzero(np.diff(rows) > _APART)
     return list(zip(rows[np.r_[0, breaks + 1]].tolist(), rows[np.r_[breaks, len(rows) - 1]].tolist(), strict=True))

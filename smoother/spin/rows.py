@@ -33,7 +33,7 @@ from stillpoint.smoother.spin.state import (
     split_blocks,
 )
 
-LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: practically exact, but well conditioned
+_LINK_SD_RAD = 1e-7  # of an angle that is the sum of the rates: practically exact, but well conditioned
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def build_jacobian(chain: Chain, at: SpinFit, roots: Roots) -> Floats:
     steps = split_blocks(chain.step_s[:-1], m, 0.0)
 
     a[:, 0, rates[:m]], a[:, 0, layout.angle], a[:, 0, layout.angle + 2] = -steps, -1.0, 1.0
-    a[:, 0] /= LINK_SD_RAD
+    a[:, 0] /= _LINK_SD_RAD
 
     by_change = roots.accel * (1 + c[:, ARM_A]) / chain.span_s
     a[:, accel, rates[:-1]], a[:, accel, rates[1:]] = -by_change, by_change

@@ -12,14 +12,14 @@ from stillpoint.datasets.recording import Floats, Recording, Spin, Times
 from stillpoint.datasets.spin import Channel, SpinChannels, channels, find_saturated, measure
 from stillpoint.smoother.spin.params import SpinCalibration, SpinNoise
 
-DIFFERENCE = 4  # order of the differences that leave only the white noise of a smooth signal
-ROUNDING = 1e-9  # relative
-RUN = 8  # equal values in a row
-COARSE = 0.3  # share of values that repeat the one before
-LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
-SIGN_SD = 5.0  # by which the products must differ from zero
-FEWEST = 50  # valid samples of a channel
-LEAST_ACCEL, LEAST_SQUARED = 1e-2, 1e-4  # relative noise of the channels from inexact stamps, arms and axes
+_DIFFERENCE = 4  # order of the differences that leave only the white noise of a smooth signal
+_ROUNDING = 1e-9  # relative
+_RUN = 8  # equal values in a row
+_COARSE = 0.3  # share of values that repeat the one before
+_LEAST_ALONG = 0.1  # of a gyro's axis that must lie along the spin
+_SIGN_SD = 5.0  # by which the products must differ from zero
+_FEWEST = 50  # valid samples of a channel
+_LEAST_ACCEL, _LEAST_SQUARED = 1e-2, 1e-4  # relative noise of the channels from inexact stamps, arms and axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ def measure_samples(recording: Recording, params: SpinNoise) -> SpinSamples:
     accel = np.where(accel_valid, seen.omega_dot_radps2, 0.0)
     squared = np.where(squared_valid, seen.omega_squared_radps2, 0.0)
     for name, valid in (("angular acceleration", accel_valid), ("squared rate", squared_valid)):
-        if valid.sum() < FEWEST:
+        if valid.sum() < _FEWEST:
             raise Unobservable(
-                f"{recording.name}: {int(valid.sum())} of {len(valid)} samples give the {name}, {FEWEST} are needed; "
+                f"{recording.name}: {int(valid.sum())} of {len(valid)} samples give the {name}, {_FEWEST} are needed; "
                 "the others are missing, at the range of an accelerometer, or repeat themselves"
             )
     given = params.source == "given"
@@ -67,8 +67,8 @@ def measure_samples(recording: Recording, params: SpinNoise) -> SpinSamples:
         squared_rad2ps2=squared,
         accel_valid=accel_valid,
         squared_valid=squared_valid,
-        accel_sd=params.accel_sd_radps2 if given else _estimate_white_sd(accel, accel_valid, LEAST_ACCEL),
-        squared_sd=params.squared_sd_rad2ps2 if given else _estimate_white_sd(squared, squared_valid, LEAST_SQUARED),
+        accel_sd=params.accel_sd_radps2 if given else _estimate_white_sd(accel, accel_valid, _LEAST_ACCEL),
+        squared_sd=params.squared_sd_rad2ps2 if given else _estimate_white_sd(squared, squared_valid, _LEAST_SQUARED),
         accel_gravity=_gravity_parts(by, by.omega_dot),
         squared_gravity=_gravity_parts(by, by.omega_squared),
         bias_per_accel=np.stack([by.omega_squared.accel, by.omega_dot.accel]),
@@ -81,10 +81,10 @@ def _find_frozen(values: Floats) -> NDArray[np.bool_]:
     In a channel that repeats itself most of the time the converter is coarser than the noise: nothing counts as frozen.
     """
     repeats = np.concatenate([[False], np.diff(values) == 0])
-    if repeats.mean() > COARSE:
+    if repeats.mean() > _COARSE:
         return np.zeros(len(values), dtype=np.bool_)
     run = np.cumsum(~repeats)  # one number for each run of equal values
-    return np.asarray(np.bincount(run)[run] >= RUN)
+    return np.asarray(np.bincount(run)[run] >= _RUN)
 
 
 def find_sign(spin: Spin, params: SpinCalibration) -> float | None:
@@ -93,7 +93,7 @@ def find_sign(spin: Spin, params: SpinCalibration) -> float | None:
     The gyro that sees most of the spin decides; without one, the products of the spin with the rates about y and z.
     """
     along = spin.geometry.gyro_axis_b[:, 0]
-    if not len(along) or np.abs(along).max() < LEAST_ALONG:
+    if not len(along) or np.abs(along).max() < _LEAST_ALONG:
         return _sign_by_products(spin, params)
     best = int(np.abs(along).argmax())
     seen = spin.gyro_radps[:, best]
@@ -117,7 +117,7 @@ def _sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
         used = channel.accel != 0
         shown = channel.value(spin.accel_mps2, rates.T)
         good = np.isfinite(shown) & np.isfinite(rate) & ~full[:, used].any(axis=1)
-        if good.sum() < FEWEST:
+        if good.sum() < _FEWEST:
             continue
         shown, rate = shown[good], rate[good]
         total += float(shown @ rate)
@@ -125,7 +125,7 @@ def _sign_by_products(spin: Spin, params: SpinCalibration) -> float | None:
         by_bias += channel.accel * rate.sum()
         by_scale[used] += channel.accel[used] * (rate @ spin.accel_mps2[good][:, used])
     off_var = params.accel_bias_sd_mps2**2 * by_bias @ by_bias + params.lever_arm_sd**2 * by_scale @ by_scale
-    return float(np.sign(total)) if abs(total) > SIGN_SD * np.sqrt(noise_var + off_var) else None
+    return float(np.sign(total)) if abs(total) > _SIGN_SD * np.sqrt(noise_var + off_var) else None
 
 
 def _estimate_white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -> float:
@@ -133,9 +133,9 @@ def _estimate_white_sd(values: Floats, valid: NDArray[np.bool_], least: float) -
 
     The result is at least the share ``least`` of the signal's RMS.
     """
-    whole = np.convolve(valid, np.ones(DIFFERENCE + 1), "valid") == DIFFERENCE + 1
-    differences = np.diff(values, DIFFERENCE)[whole]
-    size = float(np.median(np.abs(differences))) * MEDIAN_DEVIATION_TO_SD / np.sqrt(binom(2 * DIFFERENCE, DIFFERENCE))
+    whole = np.convolve(valid, np.ones(_DIFFERENCE + 1), "valid") == _DIFFERENCE + 1
+    differences = np.diff(values, _DIFFERENCE)[whole]
+    size = float(np.median(np.abs(differences))) * MEDIAN_DEVIATION_TO_SD / np.sqrt(binom(2 * _DIFFERENCE, _DIFFERENCE))
     return max(size, least * float(np.sqrt(np.mean(values[valid] ** 2))), 1e-9)
 
 
@@ -149,5 +149,5 @@ def _gravity_parts(by: SpinChannels, channel: Channel) -> Floats:
     allows.
     """
     seen = channel.accel @ by.geometry.accel_axis_b
-    seen = np.where(np.abs(seen) > ROUNDING * np.abs(channel.accel).max(), seen, 0.0)  # it cancels where F3 is there
+    seen = np.where(np.abs(seen) > _ROUNDING * np.abs(channel.accel).max(), seen, 0.0)  # it cancels where F3 is there
     return np.array([seen[2], seen[1]])

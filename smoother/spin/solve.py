@@ -11,8 +11,8 @@ from stillpoint.smoother.spin.params import SpinGraphParams
 from stillpoint.smoother.spin.rows import Sizes, SpinFit, compute_roots, cost, estimate_sizes, fit
 from stillpoint.smoother.spin.state import SpinState
 
-ADAPTING = 6  # iterations, after which the noise is kept: noise and weights could oscillate
-HALVINGS = 8  # of a step that makes the fit worse
+_ADAPTING = 6  # iterations, after which the noise is kept: noise and weights could oscillate
+_HALVINGS = 8  # of a step that makes the fit worse
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ def improve(
     at = fit(chain, state)
     sizes = estimate_sizes(chain, at, params.noise)
     while len(steps) < iterations and not (steps and steps[-1] < params.rate_limit_radps):
-        if len(steps) < ADAPTING:
+        if len(steps) < _ADAPTING:
             sizes = estimate_sizes(chain, at, params.noise)
         roots = compute_roots(chain, at, sizes)
         step = solve_step(chain, eliminate(chain, at, roots, prior, name), len(state.constants))
         before, share = cost(at, roots) + prior_cost(chain, at.state, prior), 1.0
-        for _ in range(HALVINGS):
+        for _ in range(_HALVINGS):
             after = fit(chain, _add_step(at.state, step, share))
             if cost(after, roots) + prior_cost(chain, after.state, prior) <= before * (1 + 1e-9):
                 break

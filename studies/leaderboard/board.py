@@ -14,7 +14,6 @@ from stillpoint.scoring import AlignKind
 if TYPE_CHECKING:
     import pandas as pd
 
-RANKED_BY = ("total", "heading", "inclination")
 RankedBy = Literal["total", "heading", "inclination"]
 Verdict = Literal["a", "b", "undecided"]
 

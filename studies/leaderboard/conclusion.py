@@ -7,7 +7,7 @@ from dataclasses import replace
 from stillpoint.studies.leaderboard.board import Pair, Row, Source, Summary, Table
 from stillpoint.studies.leaderboard.verdicts import LEAST_ROWS
 
-MOST_NAMES = 6  # listed in a sentence; more are counted
+_MOST_NAMES = 6  # listed in a sentence; more are counted
 
 
 def write_conclusion(table: Table, sources: Sequence[Source], unusable: Sequence[str]) -> Table:
@@ -26,8 +26,8 @@ def write_conclusion(table: Table, sources: Sequence[Source], unusable: Sequence
         sentences.append(f"Ranked by inclination: {table.why_ranked_by}.")
     failed = [row for row in table.rows if row.failed]
     if failed:
-        listed = ", ".join(f"{row.label} failed on {row.failed} of {row.recordings}" for row in failed[:MOST_NAMES])
-        more = f" and {len(failed) - MOST_NAMES} others failed on some" if len(failed) > MOST_NAMES else ""
+        listed = ", ".join(f"{row.label} failed on {row.failed} of {row.recordings}" for row in failed[:_MOST_NAMES])
+        more = f" and {len(failed) - _MOST_NAMES} others failed on some" if len(failed) > _MOST_NAMES else ""
         sentences.append(f"Not ranked: {listed}{more}.")
     if unusable:
         sentences.append(f"Every estimator failed on {_list(unusable)}.")
@@ -101,5 +101,5 @@ def _count(n: int, noun: str) -> str:
 
 
 def _list(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:MOST_NAMES])
-    return shown if len(names) <= MOST_NAMES else f"{shown} and {len(names) - MOST_NAMES} more"
+    shown = ", ".join(names[:_MOST_NAMES])
+    return shown if len(names) <= _MOST_NAMES else f"{shown} and {len(names) - _MOST_NAMES} more"

@@ -18,14 +18,14 @@ from stillpoint.filters.table import ATTITUDES, ESTIMATORS, ROLLS, Peer
 from stillpoint.studies.leaderboard.files import files_of_label, read_estimate_of
 from stillpoint.studies.leaderboard.own import load_own, run_own, version_of_own
 
-ENTRY_POINTS = "stillpoint.estimators"
-PEER_PACKAGES = {
+_ENTRY_POINTS = "stillpoint.estimators"
+_PEER_PACKAGES = {
     "vqf": "vqf",
     "offline-vqf": "vqf",
     "fusion": "imufusion",
     "riann": "riann",
 }  # all others are of the package ahrs
-SLOW = ("madgwick", "mahony", "ahrs-ekf", "fusion")  # loops in Python: 20-500 µs per sample
+_SLOW = ("madgwick", "mahony", "ahrs-ekf", "fusion")  # loops in Python: 20-500 µs per sample
 Kind = Literal["table", "own", "file"]
 Own = Callable[..., Any] | type
 
@@ -108,7 +108,7 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
         return replace(_entrant_of_table(shown, known, settings, origin), spelled=name)
     if ":" in name:
         return Entrant(name.rpartition(":")[2], "own", name, version=version_of_own(name), slow=True)
-    installed = entry_points(group=ENTRY_POINTS, name=name)
+    installed = entry_points(group=_ENTRY_POINTS, name=name)
     if installed:
         target = next(iter(installed)).value
         return Entrant(name, "own", target, version=version_of_own(target), slow=True)
@@ -129,12 +129,12 @@ def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origi
     choose_settings(entry.params(), settings, known)
     code = ""
     if isinstance(entry, Peer):
-        package = PEER_PACKAGES.get(known, "ahrs")
+        package = _PEER_PACKAGES.get(known, "ahrs")
         try:
             code = f"{package} {version(package)}"
         except PackageNotFoundError:
             code = f"{package} missing"  # the run says how to install it
-    return Entrant(shown, "table", known, dict(settings), origin, code, known in SLOW)
+    return Entrant(shown, "table", known, dict(settings), origin, code, known in _SLOW)
 
 
 def _entrant_of_object(own: Own) -> Entrant:
@@ -187,7 +187,7 @@ def default_estimators() -> list[str]:
     return [
         name
         for name in ATTITUDES
-        if not isinstance(ESTIMATORS[name], Peer) or find_spec(PEER_PACKAGES.get(name, "ahrs")) is not None
+        if not isinstance(ESTIMATORS[name], Peer) or find_spec(_PEER_PACKAGES.get(name, "ahrs")) is not None
     ]
 
 

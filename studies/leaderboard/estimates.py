@@ -22,7 +22,7 @@ from stillpoint.studies.leaderboard.entrants import Entrant
 from stillpoint.studies.leaderboard.files import find_file
 from stillpoint.studies.result_store import Result, ResultStore, key_of
 
-UPPER = np.triu_indices(3)
+_UPPER = np.triu_indices(3)
 LEFT_OUT = "arbitrary: the magnetometer is not calibrated"  # as the diagnostics of an estimate say it
 WARM_UP_S = 10.0  # longest start that is left out; acc-ma, the slowest with a fixed time, takes 7 s
 
@@ -108,7 +108,7 @@ def _arrays(made: Estimate, recording: Recording) -> Mapping[str, NDArray[Any]]:
     if not np.array_equal(made.t_ns, recording.require_imu().t_ns):
         arrays["t_ns"] = made.t_ns
     if made.cov_b_rad2 is not None:
-        arrays["cov_b_rad2"] = made.cov_b_rad2[:, UPPER[0], UPPER[1]].astype(np.float32)
+        arrays["cov_b_rad2"] = made.cov_b_rad2[:, _UPPER[0], _UPPER[1]].astype(np.float32)
     if made.gyro_bias_b_radps is not None:
         arrays["gyro_bias_b_radps"] = made.gyro_bias_b_radps.astype(np.float32)
     if made.ready is not None and not made.ready.all():
@@ -130,6 +130,6 @@ def _limit_warm_up(t_ns: NDArray[np.int64], ready: NDArray[np.bool_]) -> NDArray
 
 def _unpack_covariance(upper: NDArray[np.float32]) -> Floats:
     cov = np.empty((len(upper), 3, 3))
-    cov[:, UPPER[0], UPPER[1]] = upper
-    cov[:, UPPER[1], UPPER[0]] = upper
+    cov[:, _UPPER[0], _UPPER[1]] = upper
+    cov[:, _UPPER[1], _UPPER[0]] = upper
     return cov

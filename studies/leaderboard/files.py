@@ -15,20 +15,20 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters.table import ESTIMATORS
 
-ESTIMATE = ".estimate.mcap"
-EXPORTED = ("imu", "mag", "gps", "spin", "encoder", "truth", "roll_truth", "stream", "reference")  # by the verb export
-SUFFIXES = (ESTIMATE, ".tum", ".csv", ".mcap", ".bag")  # in the order of preference
+_ESTIMATE = ".estimate.mcap"
+_EXPORTED = ("imu", "mag", "gps", "spin", "encoder", "truth", "roll_truth", "stream", "reference")  # by the verb export
+_SUFFIXES = (_ESTIMATE, ".tum", ".csv", ".mcap", ".bag")  # in the order of preference
 
 
 def files_of_label(source: Path) -> dict[str, Path]:
     """Return the trajectory files beside a recording ``NAME.mcap`` by their label."""
     found: dict[str, Path] = {}
-    for suffix in SUFFIXES:
+    for suffix in _SUFFIXES:
         for file in sorted(source.parent.glob(f"{escape(source.stem)}.*{suffix}")):
             label = file.name.removeprefix(f"{source.stem}.").removesuffix(suffix)
             if label and "." not in label and file.is_file():
                 found.setdefault(label, file)
-    return {label: file for label, file in found.items() if label not in (*ESTIMATORS, *EXPORTED)}
+    return {label: file for label, file in found.items() if label not in (*ESTIMATORS, *_EXPORTED)}
 
 
 def without_trajectories(sources: list[Path]) -> list[Path]:
@@ -52,7 +52,7 @@ def read_estimate_of(source: Path, label: str, recording: Recording) -> Estimate
     :class:`BadSource` or :class:`BadFile` when it cannot be read.
     """
     file = find_file(source, label)
-    made = read_estimate(file) if file.name.endswith(ESTIMATE) else read_trajectory(file, name=label)
+    made = read_estimate(file) if file.name.endswith(_ESTIMATE) else read_trajectory(file, name=label)
     if made.made_from and sha256(source) not in made.made_from.values():
         raise BadRecording(
             f"{file.name}: was made from another recording than {source.name}; make it again from this one"

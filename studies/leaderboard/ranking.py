@@ -24,8 +24,8 @@ from stillpoint.studies.leaderboard.verdicts import (
     merge_rows,
 )
 
-AXES: dict[RankedBy, list[int]] = {"total": [0, 1, 2], "heading": [2], "inclination": [0, 1]}  # of East-North-Up
-TRUTH = "truth"
+_AXES: dict[RankedBy, list[int]] = {"total": [0, 1, 2], "heading": [2], "inclination": [0, 1]}  # of East-North-Up
+_TRUTH = "truth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class ScoredRuns:
         sd = np.zeros((len(recordings), len(labels), len(labels)))
         for k, name in enumerate(recordings):
             if name in self.judges:
-                sd[k] = self._judge_sd_of(name, labels, AXES[figure], rmse[k])
+                sd[k] = self._judge_sd_of(name, labels, _AXES[figure], rmse[k])
         return sd
 
     def _judge_sd_of(self, name: str, labels: Sequence[str], axes: list[int], rmse_deg: Floats) -> Floats:
@@ -144,7 +144,7 @@ def _fill_row(
         "nees_per_dof": _of_known(fmean, [run.nees_per_dof for run in mine]),
         "coverage95": _of_known(fmean, [run.coverage95 for run in mine]),
     }
-    for figure in AXES:
+    for figure in _AXES:
         figures[f"{figure}_rmse_deg"] = _summarise(runs, scored, row.label, figure) if scored else None
     return replace(row, **figures)
 
@@ -189,7 +189,7 @@ def _choose_figure(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]
 
 def _name_judges(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]) -> str:
     kinds = {_kind_of(runs.runs[name, label].against) for name in names for label in labels}
-    return " and ".join(sorted(kinds, reverse=True)) or TRUTH
+    return " and ".join(sorted(kinds, reverse=True)) or _TRUTH
 
 
 def _kind_of(judge: str) -> str:

@@ -23,7 +23,7 @@ from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study
 from stillpoint.studies.result_store import ResultStore, product_version
 
-LEAST_IN_GROUP = 2  # recordings of a tag or device that get a table of their own
+_LEAST_IN_GROUP = 2  # recordings of a tag or device that get a table of their own
 
 
 def leaderboard(
@@ -142,7 +142,7 @@ def _compare(
         against="both" if study.against == "both" else tables[0].against,
         align=study.align,
         tables=tuple(tables),
-        groups=tuple(table for table in groups if len(table.recordings) >= LEAST_IN_GROUP),
+        groups=tuple(table for table in groups if len(table.recordings) >= _LEAST_IN_GROUP),
         runs=tuple(runs),
         sources=tuple(sources),
         version=product_version(),

@@ -23,9 +23,9 @@ from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, covariance_n
 from stillpoint.studies.leaderboard.series import pack_curves
 from stillpoint.studies.result_store import Result, ResultStore, key_of
 
-LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
-MOST_BINS = 2000  # of mean error vectors: one per second up to 33 minutes
-CURVE_COLUMNS = 1000  # of the errors over time, as they are drawn
+_LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
+_MOST_BINS = 2000  # of mean error vectors: one per second up to 33 minutes
+_CURVE_COLUMNS = 1000  # of the errors over time, as they are drawn
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _score_entries(job: ScoreJob) -> list[Scored]:
     whole = _union(list(masks.values()))
     for label, mask in list(masks.items()):
         share = float(mask.sum()) / max(int(whole.sum()), 1)
-        if share < LEAST_COVERED:
+        if share < _LEAST_COVERED:
             errors[label] = f"covers {share:.0%} of the samples that others cover; with less than half it is left out"
             del masks[label]
     if not masks:
@@ -223,7 +223,7 @@ def _error_arrays(comparison: Comparison) -> dict[str, NDArray[Any]]:
     moving, zero_ns = comparison.moving, int(comparison.t_ns[0])
     vectors = np.rad2deg(rotation_error_n(comparison.q_est[moving], comparison.q_true[moving]))
     bins, means = _mean_per_bin(comparison.t_ns[moving], vectors)
-    drawn = pack_curves(reduce_errors(comparison, zero_ns, CURVE_COLUMNS))
+    drawn = pack_curves(reduce_errors(comparison, zero_ns, _CURVE_COLUMNS))
     rests_ns = find_spans(~moving, comparison.t_ns)
     return {
         "bins": bins,
@@ -250,7 +250,7 @@ def _keep_judge(job: ScoreJob, common: Mask, material: _Material) -> None:
 
 def _mean_per_bin(t_ns: NDArray[np.int64], values: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return the bins of time that hold samples, in ns, and the mean of the values (N, k) in each."""
-    width_ns = max(1_000_000_000, -(-int(t_ns[-1] - t_ns[0] + 1) // MOST_BINS))
+    width_ns = max(1_000_000_000, -(-int(t_ns[-1] - t_ns[0] + 1) // _MOST_BINS))
     number = t_ns // width_ns
     first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
     counts = np.diff(first, append=len(t_ns))

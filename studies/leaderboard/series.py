@@ -14,7 +14,7 @@ from stillpoint.studies.leaderboard.board import Run
 from stillpoint.studies.result_store import ResultStore
 
 RESULTS = "results"  # folder of the store in the output folder
-CURVE, GRID = "curve ", "curve_grid_s"  # names of arrays in the store
+_CURVE, _GRID = "curve ", "curve_grid_s"  # names of arrays in the store
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,21 +33,21 @@ def pack_curves(curves: Mapping[str, Curve]) -> dict[str, NDArray[Any]]:
     """Return the arrays that keep curves over one grid of time in the store."""
     first = next(iter(curves.values()))
     packed = {
-        CURVE + name: np.stack([curve.least, curve.greatest, curve.middle]).astype(np.float32)
+        _CURVE + name: np.stack([curve.least, curve.greatest, curve.middle]).astype(np.float32)
         for name, curve in curves.items()
     }
-    return {GRID: np.array([first.start_s, first.step_s]), **packed}
+    return {_GRID: np.array([first.start_s, first.step_s]), **packed}
 
 
 def read_error_series(out: Path, run: Run) -> ErrorOverTime | None:
     """Return the errors of a run over time from the output folder of its leaderboard; None for a run that failed."""
     result = None if run.score_key is None else ResultStore(out / RESULTS).get(run.score_key)
-    if result is None or GRID not in result.arrays:
+    if result is None or _GRID not in result.arrays:
         return None
-    start_s, step_s = map(float, result.arrays[GRID])
+    start_s, step_s = map(float, result.arrays[_GRID])
     curves = {
-        name.removeprefix(CURVE): Curve(start_s, step_s, *values.astype(np.float64))
+        name.removeprefix(_CURVE): Curve(start_s, step_s, *values.astype(np.float64))
         for name, values in result.arrays.items()
-        if name.startswith(CURVE)
+        if name.startswith(_CURVE)
     }
     return ErrorOverTime(int(result.arrays["zero_ns"]), result.arrays["rests_ns"], curves)

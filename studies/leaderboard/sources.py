@@ -9,8 +9,8 @@ from stillpoint.datasets.mcap.store import provenance, sha256
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.result_store import ResultStore, key_of
 
-NO_MOTION = ("all_trials", "no_breaks", "with_breaks")  # groups of BROAD that do not tell one motion from another
-MAG, TRUTH = "/imu/mag", "/truth/pose"
+_NO_MOTION = ("all_trials", "no_breaks", "with_breaks")  # groups of BROAD that do not tell one motion from another
+_MAG, _TRUTH = "/imu/mag", "/truth/pose"
 
 
 def survey_sources(files: Sequence[Path], store: ResultStore) -> list[Source]:
@@ -52,8 +52,8 @@ def _describe(file: Path) -> dict[str, Any]:
         "device": info["sensor"].partition(" (")[0],
         "motion": _name_motion(info["extra"]),
         "tags": _find_tags(info["extra"]),
-        "magnetometer": magnetometer if MAG in topics else "none",
-        "truth": TRUTH in topics,
+        "magnetometer": magnetometer if _MAG in topics else "none",
+        "truth": _TRUTH in topics,
         "lost": found.lost,
     }
 
@@ -68,7 +68,7 @@ def _name_motion(extra: Mapping[str, str]) -> str:
     """Return the name of the motion, so that repetitions of one motion by one device count once; "" when unknown."""
     if extra.get("motion"):
         return extra["motion"]
-    return " ".join(word for word in extra.get("groups", "").split() if word not in NO_MOTION)
+    return " ".join(word for word in extra.get("groups", "").split() if word not in _NO_MOTION)
 
 
 def number_rows(sources: Sequence[Source]) -> list[int]:

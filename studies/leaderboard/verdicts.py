@@ -15,13 +15,13 @@ from scipy import stats
 from stillpoint.datasets.recording import Floats
 
 LEAST_ROWS = 4  # with fewer rows a verdict holds for these recordings only
-BORROWED_ROWS = 2  # the table's typical scatter counts as this many rows in the scatter of each pair
-LEAST_ESTIMATORS = 5  # with fewer there is no typical scatter to borrow
-FALSE_DISCOVERIES = 0.10  # Benjamini-Hochberg level; at most half of it points the wrong way
-LEAST_RATIO = 1.05  # a smaller difference is never called: the bias of a reference is of that size
-CORRELATION_S = 20.0  # over this time the error of a reference is correlated
-LEAST_RMSE_DEG = 1e-6  # keeps the logarithm finite
-LEAST_COV_DEG2 = 1e-9  # keeps the Cholesky factor of a covariance defined
+_BORROWED_ROWS = 2  # the table's typical scatter counts as this many rows in the scatter of each pair
+_LEAST_ESTIMATORS = 5  # with fewer there is no typical scatter to borrow
+_FALSE_DISCOVERIES = 0.10  # Benjamini-Hochberg level; at most half of it points the wrong way
+_LEAST_RATIO = 1.05  # a smaller difference is never called: the bias of a reference is of that size
+_CORRELATION_S = 20.0  # over this time the error of a reference is correlated
+_LEAST_RMSE_DEG = 1e-6  # keeps the logarithm finite
+_LEAST_COV_DEG2 = 1e-9  # keeps the Cholesky factor of a covariance defined
 
 Bools = NDArray[np.bool_]
 
@@ -55,9 +55,9 @@ def judge_sd(error_deg: Floats, cov_deg2: Floats, time_s: Floats, rmse_deg: Floa
         (E,) RMSE of the estimates.
     """
     axes = cov_deg2.shape[-1]
-    root = np.linalg.cholesky(cov_deg2 + LEAST_COV_DEG2 * np.eye(axes))
+    root = np.linalg.cholesky(cov_deg2 + _LEAST_COV_DEG2 * np.eye(axes))
     pull = np.einsum("nji,nej->nei", root, error_deg) / (len(time_s) * rmse_deg[:, None] ** 2)
-    correlation = np.exp(-np.abs(time_s[:, None] - time_s) / CORRELATION_S)
+    correlation = np.exp(-np.abs(time_s[:, None] - time_s) / _CORRELATION_S)
     common = np.einsum("nei,nfi->ef", pull, np.tensordot(correlation, pull, 1))
     alone = np.diag(common)
     sd = np.sqrt(np.maximum(alone[:, None] + alone - 2 * common, 0))
@@ -71,7 +71,7 @@ def find_typical_rmse(rmse_deg: Floats, judge: Floats | None = None) -> tuple[Fl
 
     ``rmse_deg`` (R, E); ``judge`` (R, E, E) from :func:`judge_sd`, or None where independent truth judged.
     """
-    logs = np.log(np.maximum(rmse_deg, LEAST_RMSE_DEG))
+    logs = np.log(np.maximum(rmse_deg, _LEAST_RMSE_DEG))
     n = len(logs)
     sampling = np.zeros(logs.shape[1])
     if n >= LEAST_ROWS:
@@ -88,7 +88,7 @@ def compare_pairs(rmse_deg: Floats, judge: Floats | None = None) -> PairTable:
     than the effect of the judge's own error), the ratio is beyond 5 %, and the pair passes Benjamini-Hochberg.
     ``judge`` is as in :func:`find_typical_rmse`.
     """
-    logs = np.log(np.maximum(rmse_deg, LEAST_RMSE_DEG))
+    logs = np.log(np.maximum(rmse_deg, _LEAST_RMSE_DEG))
     n, estimators = logs.shape
     each = logs[:, :, None] - logs[:, None, :]
     middle = each.mean(0)
@@ -97,11 +97,11 @@ def compare_pairs(rmse_deg: Floats, judge: Floats | None = None) -> PairTable:
     general = n >= LEAST_ROWS
     allowed = np.ones_like(half, dtype=np.bool_)
     if general:
-        borrowed = BORROWED_ROWS if estimators >= LEAST_ESTIMATORS else 0
+        borrowed = _BORROWED_ROWS if estimators >= _LEAST_ESTIMATORS else 0
         error, freedom = _standard_error(each, borrowed), n - 1 + borrowed
         half = np.maximum(stats.t.ppf(0.975, freedom) * error, half)
         allowed = _allow_discoveries(2 * stats.t.sf(np.abs(middle / error), freedom))
-    better = allowed & (middle < -np.maximum(half, np.log(LEAST_RATIO)))
+    better = allowed & (middle < -np.maximum(half, np.log(_LEAST_RATIO)))
     return PairTable(np.exp(middle), np.exp(middle - half), np.exp(middle + half), better, general)
 
 
@@ -131,5 +131,5 @@ def _allow_discoveries(chance: Floats) -> Bools:
     p = chance[upper]
     passed = np.zeros_like(chance, dtype=np.bool_)
     if len(p):
-        passed[upper] = stats.false_discovery_control(p, method="bh") <= FALSE_DISCOVERIES
+        passed[upper] = stats.false_discovery_control(p, method="bh") <= _FALSE_DISCOVERIES
     return passed | passed.T

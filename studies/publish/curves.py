@@ -10,8 +10,8 @@ from stillpoint.scoring.report.plot_data import encode_errors, make_recording_en
 from stillpoint.studies.leaderboard import ErrorOverTime, Leaderboard, Run, read_error_series
 
 PAGE_BYTES = 2_400_000  # of all curves of a page
-BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
-FEWEST_COLUMNS, MOST_COLUMNS = 100, 1000
+_BYTES_PER_COLUMN = 8  # three 16-bit integers in base64
+_FEWEST_COLUMNS, _MOST_COLUMNS = 100, 1000
 
 
 def read_entries(out: Path, board: Leaderboard) -> dict[str, Any]:
@@ -21,8 +21,8 @@ def read_entries(out: Path, board: Leaderboard) -> dict[str, Any]:
     """
     runs = [run for run in board.runs if run.error is None]
     keys = _choose_errors(board, len(runs))
-    columns = PAGE_BYTES // (BYTES_PER_COLUMN * max(len(runs) * len(keys), 1))
-    columns = min(max(columns, FEWEST_COLUMNS), MOST_COLUMNS)
+    columns = PAGE_BYTES // (_BYTES_PER_COLUMN * max(len(runs) * len(keys), 1))
+    columns = min(max(columns, _FEWEST_COLUMNS), _MOST_COLUMNS)
     judged: dict[str, dict[str, Run]] = {}
     for run in runs:
         name = run.recording if board.against != "both" else f"{run.recording}, {run.against}"
@@ -38,8 +38,8 @@ def read_entries(out: Path, board: Leaderboard) -> dict[str, Any]:
 def _choose_errors(board: Leaderboard, runs: int) -> list[str]:
     """Return total, heading and inclination where there is room for all three, else what the runs are ranked by."""
     every = ["total", "heading", "inclination"]
-    room = PAGE_BYTES // (BYTES_PER_COLUMN * max(runs, 1) * len(every))
-    return every if room >= 4 * FEWEST_COLUMNS else [board.common_error]
+    room = PAGE_BYTES // (_BYTES_PER_COLUMN * max(runs, 1) * len(every))
+    return every if room >= 4 * _FEWEST_COLUMNS else [board.common_error]
 
 
 def _make_entry(series: Mapping[str, ErrorOverTime], keys: list[str], columns: int) -> dict[str, Any]:

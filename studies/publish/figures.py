@@ -10,8 +10,8 @@ from stillpoint.datasets.names import make_drawable
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.studies.leaderboard import Leaderboard, Table
 
-ROW_IN, MAP_ROW_IN = 0.17, 0.12  # heights of a row of a printed figure
-MAP_COLOURS = "YlOrBr"  # readable in grey, and for colour-blind readers
+_ROW_IN, _MAP_ROW_IN = 0.17, 0.12  # heights of a row of a printed figure
+_MAP_COLOURS = "YlOrBr"  # readable in grey, and for colour-blind readers
 
 
 def draw_ranking(ax: Axes, table: Table) -> None:
@@ -33,12 +33,12 @@ def draw_ranking(ax: Axes, table: Table) -> None:
 
 def get_ranking_height_in(table: Table) -> float:
     """Return the height of the axes of a printed ranking."""
-    return ROW_IN * max(len(table.rows), 3)
+    return _ROW_IN * max(len(table.rows), 3)
 
 
 def get_map_height_in(board: Leaderboard) -> float:
     """Return the height of the axes of a printed map, with room for the names below it."""
-    return MAP_ROW_IN * max(len(board.sources), 4) + 0.6
+    return _MAP_ROW_IN * max(len(board.sources), 4) + 0.6
 
 
 def draw_map(ax: Axes, board: Leaderboard) -> None:
@@ -53,7 +53,7 @@ def draw_map(ax: Axes, board: Leaderboard) -> None:
         if size is not None and run.label in labels and _is_judged_alike(run.against, first.against):
             sizes[names.index(run.recording), labels.index(run.label)] = size
     logged = np.log10(np.maximum(sizes, 1e-3))
-    ax.imshow(logged, cmap=MAP_COLOURS, aspect="auto", vmax=np.nanmax(logged) + 0.5 if len(names) else None)
+    ax.imshow(logged, cmap=_MAP_COLOURS, aspect="auto", vmax=np.nanmax(logged) + 0.5 if len(names) else None)
     for row, column in np.ndindex(*sizes.shape):
         size = sizes[row, column]
         text = "–" if math.isnan(size) else f"{size:.1f}" if size < 10 else f"{size:.0f}"

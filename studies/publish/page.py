@@ -13,8 +13,8 @@ from stillpoint.scoring.report.templates import embed_json, load_bokeh_scripts, 
 from stillpoint.studies.leaderboard import Leaderboard, Row, Run, Summary, Table
 from stillpoint.studies.leaderboard.estimates import WARM_UP_S
 
-AXIS_PX = 150.0  # width of a drawn interval
-TICKS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_AXIS_PX = 150.0  # width of a drawn interval
+_TICKS_DEG = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def make_page_html(
@@ -72,12 +72,12 @@ class _LogAxis:
     def place(self, value_deg: float) -> float:
         """Return the place of a value in px; values beyond the axis lie on its end."""
         share = math.log(max(value_deg, 1e-9) / self.low_deg) / (math.log(self.high_deg / self.low_deg) or 1.0)
-        return round(4 + min(max(share, 0.0), 1.0) * (AXIS_PX - 8), 1)
+        return round(4 + min(max(share, 0.0), 1.0) * (_AXIS_PX - 8), 1)
 
     @property
     def ticks(self) -> list[dict[str, Any]]:
         """Up to four round values with their places on the axis."""
-        within = [tick for tick in TICKS_DEG if self.low_deg <= tick <= self.high_deg]
+        within = [tick for tick in _TICKS_DEG if self.low_deg <= tick <= self.high_deg]
         kept = within[:: max(1, math.ceil(len(within) / 4))]
         return [{"x": self.place(tick), "text": f"{tick:g}"} for tick in kept]
 

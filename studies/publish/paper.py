@@ -13,13 +13,13 @@ from stillpoint.studies.leaderboard import Leaderboard
 from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
 from stillpoint.studies.publish.tables import format_csv, format_latex, format_markdown
 
-TABLES = {"table.tex": format_latex, "table.csv": format_csv, "table.md": format_markdown}
+_TABLES = {"table.tex": format_latex, "table.csv": format_csv, "table.md": format_markdown}
 
 
 def write_paper(folder: Path, board: Leaderboard) -> list[Path]:
     """Write tables and figures into a folder that is there, and return their paths."""
     written = []
-    for name, make in TABLES.items():
+    for name, make in _TABLES.items():
         target = folder / name
         with write_atomically(target) as file:
             file.write(make(board).encode())

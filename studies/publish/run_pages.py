@@ -28,10 +28,10 @@ from stillpoint.studies.leaderboard.scores import find_common_samples
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.result_store import ResultStore, key_of
 
-FOLDER = "runs"  # of the pages, in the output folder
-HOME = "../index.html"
-HEAD_BYTES = 1024  # of a page, within which its key stands
-KEY = re.compile(rb'<meta name="made-from" content="([0-9a-f]{64})">')
+_FOLDER = "runs"  # of the pages, in the output folder
+_HOME = "../index.html"
+_HEAD_BYTES = 1024  # of a page, within which its key stands
+_KEY = re.compile(rb'<meta name="made-from" content="([0-9a-f]{64})">')
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def write_run_pages(out: Path, board: Leaderboard, run_jobs: JobRunner = run_her
     errors = {job.source.recording: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
     return RunPages(
         {
-            job.source.recording: f"{FOLDER}/{quote(job.target.name)}"
+            job.source.recording: f"{_FOLDER}/{quote(job.target.name)}"
             for job in jobs
             if _read_key(job.target) == job.key
         },
@@ -108,7 +108,7 @@ def _plan_pages(out: Path, board: Leaderboard) -> Iterator[_PageJob]:
             reference=None if reference is None else sha256(reference),
             page=_hash_templates(),
         )
-        yield _PageJob(source, judged, reference, board.align, out / FOLDER / f"{source.recording}.html", key, store)
+        yield _PageJob(source, judged, reference, board.align, out / _FOLDER / f"{source.recording}.html", key, store)
 
 
 def _find_judge(source: Source, against: str, file: str | None, board: Leaderboard) -> JudgeSpec:
@@ -143,7 +143,7 @@ def _read_key(page: Path) -> str | None:
     """Return the key that a page carries; None where there is no such page."""
     try:
         with page.open("rb") as file:
-            found = KEY.search(file.read(HEAD_BYTES))
+            found = _KEY.search(file.read(_HEAD_BYTES))
     except OSError:
         return None
     return None if found is None else found[1].decode()
@@ -174,7 +174,7 @@ def _write_page(job: _PageJob) -> None:
         estimates=tuple(estimates.values()),
         sha256={Path(source.file).name: source.sha256},
     )
-    html = make_report_html(material, tuple(verdicts), home=HOME)
+    html = make_report_html(material, tuple(verdicts), home=_HOME)
     job.target.parent.mkdir(parents=True, exist_ok=True)
     with write_atomically(job.target) as file:
         file.write(html.replace("<head>", f'<head>\n<meta name="made-from" content="{job.key}">', 1).encode())

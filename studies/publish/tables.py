@@ -11,10 +11,10 @@ from stillpoint.studies.leaderboard import Leaderboard, Row, Summary, Table
 if TYPE_CHECKING:
     import pandas as pd
 
-ERRORS = ("total", "heading", "inclination")
-STATISTICS = ("typical", "mean", "median", "worst")
-SHORT = {"total": "total", "heading": "heading", "inclination": "incl."}
-LATEX = {
+_ERRORS = ("total", "heading", "inclination")
+_STATISTICS = ("typical", "mean", "median", "worst")
+_SHORT = {"total": "total", "heading": "heading", "inclination": "incl."}
+_LATEX = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
     "%": r"\%",
@@ -102,7 +102,7 @@ def list_rows(board: Leaderboard) -> list[dict[str, Any]]:
                 "recordings": row.recordings,
                 "failed": row.failed,
             }
-            for error in ERRORS:
+            for error in _ERRORS:
                 flat |= _flatten_summary(error, getattr(row, f"{error}_rmse_deg"))
             flat |= {name: getattr(row, name) for name in ("ns_per_sample", "nees_per_dof", "coverage95")}
             rows.append(flat)
@@ -120,14 +120,14 @@ def make_frame(board: Leaderboard) -> "pd.DataFrame":
 
 def _flatten_summary(error: str, summary: Summary | None) -> dict[str, Any]:
     low, high = (None, None) if summary is None else summary.ci95
-    statistics = {f"{error}_rmse_{name}_deg": getattr(summary, name, None) for name in STATISTICS}
+    statistics = {f"{error}_rmse_{name}_deg": getattr(summary, name, None) for name in _STATISTICS}
     return {**statistics, f"{error}_rmse_low95_deg": low, f"{error}_rmse_high95_deg": high}
 
 
 def _list_headings(table: Table) -> list[str]:
     """Return the titles of the columns: the error that ranks first, with its interval."""
-    others = [SHORT[error] for error in ERRORS if error != table.ranked_by]
-    lead = SHORT[table.ranked_by]
+    others = [_SHORT[error] for error in _ERRORS if error != table.ranked_by]
+    lead = _SHORT[table.ranked_by]
     return ["rank", "estimator", lead, "95 % interval", *others, f"worst {lead}", "ns/sample", "failed"]
 
 
@@ -137,7 +137,7 @@ def _list_cells(table: Table) -> list[list[str]]:
 
 def _format_cells(row: Row, table: Table) -> list[str]:
     lead: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
-    others = [getattr(row, f"{error}_rmse_deg") for error in ERRORS if error != table.ranked_by]
+    others = [getattr(row, f"{error}_rmse_deg") for error in _ERRORS if error != table.ranked_by]
     return [
         "–" if row.rank is None else "–".join(dict.fromkeys(map(str, row.rank))),
         row.label,
@@ -179,7 +179,7 @@ def _format_latex_table(table: Table) -> str:
 
 
 def _escape_latex(text: str) -> str:
-    return "".join(LATEX.get(letter, letter) for letter in text)
+    return "".join(_LATEX.get(letter, letter) for letter in text)
 
 
 def _pad(cell: str, width: int, column: int) -> str:

@@ -14,8 +14,8 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.recording import Floats, SpinGeometry
 from stillpoint.datasets.spin import bench, channels, five_accelerometers, specific_force
 
-GEOMETRIES: dict[str, Callable[[float, float, float], SpinGeometry]] = {"bench": bench, "five": five_accelerometers}
-LENGTH_STEP_M = 0.01  # arms are chosen in whole centimetres
+_GEOMETRIES: dict[str, Callable[[float, float, float], SpinGeometry]] = {"bench": bench, "five": five_accelerometers}
+_LENGTH_STEP_M = 0.01  # arms are chosen in whole centimetres
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Rig:
     period_s: float = 0.004
 
     def __post_init__(self) -> None:
-        if self.geometry not in GEOMETRIES:
-            raise BadParameter(f"geometry {self.geometry!r}: give one of {', '.join(GEOMETRIES)}")
+        if self.geometry not in _GEOMETRIES:
+            raise BadParameter(f"geometry {self.geometry!r}: give one of {', '.join(_GEOMETRIES)}")
         if not 0 <= self.headroom < 1:
             raise BadParameter(f"headroom {self.headroom:g}: give a share from 0 up to below 1")
         for name, value in vars(self).items():
@@ -66,7 +66,7 @@ class Placement:
 
 def evaluate_placement(rig: Rig, d1_m: float, d2_m: float) -> Placement:
     """Evaluate the lever arms d1 of F4 and d2 of F5."""
-    geometry = GEOMETRIES[rig.geometry](d1_m, d2_m, rig.range_mps2)
+    geometry = _GEOMETRIES[rig.geometry](d1_m, d2_m, rig.range_mps2)
     variance = np.full(len(geometry.accel_r_b_m), rig.tangential_var_m2ps4)
     variance[-2] = rig.radial_var_m2ps4
     by = channels(geometry, variance)
@@ -112,11 +112,11 @@ def find_longest_arms(rig: Rig) -> Placement:
 
     Raises :class:`BadParameter` where not even one centimetre fits.
     """
-    shortest = GEOMETRIES[rig.geometry](LENGTH_STEP_M, LENGTH_STEP_M, rig.range_mps2)
+    shortest = _GEOMETRIES[rig.geometry](_LENGTH_STEP_M, _LENGTH_STEP_M, rig.range_mps2)
     used = _compute_range_shares(rig, shortest)[-2:]  # in proportion to the arm
-    lengths_m = np.minimum(LENGTH_STEP_M * (1 - rig.headroom) / used, rig.room_m)
-    whole = np.floor(lengths_m / LENGTH_STEP_M + 1e-9) * LENGTH_STEP_M
-    if (whole < LENGTH_STEP_M).any():
+    lengths_m = np.minimum(_LENGTH_STEP_M * (1 - rig.headroom) / used, rig.room_m)
+    whole = np.floor(lengths_m / _LENGTH_STEP_M + 1e-9) * _LENGTH_STEP_M
+    if (whole < _LENGTH_STEP_M).any():
         raise BadParameter(
             f"at {np.rad2deg(rig.fastest_radps):.4g} deg/s an arm of 1 cm already uses {100 * used.max():.0f} % of the "
             "range, or there is no room for it: take accelerometers with a larger range"
@@ -126,5 +126,5 @@ def find_longest_arms(rig: Rig) -> Placement:
 
 def limits_m(rig: Rig) -> tuple[float, float]:
     """Return the arms d1 and d2 at which F4 and F5 read the whole range."""
-    used = _compute_range_shares(rig, GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
+    used = _compute_range_shares(rig, _GEOMETRIES[rig.geometry](1.0, 1.0, rig.range_mps2))[-2:]
     return float(1 / used[0]), float(1 / used[1])

@@ -17,15 +17,15 @@ from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Encoder, Floats, Recording, Spin
 from stillpoint.datasets.spin import TERMS, channels, coefficients, find_saturated
 
-GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
-FEWEST = 100  # samples below which a variance says little
-TOLD_SDS = 5.0  # a variance is told from the encoder's where it is so many of its own standard deviations
-DIFFERENT_SDS, DIFFERENT = 6.0, 1.5  # sd and ratio, beyond which robust variances of two trials are of two rigs
-ROBUST_SD = 2.33  # standard deviation of a robust variance, relative, times the root of the number of samples
-ENCODER_SHARE = 0.02  # of the variance of F5, which the noise of a smoothed angle may reach
-LONGEST_S = 0.2  # over which an angle is smoothed
-SHORTEST = 5  # samples
-FOURTH = 70.0  # sum of the squares of 1, -4, 6, -4, 1
+_GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
+_FEWEST = 100  # samples below which a variance says little
+_TOLD_SDS = 5.0  # a variance is told from the encoder's where it is so many of its own standard deviations
+_DIFFERENT_SDS, _DIFFERENT = 6.0, 1.5  # sd and ratio, beyond which robust variances of two trials are of two rigs
+_ROBUST_SD = 2.33  # standard deviation of a robust variance, relative, times the root of the number of samples
+_ENCODER_SHARE = 0.02  # of the variance of F5, which the noise of a smoothed angle may reach
+_LONGEST_S = 0.2  # over which an angle is smoothed
+_SHORTEST = 5  # samples
+_FOURTH = 70.0  # sum of the squares of 1, -4, 6, -4, 1
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Trial:
         """Return whether the encoder leaves enough of (30) to tell the accelerometer's variance."""
         sd = np.sqrt(2 / self.samples) * self.tangential.variance_m2ps4
         sd += np.sqrt(2 * self.smoothed_samples / self.samples) * self.encoder_m2ps4
-        return bool(self.tangential_alone_m2ps4 > TOLD_SDS * sd)
+        return bool(self.tangential_alone_m2ps4 > _TOLD_SDS * sd)
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ class Identified:
         """Return the trials with the least and the most "radial" or "tangential" noise, if they differ too much."""
         ordered = sorted(self.trials, key=lambda one: getattr(one, which).robust_m2ps4)
         low, high = (getattr(one, which).robust_m2ps4 for one in (ordered[0], ordered[-1]))
-        sd = ROBUST_SD * (low**2 / ordered[0].samples + high**2 / ordered[-1].samples) ** 0.5
-        return (ordered[0], ordered[-1]) if high - low > DIFFERENT_SDS * sd and high > DIFFERENT * low else None
+        sd = _ROBUST_SD * (low**2 / ordered[0].samples + high**2 / ordered[-1].samples) ** 0.5
+        return (ordered[0], ordered[-1]) if high - low > _DIFFERENT_SDS * sd and high > _DIFFERENT * low else None
 
 
 def identify_variances(recordings: Sequence[Recording], by_truth: bool = False) -> Identified:
@@ -149,9 +149,9 @@ def _identify_trial(recording: Recording, by_truth: bool) -> Trial:
     else:
         rate, turning, inside = _read_encoder(spin, reference)
     use = inside & np.isfinite(spin.accel_mps2).all(axis=1) & ~find_saturated(spin).any(axis=1)
-    if use.sum() < FEWEST:
+    if use.sum() < _FEWEST:
         raise BadRecording(
-            f"{recording.name}: {int(use.sum())} samples can be used and {FEWEST} are needed; check ranges and the "
+            f"{recording.name}: {int(use.sum())} samples can be used and {_FEWEST} are needed; check ranges and the "
             "encoder's time"
         )
     along, felt_along = arm1 * rate[use] ** 2, spin.accel_mps2[use, radial]
@@ -197,7 +197,7 @@ def _read_encoder(spin: Spin, encoder: Encoder) -> tuple[Floats, Floats, NDArray
 
 def _is_angle_alone(encoder: Encoder) -> bool:
     """Return whether the rate was made from the angle, as an import does where a log has none."""
-    if len(encoder.t_ns) < FEWEST:
+    if len(encoder.t_ns) < _FEWEST:
         return False
     made = np.diff(encoder.angle_rad) / (np.diff(encoder.t_ns) / 1e9)
     return bool(np.allclose(encoder.rate_radps[1:], made, rtol=1e-9, atol=1e-9))
@@ -209,10 +209,10 @@ def _choose_window_s(encoder: Encoder, accel_var: float) -> float:
     A parabola through n angles with noise s at steps of T has the second derivative to 720 s^2 / (T^4 n^5).
     """
     step_s = float(np.median(np.diff(encoder.t_ns))) / 1e9
-    noise_var = float(np.var(np.diff(_resample_evenly(encoder)[1], 4))) / FOURTH
-    needed = (720 * noise_var / (step_s**4 * ENCODER_SHARE * max(accel_var, 1e-12))) ** 0.2
-    most = max(LONGEST_S / step_s, SHORTEST)
-    return float(np.clip(needed, SHORTEST, most)) * step_s
+    noise_var = float(np.var(np.diff(_resample_evenly(encoder)[1], 4))) / _FOURTH
+    needed = (720 * noise_var / (step_s**4 * _ENCODER_SHARE * max(accel_var, 1e-12))) ** 0.2
+    most = max(_LONGEST_S / step_s, _SHORTEST)
+    return float(np.clip(needed, _SHORTEST, most)) * step_s
 
 
 def _resample_evenly(encoder: Encoder) -> tuple[Floats, Floats]:
@@ -238,7 +238,7 @@ def _compute_residual(values: Floats, angle_rad: Floats) -> Residual:
     return Residual(
         variance_m2ps4=float(np.var(values)),
         robust_m2ps4=robust_sd**2,
-        glitches=int((np.abs(values - np.median(values)) > GLITCH_SDS * robust_sd).sum()),
+        glitches=int((np.abs(values - np.median(values)) > _GLITCH_SDS * robust_sd).sum()),
         mean_mps2=float(values.mean()),
         once_per_turn_mps2=float(np.sqrt(2) * np.std(values - _remove_turns(values, angle_rad))),
     )

@@ -16,7 +16,7 @@ from stillpoint.scripts.shared.flags import Jobs, Whole, Workers
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 
-TOLERANCE_RAD = 1e-9  # on one kind of processor, where the same bits come out; docs/archive.md has what others change
+_TOLERANCE_RAD = 1e-9  # on one kind of processor, where the same bits come out; docs/archive.md has what others change
 
 
 def verify(
@@ -25,7 +25,7 @@ def verify(
     thorough: Annotated[bool, Parameter(negative="")] = False,
     remake: str | None = None,
     seed: Whole = 0,
-    tolerance: float = TOLERANCE_RAD,
+    tolerance: float = _TOLERANCE_RAD,
     jobs: Jobs = None,
     json: JsonFile = None,
 ) -> int:

@@ -11,15 +11,15 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.scripts.shared.output import print_cells
 from stillpoint.scripts.shared.tables import print_table
 
-VARIABLE = "STILLPOINT_ARCHIVE"
-ArchiveDir = Annotated[str | None, Parameter(name="--archive", env_var=VARIABLE)]
-COLUMNS = ("id", "kind", "name", "s", "Hz", "MB", "added", "tags")
+_VARIABLE = "STILLPOINT_ARCHIVE"
+ArchiveDir = Annotated[str | None, Parameter(name="--archive", env_var=_VARIABLE)]
+_COLUMNS = ("id", "kind", "name", "s", "Hz", "MB", "added", "tags")
 
 
 def open_named(place: str | None) -> Archive:
     """Open the archive that the user named; raises :class:`BadParameter` when none is named."""
     if not place:
-        raise BadParameter(f"--archive: name the archive, or set {VARIABLE}")
+        raise BadParameter(f"--archive: name the archive, or set {_VARIABLE}")
     return open_archive(place)
 
 
@@ -71,7 +71,7 @@ def print_entries(archive: Archive, title: str, entries: Iterable[Entry]) -> Non
         ]
         for entry in entries
     ]
-    print_table(title, COLUMNS, [rows], texts=3)
+    print_table(title, _COLUMNS, [rows], texts=3)
 
 
 def _number(value: float | None, form: str) -> str:

@@ -15,8 +15,8 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, entry_row, open_named, print_entries
 
-DEEPEST = 20  # generations of a provenance tree that are drawn
-WIDTH_OF_PIPES = 200  # where stdout is no terminal, nothing is folded
+_DEEPEST = 20  # generations of a provenance tree that are drawn
+_WIDTH_OF_PIPES = 200  # where stdout is no terminal, nothing is folded
 
 
 def find(
@@ -121,7 +121,7 @@ def _print_object(archive: Archive, entry: Entry, streams: list[dict[str, Any]],
         columns = ("stream", "samples", "Hz", "start, s", "length, s", "gaps")
         print_table("streams", columns, [[_stream_cells(one) for one in streams]], texts=1)
     console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH_OF_PIPES)
+    console = console if console.is_terminal else Console(width=_WIDTH_OF_PIPES)
     if archive.parents(entry.sha256):
         console.print(_draw_parents(archive, entry))
     if archive.children(entry.sha256):
@@ -147,7 +147,7 @@ def _figure(value: float | None) -> str:
 def _draw_parents(archive: Archive, entry: Entry) -> Tree:
     """Return the chain from an object back to what it was made from."""
     tree = Tree(Text("made from"))
-    _add_parents(archive, tree, entry.sha256, DEEPEST)
+    _add_parents(archive, tree, entry.sha256, _DEEPEST)
     return tree
 
 
@@ -163,7 +163,7 @@ def _add_parents(archive: Archive, tree: Tree, sha256: str, depth: int) -> None:
 def _draw_children(archive: Archive, entry: Entry) -> Tree:
     """Return everything that was made from an object."""
     tree = Tree(Text("derived"))
-    _add_children(archive, tree, entry.sha256, DEEPEST)
+    _add_children(archive, tree, entry.sha256, _DEEPEST)
     return tree
 
 

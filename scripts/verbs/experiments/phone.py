@@ -26,8 +26,8 @@ from stillpoint.studies.papers.phone.study import (
     time_long_run,
 )
 
-COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg", "tilt", "heading")
-MINUTES = 10.0  # of the comparison with Kalman filters, by default
+_COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg", "tilt", "heading")
+_MINUTES = 10.0  # of the comparison with Kalman filters, by default
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def in_hand(*, hand: str | None = None, minutes: float | None = None, trials: Tr
     minutes
         Length of the simulated recording of the comparison with Kalman filters, by default 10; the paper's has 120.
     """
-    _run("phone-3", hand, trials, MINUTES if minutes is None and trials.recording is None else minutes)
+    _run("phone-3", hand, trials, _MINUTES if minutes is None and trials.recording is None else minutes)
 
 
 def _run(name: str, hand: str | None, trials: Trials, minutes: float | None = None) -> None:
@@ -116,7 +116,7 @@ def _print(
         sections[-1].append(_format_cells(row))
     print_table(
         f"{scenario.name}: mean of {trials} {'recordings' if RECORDED in by_hand else 'trials'}, RMSE / largest error",
-        COLUMNS,
+        _COLUMNS,
         sections,
         texts=3,
     )

@@ -12,9 +12,9 @@ from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
 from stillpoint.studies.papers.servo.page import make_rows, servo_page
 from stillpoint.studies.papers.servo.study import Trial, run_trial, score_recording
 
-COLUMNS = ("against", "angle", "by", "rms at rest, deg", "low rate", "high rate")
-MINUTES = 30.0
-SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
+_COLUMNS = ("against", "angle", "by", "rms at rest, deg", "low rate", "high rate")
+_MINUTES = 30.0
+_SHORTEST_MINUTES = 3.5  # a rest, and a minute of swings at each rate
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ def bench(*, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
     """
     files = trials.files
     trials.refuse(minutes=minutes)
-    long_min = MINUTES if minutes is None else minutes
-    if long_min < SHORTEST_MINUTES:
-        raise BadParameter(f"--minutes {long_min:g}: give {SHORTEST_MINUTES:g} or more, for swings at both rates")
+    long_min = _MINUTES if minutes is None else minutes
+    if long_min < _SHORTEST_MINUTES:
+        raise BadParameter(f"--minutes {long_min:g}: give {_SHORTEST_MINUTES:g} or more, for swings at both rates")
     folder = output_dir(trials.out)
     if files:
         made = [one for some in trials.run(_score_file, files, "recordings") for one in some]
@@ -49,7 +49,7 @@ def bench(*, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
     write_text(page, servo_page(made, f"stillpoint experiment servo-bench {length}{trials.words}", bool(files)))
     if trials.json != STDOUT:
         table = [[row["judge"], row["angle"], row["method"], *row["cells"]] for row in make_rows(made)]
-        print_table(f"servo-bench: {len(files) or len(made)} benches", COLUMNS, [table], texts=3)
+        print_table(f"servo-bench: {len(files) or len(made)} benches", _COLUMNS, [table], texts=3)
         print_line(page)
     write_json(trials.json, [{"recording": one.name, "against": one.judge, **asdict(one.figures)} for one in made])
 

@@ -28,8 +28,8 @@ from stillpoint.studies.papers.spin.study import (
     run_trial,
 )
 
-COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
-PAPER = {False: 10, True: 5}  # trials, offline and online
+_COLUMNS = ("noise", "method", "angle max, deg", "angle RMSE", "rate max, deg/s", "rate RMSE")
+_PAPER = {False: 10, True: 5}  # trials, offline and online
 
 
 @Parameter(name="*")
@@ -118,14 +118,14 @@ def _run(scenario: Scenario, wanted: SpinTrials) -> None:
     if trials.json != STDOUT:
         count = len(next(iter(by_noise.values())))
         title = f"{name}: the worst of {count} {'recordings' if files else 'trials'}"
-        print_table(title, COLUMNS, [_make_rows(some) for some in by_noise.values()])
+        print_table(title, _COLUMNS, [_make_rows(some) for some in by_noise.values()])
         print_line(page)
     write_json(trials.json, [row for some in by_noise.values() for one in some for row in _list_facts(one)])
 
 
 def _fill_defaults(wanted: SpinTrials) -> SpinTrials:
     """Return the options with the paper's number of trials, and with fresh seeds where they run online."""
-    count = PAPER[wanted.online] if wanted.trials is None else wanted.trials
+    count = _PAPER[wanted.online] if wanted.trials is None else wanted.trials
     first = (FIRST_ONLINE if wanted.online else 0) if wanted.seed is None else wanted.seed
     return replace(wanted, trials=count, seed=first)
 

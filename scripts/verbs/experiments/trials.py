@@ -17,7 +17,7 @@ Job = TypeVar("Job")
 Trial = TypeVar("Trial")
 
 
-DEFAULT_TRIALS = 5
+_DEFAULT_TRIALS = 5
 FIRST_ONLINE = 10  # seed: online trials are other ones than those offline
 
 
@@ -53,7 +53,7 @@ class Trials:
     @property
     def seeds(self) -> range:
         """Return the seeds of all simulated trials. Raises :class:`BadParameter` where there is none."""
-        count, first = DEFAULT_TRIALS if self.trials is None else self.trials, self.seed or 0
+        count, first = _DEFAULT_TRIALS if self.trials is None else self.trials, self.seed or 0
         if count < 1 or first < 0:
             raise BadParameter(f"--trials {count} --seed {first}: give 1 trial or more, and a seed from 0 on")
         return range(first, first + count)

@@ -26,7 +26,7 @@ from stillpoint.smoother.attitude.keys import Keys
 
 CONTRADICTS = 4.0  # mean square of a generator's normalised residuals from which it contradicts the rest
 ADDED = "added "  # before the generator's name, in the residuals
-KINDS_OF_STATES = frozenset(map(ord, "xvc"))  # unknowns that have the number of a state
+_KINDS_OF_STATES = frozenset(map(ord, "xvc"))  # unknowns that have the number of a state
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +89,10 @@ def _check(factor: object, name: str, n: int, gap: NDArray[np.bool_]) -> Added:
             f"factors: {name} yields a {type(factor).__name__}; give factors that gtsam has built in (no CustomFactor)"
         )
     symbols = [gtsam.Symbol(key) for key in list(factor.keys())]
-    numbers = [symbol.index() for symbol in symbols if symbol.chr() in KINDS_OF_STATES]
+    numbers = [symbol.index() for symbol in symbols if symbol.chr() in _KINDS_OF_STATES]
     for symbol in symbols:
         last = n - 2 if symbol.chr() == ord("c") else n - 1
-        if symbol.chr() in KINDS_OF_STATES and symbol.index() > last:
+        if symbol.chr() in _KINDS_OF_STATES and symbol.index() > last:
             raise BadParameter(f"factors: {name} refers to {symbol.string()}; the states are numbered 0 to {n - 1}")
         if symbol.chr() == ord("c") and gap[symbol.index()]:
             raise BadParameter(f"factors: {name} refers to {symbol.string()}, an interval in which the IMU has a gap")

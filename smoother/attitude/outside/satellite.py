@@ -20,20 +20,20 @@ from stillpoint.datasets.recording import Floats, Gps, Times
 from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.params import GpsParams, MotionPriors
 
-FIX_LOSS_SD = 3.0  # a fix that is so far off has half its weight
-FIX_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(FIX_LOSS_SD)
+_FIX_LOSS_SD = 3.0  # a fix that is so far off has half its weight
+_FIX_LOSS = gtsam.noiseModel.mEstimator.Cauchy.Create(_FIX_LOSS_SD)
 VERTICAL = 3.0  # a fix is so many times worse in height
-FEWEST_FIXES = 2  # that tell a velocity
-NEAR_S = 0.15  # a fix belongs to a state that is so close in time
+_FEWEST_FIXES = 2  # that tell a velocity
+_NEAR_S = 0.15  # a fix belongs to a state that is so close in time
 UNDER_WAY_MPS = 0.5  # a receiver at rest shows less
-JUMP_SD = 10.0  # a fix that is farther from the line between its neighbours is left out,
-JUMP_M, JUMP_MPS2 = 50.0, 15.0  # if it is also farther than this, and than such an acceleration explains
-FEWEST_STOPS, FEWEST_COURSES = 3, 10  # pairs of fixes that show the gyro's bias
-JUMP_NEIGHBOURS = 3  # on either side
+_JUMP_SD = 10.0  # a fix that is farther from the line between its neighbours is left out,
+_JUMP_M, _JUMP_MPS2 = 50.0, 15.0  # if it is also farther than this, and than such an acceleration explains
+_FEWEST_STOPS, _FEWEST_COURSES = 3, 10  # pairs of fixes that show the gyro's bias
+_JUMP_NEIGHBOURS = 3  # on either side
 OUTAGE_S = 10.0  # a longer time between two fixes is an outage
-LEAST_CORRELATION = 0.3  # between changes of velocity by satellites and by the accelerometer, for a heading
-CLEAR_CORRELATION = 0.8  # for a delay
-DELAYS_S = np.arange(-1.0, 2.01, 0.1)  # of fixes, that are tried
+_LEAST_CORRELATION = 0.3  # between changes of velocity by satellites and by the accelerometer, for a heading
+_CLEAR_CORRELATION = 0.8  # for a delay
+_DELAYS_S = np.arange(-1.0, 2.01, 0.1)  # of fixes, that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,9 @@ def select_fixes(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes |
     t_s = (gps.t_ns - t0_ns) / 1e9 - params.late_s
     after = np.clip(np.searchsorted(keys.t_s, t_s), 1, len(keys.t_s) - 1)
     state = np.where(t_s - keys.t_s[after - 1] < keys.t_s[after] - t_s, after - 1, after)
-    near = np.abs(keys.t_s[state] - t_s) <= NEAR_S
+    near = np.abs(keys.t_s[state] - t_s) <= _NEAR_S
     use = gps.valid & near
-    if use.sum() < FEWEST_FIXES:
+    if use.sum() < _FEWEST_FIXES:
         return None
     known_height = np.isfinite(gps.alt_m[use])
     height_m = np.where(known_height, gps.alt_m[use], np.nanmean(gps.alt_m[use]) if known_height.any() else 0.0)
@@ -96,7 +96,7 @@ def select_fixes(keys: Keys, gps: Gps, t0_ns: int, params: GpsParams) -> Fixes |
     sd_m = np.fmax(stated[use], params.position_sd_m)
     whole = Fixes(state[use].astype(np.int64), t_s[use], position, velocity, sd_m, origin)
     good = ~find_jumps(whole.t_s, position, sd_m)
-    if good.sum() < FEWEST_FIXES:
+    if good.sum() < _FEWEST_FIXES:
         return None
     without = int((gps.valid & ~near).sum())
     return replace(whole.among(good), jumps=int((~good).sum()), without_state=without)
@@ -120,12 +120,12 @@ def find_jumps(t_s: Floats, position_n_m: Floats, sd_m: Floats) -> NDArray[np.bo
     while len(left) >= 3:
         t, place, sd = t_s[left], position_n_m[left, :2], sd_m[left]
         excess = np.full(len(left), np.inf)
-        for k in range(1, JUMP_NEIGHBOURS + 1):
+        for k in range(1, _JUMP_NEIGHBOURS + 1):
             middle = np.arange(k, len(left) - k)
             share = ((t[middle] - t[middle - k]) / (t[middle + k] - t[middle - k]))[:, None]
             line = (1 - share) * place[middle - k] + share * place[middle + k]
-            allowed_m = np.maximum(JUMP_M, JUMP_SD * sd[middle])
-            allowed_m += JUMP_MPS2 * (t[middle + k] - t[middle - k]) ** 2 / 8
+            allowed_m = np.maximum(_JUMP_M, _JUMP_SD * sd[middle])
+            allowed_m += _JUMP_MPS2 * (t[middle + k] - t[middle - k]) ** 2 / 8
             off_m = np.linalg.norm(place[middle] - line, axis=1)
             excess[middle] = np.minimum(excess[middle], off_m / allowed_m)
         excess[[0, -1]] = 0.0
@@ -149,7 +149,7 @@ def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFact
     rows = zip(fixes.state.tolist(), fixes.position_n_m, fixes.velocity_n_mps, fixes.sd_m, strict=True)
     for state, position, velocity, sd_m in rows:
         place = gtsam.noiseModel.Diagonal.Sigmas(sd_m * np.array([1.0, 1.0, VERTICAL]))
-        robust = gtsam.noiseModel.Robust.Create(FIX_LOSS, place)
+        robust = gtsam.noiseModel.Robust.Create(_FIX_LOSS, place)
         yield (
             gtsam.GPSFactorArm(X(state), position, arm, robust)
             if arm.any()
@@ -165,7 +165,7 @@ def lone_stretch_factors(keys: Keys, fixes: Fixes, params: MotionPriors) -> Iter
     fixed = np.bincount(stretch[fixes.state], minlength=stretch[-1] + 1)
     own = np.array(keys.states)
     for first in own[np.flatnonzero(np.diff(stretch[own], prepend=-1))]:
-        if fixed[stretch[first]] < FEWEST_FIXES:
+        if fixed[stretch[first]] < _FEWEST_FIXES:
             yield gtsam.PriorFactorVector(
                 V(int(first)), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, params.velocity_sd_mps)
             )
@@ -178,7 +178,7 @@ def believed(fixes: Fixes, values: gtsam.Values, params: GpsParams) -> NDArray[n
     arm = np.array([params.lever_x_m, params.lever_y_m, params.lever_z_m])
     at = np.array([values.atPose3(X(int(state))).transformFrom(arm) for state in fixes.state])
     off_sd = (at - fixes.position_n_m) / (fixes.sd_m[:, None] * np.array([1.0, 1.0, VERTICAL]))
-    return np.asarray(np.linalg.norm(off_sd, axis=1) < FIX_LOSS_SD)
+    return np.asarray(np.linalg.norm(off_sd, axis=1) < _FIX_LOSS_SD)
 
 
 def outages(fixes: Fixes) -> Floats:
@@ -212,7 +212,7 @@ def align_headings(fixes: Fixes, motion: Motion, q_nb: Floats, keys: Keys) -> Fl
         product, parallel = _compare_velocities(
             fixes.among(np.asarray(stretch[fixes.state] == number)), motion, q_nb, 0.0
         )
-        if parallel > 0 and abs(product) > LEAST_CORRELATION * parallel:
+        if parallel > 0 and abs(product) > _LEAST_CORRELATION * parallel:
             angle = float(np.angle(product))
         own = stretch == number
         turned[own] = quaternion(heading_rotation(angle) * rotation(q_key[own]))
@@ -225,15 +225,15 @@ def estimate_delay(fixes: Fixes, motion: Motion, q_nb: Floats) -> float | None:
     At that delay the changes of velocity by satellites and by the accelerometer, at attitudes ``q_nb`` (N, 4), differ
     least; between the values that are tried, a parabola tells it.
     """
-    pairs = [_compare_velocities(fixes, motion, q_nb, delay_s) for delay_s in DELAYS_S]
+    pairs = [_compare_velocities(fixes, motion, q_nb, delay_s) for delay_s in _DELAYS_S]
     share = np.array([product.real / parallel if parallel > 0 else 0.0 for product, parallel in pairs])
     best = int(share.argmax())
-    if share[best] < CLEAR_CORRELATION or best in (0, len(DELAYS_S) - 1):
+    if share[best] < _CLEAR_CORRELATION or best in (0, len(_DELAYS_S) - 1):
         return None
     before, there, after = share[best - 1 : best + 2]
     bend = before - 2 * there + after
     shift = 0.0 if bend == 0 else 0.5 * (before - after) / bend
-    return float(DELAYS_S[best] + shift * (DELAYS_S[1] - DELAYS_S[0]))
+    return float(_DELAYS_S[best] + shift * (_DELAYS_S[1] - _DELAYS_S[0]))
 
 
 def _compare_velocities(fixes: Fixes, motion: Motion, q_nb: Floats, delay_s: float) -> tuple[complex, float]:
@@ -268,11 +268,11 @@ def bias_by_satellites(gps: Gps, motion: Motion, t0_ns: int, params: GpsParams) 
     whole = near & (inside > 0.9 * between_s)
     slow = gps.speed_mps < UNDER_WAY_MPS
     stands = whole & slow[:-1] & slow[1:]
-    if stands.sum() >= FEWEST_STOPS:
+    if stands.sum() >= _FEWEST_STOPS:
         return np.asarray(np.median(turned[stands] / inside[stands, None], axis=0))
     fast = gps.speed_mps >= params.course_speed_mps
     courses = whole & fast[:-1] & fast[1:]
-    if courses.sum() < FEWEST_COURSES:
+    if courses.sum() < _FEWEST_COURSES:
         return None
     up_b = np.median(motion.accel_b_mps2, axis=0)
     up_b = up_b / np.linalg.norm(up_b)

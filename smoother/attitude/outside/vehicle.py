@@ -14,10 +14,10 @@ from stillpoint.smoother.attitude.outside.added import Generator, States
 from stillpoint.smoother.attitude.outside.satellite import OUTAGE_S, UNDER_WAY_MPS
 from stillpoint.smoother.attitude.params import GraphParams
 
-FORWARD_B = {"x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
-ANY_TURN_RAD = 3.0  # sd of a rotation about which a factor says nothing
-CALM_S, CALM_SHARE, CALM_WINDOWS = 2.0, 0.1, 10
-STANDING_MPS = 0.05  # sd of the velocity where the satellites saw the vehicle stand
+_FORWARD_B = {"x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
+_ANY_TURN_RAD = 3.0  # sd of a rotation about which a factor says nothing
+_CALM_S, _CALM_SHARE, _CALM_WINDOWS = 2.0, 0.1, 10
+_STANDING_MPS = 0.05  # sd of the velocity where the satellites saw the vehicle stand
 
 
 def vehicle_generators(params: GraphParams) -> list[Generator]:
@@ -44,14 +44,14 @@ def _nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam
     The factor compares tangent vectors of SE(3), which are the mean velocity in the turning body times the interval, so
     that a bend needs no correction.
     """
-    along = np.array(FORWARD_B[params.motion.forward_axis])
+    along = np.array(_FORWARD_B[params.motion.forward_axis])
     across = np.eye(3) - np.outer(along, along)
     span_s = np.diff(states.t_ns) / 1e9
     for i in np.flatnonzero(~states.gap).tolist():
         far = params.motion.velocity_sd_mps * span_s[i]
         sideways = params.motion.sideways_sd_mps * span_s[i] / np.sqrt(min(span_s[i], 1.0))
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = ANY_TURN_RAD**2 * np.eye(3)
+        covariance[:3, :3] = _ANY_TURN_RAD**2 * np.eye(3)
         covariance[3:, 3:] = far**2 * np.outer(along, along) + sideways**2 * across
         noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
         yield gtsam.BetweenFactorPose3(X(i), X(i + 1), gtsam.Pose3(), noise)
@@ -68,7 +68,7 @@ def _standing_factors(states: States, recording: Recording) -> Iterator[gtsam.No
     standing = np.zeros(len(states.t_ns), dtype=np.bool_)
     for k in np.flatnonzero(slow[:-1] & slow[1:] & near):
         standing[np.searchsorted(states.t_ns, t_ns[k]) : np.searchsorted(states.t_ns, t_ns[k + 1])] = True
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, STANDING_MPS)
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, _STANDING_MPS)
     for i in np.flatnonzero(standing):
         yield gtsam.PriorFactorVector(V(int(i)), np.zeros(3), noise)
 
@@ -79,14 +79,14 @@ def calm_bias(t_s: Floats, gyro_b_radps: Floats) -> Floats | None:
     A car stands at lights, or at least drives straight. ``t_s`` (N,), ``gyro_b_radps`` (N, 3). None where the recording
     is too short for CALM_WINDOWS windows.
     """
-    first = np.flatnonzero(np.diff(np.floor(t_s / CALM_S), prepend=-1.0))
+    first = np.flatnonzero(np.diff(np.floor(t_s / _CALM_S), prepend=-1.0))
     counts = np.diff(first, append=len(t_s))[:, None]
-    if len(first) < CALM_WINDOWS:
+    if len(first) < _CALM_WINDOWS:
         return None
     mean = np.add.reduceat(gyro_b_radps, first, axis=0) / counts
     square = np.add.reduceat(gyro_b_radps**2, first, axis=0) / counts
     scatter = (square - mean**2).sum(axis=1)
-    calmest = np.argsort(scatter)[: max(3, int(CALM_SHARE * len(first)))]
+    calmest = np.argsort(scatter)[: max(3, int(_CALM_SHARE * len(first)))]
     return np.asarray(np.median(mean[calmest], axis=0))
 
 

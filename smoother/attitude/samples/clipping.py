@@ -12,9 +12,9 @@ import numpy as np
 
 from stillpoint.datasets.recording import Floats
 
-CLIP_COUNT = 5  # readings equal to the largest: this many are clipping, fewer are chance
-SLOPE_S = 0.01  # over which the slopes before and after are taken, or over one step where that is longer
-FAR_S = 0.1  # a reading farther from the edge than this does not show the slope there
+_CLIP_COUNT = 5  # readings equal to the largest: this many are clipping, fewer are chance
+_SLOPE_S = 0.01  # over which the slopes before and after are taken, or over one step where that is longer
+_FAR_S = 0.1  # a reading farther from the edge than this does not show the slope there
 FARTHEST = 2.0  # largest height of a peak above the range, in ranges
 UNSEEN_SHARE = 0.2  # of the range: error of a replaced reading, even where the cubic is low
 
@@ -29,7 +29,7 @@ def find_range_ends(values: Floats, smallest_range: float) -> Floats:
         for sign, largest in ((1.0, column.max()), (-1.0, -column.min())):
             if largest >= smallest_range:
                 at_end = sign * column >= largest * (1 - 1e-9)
-                if at_end.sum() >= CLIP_COUNT:
+                if at_end.sum() >= _CLIP_COUNT:
                     limits[at_end, axis] = column[at_end]
     return limits
 
@@ -73,9 +73,9 @@ def _find_edge(t_s: Floats, outward: Floats, clipped: int, away: int) -> tuple[f
     far = near
     while 0 <= far + away < len(t_s) and outward[far + away] < limit:
         far += away
-        if abs(t_s[far] - t_s[near]) >= SLOPE_S:
+        if abs(t_s[far] - t_s[near]) >= _SLOPE_S:
             break
-    if far == near or abs(t_s[far] - t_s[clipped]) > FAR_S:
+    if far == near or abs(t_s[far] - t_s[clipped]) > _FAR_S:
         return 0.0, float(t_s[clipped])
     slope = float((outward[near] - outward[far]) / abs(t_s[near] - t_s[far]))
     if slope <= 0:

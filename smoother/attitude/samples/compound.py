@@ -22,7 +22,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.keys import Motion
 
 PARTS = 8  # of an interval, at most: none is shorter than a sample
-SERIES_BELOW = 1e-4  # square of an angle, rad^2, below which two terms of a series are exact to 1e-11
+_SERIES_BELOW = 1e-4  # square of an angle, rad^2, below which two terms of a series are exact to 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def _near(turn: Vector, before: Vector) -> Vector:
 def _apply_right_jacobian(turn: Vector, v: Vector) -> Vector:
     """Return J v with J = 1 - (1 - cos a)/a^2 [r]x + (a - sin a)/a^3 [r]x^2 for a rotation vector r of length a."""
     square = turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2
-    if square < SERIES_BELOW:
+    if square < _SERIES_BELOW:
         once, twice = 0.5 - square / 24, 1 / 6 - square / 120
     else:
         angle = np.sqrt(square)

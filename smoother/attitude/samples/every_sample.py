@@ -27,7 +27,7 @@ from stillpoint.smoother.attitude.magnetometer import field_matrix
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import Solution, rotations_of
 
-COVARIANCE_STEP_S = 0.3
+_COVARIANCE_STEP_S = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +234,7 @@ def _choose_covariance_states(keys: Keys) -> NDArray[np.int64]:
     states = np.array(keys.held)
     gap = keys.intervals(keys.gap)
     rest_end = keys.intervals(np.diff(keys.at_rest, append=keys.at_rest[-1:])) + 1
-    cell = np.floor(keys.t_s[states] / COVARIANCE_STEP_S)
+    cell = np.floor(keys.t_s[states] / _COVARIANCE_STEP_S)
     regular = states[np.flatnonzero(np.diff(cell, prepend=-1.0))]
     return np.unique(np.concatenate([regular, states[[0, -1]], gap, gap + 1, rest_end]))
 

@@ -18,14 +18,14 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.times import GAP_STEPS
 
-SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
+_SAMPLING_SHARE = 0.5  # of curvature and coning: what remains as an error of a slowly sampled rate, measured on BROAD
 RESTORED_SHARE = 0.1  # of that error: what remains of it where splines restore the motion
-SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
-SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
-GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
-DEGREE = 5  # of the spline: at 24 Hz its error of a rotation is a 40th of that of constant rates, cubic a 20th
-SUBSTEPS = 8  # in an interval
-SHORTEST = 12  # samples in a stretch without a gap; a shorter one is left as it is
+_SAMPLING_INTERVAL_S = 0.1  # over which that error is compared with the gyro's noise
+_SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
+_GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
+_DEGREE = 5  # of the spline: at 24 Hz its error of a rotation is a 40th of that of constant rates, cubic a 20th
+_SUBSTEPS = 8  # in an interval
+_SHORTEST = 12  # samples in a stretch without a gap; a shorter one is left as it is
 
 
 def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray[np.bool_]) -> Floats:
@@ -37,12 +37,12 @@ def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray
     before, after = np.vstack([gyro_b_radps[:1], gyro_b_radps[:-1]]), np.vstack([gyro_b_radps[1:], gyro_b_radps[-1:]])
     curvature = np.abs(after - 2 * gyro_b_radps + before) / 12
     coning = np.abs(np.cross(before, gyro_b_radps)) * dt_s[:, None] / 12
-    error = SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
+    error = _SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
     if at_rest.all():
         return np.zeros_like(error)
     step_s = float(np.median(dt_s))
-    in_interval_rad = error[~at_rest] * step_s * max(1, round(SAMPLING_INTERVAL_S / step_s))
-    noticed_rad = SAMPLING_NOTICED * GYRO_DENSITY_RADPS_RTHZ * np.sqrt(SAMPLING_INTERVAL_S)
+    in_interval_rad = error[~at_rest] * step_s * max(1, round(_SAMPLING_INTERVAL_S / step_s))
+    noticed_rad = _SAMPLING_NOTICED * _GYRO_DENSITY_RADPS_RTHZ * np.sqrt(_SAMPLING_INTERVAL_S)
     return error if np.sqrt(np.mean(in_interval_rad**2)) > noticed_rad else np.zeros_like(error)
 
 
@@ -59,7 +59,7 @@ def integrate_slow_log(
     step_s = np.diff(t_s)
     breaks = np.flatnonzero(step_s > GAP_STEPS * np.median(step_s)) + 1
     for here in np.split(np.arange(len(t_s)), breaks):
-        if len(here) >= SHORTEST:
+        if len(here) >= _SHORTEST:
             turned, pushed = _integrate_stretch(t_s[here], gyro[here] - bias_b_radps, accel[here])
             gyro[here[1:]], accel[here[1:]] = turned + bias_b_radps, pushed
     return gyro, accel
@@ -69,10 +69,10 @@ def _integrate_stretch(t_s: Floats, gyro: Floats, accel: Floats) -> tuple[Floats
     """Return constant rates and forces (n - 1, 3) of the intervals of a stretch without gaps."""
     dt_s = np.diff(t_s)[:, None]
     sums = np.concatenate([np.zeros((1, 6)), np.cumsum(np.hstack([gyro, accel])[1:] * dt_s, axis=0)])
-    edges_s = t_s[:-1, None] + dt_s * np.arange(SUBSTEPS + 1) / SUBSTEPS
-    steps = np.diff(make_interp_spline(t_s, sums, k=DEGREE)(edges_s), axis=1)  # (n - 1, SUBSTEPS, 6)
+    edges_s = t_s[:-1, None] + dt_s * np.arange(_SUBSTEPS + 1) / _SUBSTEPS
+    steps = np.diff(make_interp_spline(t_s, sums, k=_DEGREE)(edges_s), axis=1)  # (n - 1, SUBSTEPS, 6)
     attitude, velocity = np.broadcast_to(np.eye(3), (len(dt_s), 3, 3)), np.zeros((len(dt_s), 3))
-    for k in range(SUBSTEPS):
+    for k in range(_SUBSTEPS):
         half = Rotation.from_rotvec(steps[:, k, :3] / 2).as_matrix()
         velocity += np.einsum("nij,nj->ni", attitude @ half, steps[:, k, 3:])
         attitude = attitude @ half @ half

@@ -13,8 +13,8 @@ from stillpoint.filters.complementary.gains import Gains
 from stillpoint.scoring.report.figures import REST_GREY, WRAP_DEG, draw_line, get_colour
 from stillpoint.studies.papers.auv.study import Series, compute_difference_deg
 
-PARTS = ("roll", "pitch", "heading")
-RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains
+_PARTS = ("roll", "pitch", "heading")
+_RANGE = {"kp_per_s": (0.005, 20.0), "ki_per_s2": (3e-6, 30.0)}  # of the axes, around the bounds of the gains
 Span = tuple[float, float]
 
 
@@ -48,7 +48,7 @@ def draw_angle(
         _line(ax, series, series.true_deg[:, part], span, color=rcParams["text.color"], lw=1.2, label="truth")
         if part == 2:
             _fixes(ax, series, span, series.course_deg)
-        _finish(ax, series, span, f"{PARTS[part]} (deg)")
+        _finish(ax, series, span, f"{_PARTS[part]} (deg)")
     axes[-1].set_xlabel("time (s)")
 
 
@@ -71,11 +71,11 @@ def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mappin
     for part, ax in enumerate(axes):
         for method, colour in methods.items():
             gain = get_gain(series.gains[method], which)[:, part]
-            _line(ax, series, np.maximum(gain, RANGE[which][0]), span, color=get_colour(colour), lw=1.0, label=method)
-        _finish(ax, series, span, f"{PARTS[part]} ({unit})")
+            _line(ax, series, np.maximum(gain, _RANGE[which][0]), span, color=get_colour(colour), lw=1.0, label=method)
+        _finish(ax, series, span, f"{_PARTS[part]} ({unit})")
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.set_ylim(*RANGE[which])
+        ax.set_ylim(*_RANGE[which])
         ax.minorticks_off()
 
 

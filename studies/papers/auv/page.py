@@ -26,10 +26,10 @@ from stillpoint.studies.papers.auv.study import (
     summarise_trials,
 )
 
-COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5, SURE: 6}  # places in COLOURS
-TITLES = {"waves": "In waves", "calm": "In a calm sea", RECORDED: "As recorded"}
+_COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5, SURE: 6}  # places in COLOURS
+_TITLES = {"waves": "In waves", "calm": "In a calm sea", RECORDED: "As recorded"}
 # Of a simulated mission the hull's iron and the gyro's bias are inputs, and with them these figures.
-INPUTS = {(RAW, "heading_after_deg"), (GYRO, "heading_after_deg"), (GYRO, "heading_drift_deg")}
+_INPUTS = {(RAW, "heading_after_deg"), (GYRO, "heading_after_deg"), (GYRO, "heading_drift_deg")}
 
 
 class _Column(NamedTuple):
@@ -70,7 +70,7 @@ def auv_page(trials: Mapping[str, Sequence[Trial]], online: bool, command: str) 
         columns=COLUMNS,
         rows=_rows(trials),
         sections=[
-            {"sea": sea, "title": f"{TITLES[sea]}: {one.name}", "pictures": _pictures(one)}
+            {"sea": sea, "title": f"{_TITLES[sea]}: {one.name}", "pictures": _pictures(one)}
             for sea, some in trials.items()
             for one in (some if sea == RECORDED else some[:1])
         ],
@@ -114,7 +114,7 @@ def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
         for place, method in enumerate(METHODS):
             cells = [
                 f"{summarise_trials(some, method.name, c.key):.2g}"
-                + (" (input)" if sea_kind != RECORDED and (method.name, c.key) in INPUTS else "")
+                + (" (input)" if sea_kind != RECORDED and (method.name, c.key) in _INPUTS else "")
                 for c in COLUMNS
             ]
             rows.append(
@@ -124,7 +124,7 @@ def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
                     "cells": cells,
                     "of_paper": False,
                     "first": place == 0,
-                    "colour": COLOUR[method.name],
+                    "colour": _COLOUR[method.name],
                 }
             )
     return rows
@@ -137,9 +137,9 @@ def _pictures(one: Trial) -> list[Picture]:
     surface = (when["dive_s"] - 40, when["dive_s"] - 10)
     dive = (when["dive_s"] - 10, when["dive_s"] + 20)
     ascent = (when["surfaced_s"] - 25, when["surfaced_s"] + 5)
-    shown = {name: COLOUR[name] for name in (ADAPTIVE, FIXED, KALMAN)}
-    headings = {name: COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
-    adapted = {name: COLOUR[name] for name in (PRINTED, ADAPTIVE)}
+    shown = {name: _COLOUR[name] for name in (ADAPTIVE, FIXED, KALMAN)}
+    headings = {name: _COLOUR[name] for name in (GYRO, RAW, KALMAN, ADAPTIVE)}
+    adapted = {name: _COLOUR[name] for name in (PRINTED, ADAPTIVE)}
     mission = make_picture(
         f"The mission ({sea})",
         "As the paper's figures 4 and 5: from start to end, seen from above, and the depth. Grey: under water.",

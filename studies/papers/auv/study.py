@@ -28,11 +28,11 @@ from stillpoint.smoother import attitude_reference
 
 SeaKind = Literal["waves", "calm"]
 SEAS: tuple[SeaKind, ...] = get_args(SeaKind)
-SIMULATION: dict[SeaKind, str] = {"waves": "auv-dolphin", "calm": "auv-dolphin-calm"}
+_SIMULATION: dict[SeaKind, str] = {"waves": "auv-dolphin", "calm": "auv-dolphin-calm"}
 SETTLED_S = 20.0  # the start does not count
 RECORDED = "recorded"  # in place of a sea
-SHORTEST_DIVE_S = 60.0
-LAST_S = 10.0  # over so long the heading at either end of the cruise is taken
+_SHORTEST_DIVE_S = 60.0
+_LAST_S = 10.0  # over so long the heading at either end of the cruise is taken
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,14 @@ class Method:
 
 ADAPTIVE, PRINTED, FIXED, KALMAN, GYRO = "adaptive CF", "CF by (22)", "fixed CF", "Kalman filter", "gyro"
 RAW, SURE = "adaptive, no GPS", "Kalman, R of 0.05°"
-SURE_SD_DEG = 0.05  # of R: so sure of the accelerometer the filter follows it, and its means are as small as printed
+_SURE_SD_DEG = 0.05  # of R: so sure of the accelerometer the filter follows it, and its means are as small as printed
 METHODS = (
     Method(ADAPTIVE, "cf-lse"),
     Method(RAW, "cf-lse", by_course=False),
     Method(PRINTED, "cf-lse-literal"),
     Method(FIXED, "cf-fixed", {"kp_per_s": 0.3, "ki_per_s2": 0.01}),
     Method(KALMAN, "kf-axis"),
-    Method(SURE, "kf-axis", {"tilt_sd_rad": float(np.deg2rad(SURE_SD_DEG))}),
+    Method(SURE, "kf-axis", {"tilt_sd_rad": float(np.deg2rad(_SURE_SD_DEG))}),
     Method(GYRO, "gyro", by_course=False),
 )
 
@@ -120,7 +120,7 @@ class Trial:
 
 def run_trial(sea: SeaKind, seed: int, online: bool = False, methods: Sequence[Method] = METHODS) -> Trial:
     """Simulate one mission and run the methods over it; online means sample by sample in single precision."""
-    recording = simulate(SIMULATION[sea], seed=seed)
+    recording = simulate(_SIMULATION[sea], seed=seed)
     assert recording.truth is not None
     phases_s = json.loads(recording.info.extra["phases_s"])
     return _score(recording, recording.truth, sea, CASPIAN.start_ns, phases_s, online, methods)
@@ -138,9 +138,9 @@ def score_recording(recording: Recording, online: bool = False, methods: Sequenc
     valid_ns = gps.t_ns[gps.valid]
     longest = int(np.argmax(np.diff(valid_ns))) if len(valid_ns) > 1 else 0
     below_s = (valid_ns[longest : longest + 2] - t_ns[0]) / 1e9
-    if len(below_s) < 2 or below_s[1] - below_s[0] < SHORTEST_DIVE_S:
+    if len(below_s) < 2 or below_s[1] - below_s[0] < _SHORTEST_DIVE_S:
         raise BadRecording(
-            f"{recording.name}: is never without satellites for {SHORTEST_DIVE_S:g} s; the mission needs a dive"
+            f"{recording.name}: is never without satellites for {_SHORTEST_DIVE_S:g} s; the mission needs a dive"
         )
     down_s, up_s = float(below_s[0]), float(below_s[1])
     end_s = float(t_ns[-1] - t_ns[0]) / 1e9
@@ -211,8 +211,8 @@ def compute_figures(series: Series, name: str) -> Figures:
     off = compute_difference_deg(estimated[:, :2], series.measured_deg)[counts]
     error = compute_difference_deg(estimated, series.true_deg)
     heading = np.unwrap(error[below, 2], period=360.0)
-    first = float(heading[t[below] < when["cruise_s"] + LAST_S].mean())
-    last = float(heading[t[below] > when["ascent_s"] - LAST_S].mean())
+    first = float(heading[t[below] < when["cruise_s"] + _LAST_S].mean())
+    last = float(heading[t[below] > when["ascent_s"] - _LAST_S].mean())
     return Figures(
         roll_off_mean_deg=float(off[:, 0].mean()),
         roll_off_var_deg2=float(off[:, 0].var()),

@@ -45,11 +45,11 @@ from stillpoint.studies.papers.phone.study import (
     compute_rms_drift_deg,
 )
 
-COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4, CF_SLOWER: 5, CF_LITERAL: 6, KALMAN_AXIS: 7}  # in COLOURS
-SHORT = {ACC: "acc", ACC_MA: "ma"}  # in the text
-OF_JUDGE = {"benchmark": 1, "graph": 0}
-EULER = tuple(f"{axis}_{figure}_deg" for axis in AXES for figure in ("rmse", "maxae"))  # as the paper's tables
-BESIDE = ("inclination_rmse_deg", "heading_rmse_deg")
+_COLOUR = {CF: 0, ACC: 1, ACC_MA: 2, KALMAN: 3, GYRO: 4, CF_SLOWER: 5, CF_LITERAL: 6, KALMAN_AXIS: 7}  # in COLOURS
+_SHORT = {ACC: "acc", ACC_MA: "ma"}  # in the text
+_OF_JUDGE = {"benchmark": 1, "graph": 0}
+_EULER = tuple(f"{axis}_{figure}_deg" for axis in AXES for figure in ("rmse", "maxae"))  # as the paper's tables
+_BESIDE = ("inclination_rmse_deg", "heading_rmse_deg")
 
 
 class _Shown(NamedTuple):
@@ -62,7 +62,7 @@ class _Shown(NamedTuple):
     span: Span | None  # None: the whole recording
 
 
-FIGURES: dict[str, tuple[_Shown, ...]] = {
+_FIGURES: dict[str, tuple[_Shown, ...]] = {
     "phone-1": (
         _Shown("5", "CF and Acc", (ACC, CF), AXES, None),
         _Shown("6", "Roll, CF and Acc", (ACC, CF), ("roll",), (10.0, 20.0)),
@@ -161,15 +161,15 @@ def _row(trials: Sequence[Trial], hand: str, method: str, judge: str) -> dict[st
         "hand": hand,
         "judge": judge,
         "method": method,
-        "euler": tuple(compute_mean(trials, method, judge, figure) for figure in EULER),
-        "beside": tuple(compute_mean(trials, method, judge, figure) for figure in BESIDE),
+        "euler": tuple(compute_mean(trials, method, judge, figure) for figure in _EULER),
+        "beside": tuple(compute_mean(trials, method, judge, figure) for figure in _BESIDE),
     }
 
 
 def _mark_row(row: dict[str, Any], above: dict[str, Any] | None) -> dict[str, Any]:
     """Return the row with its colour, and whether it begins a block."""
     new = above is None or (row["hand"], row["judge"]) != (above["hand"], above["judge"])
-    return row | {"first": new, "of_paper": row["hand"] == "the paper", "colour": COLOUR.get(row["method"])}
+    return row | {"first": new, "of_paper": row["hand"] == "the paper", "colour": _COLOUR.get(row["method"])}
 
 
 def _has_truth(trials: Sequence[Trial]) -> bool:
@@ -228,14 +228,14 @@ def _found(trials: Sequence[Trial]) -> dict[str, str]:
     )
     for method in (ACC, ACC_MA):
         folded = np.mean([one.folded_yaw[method] for one in trials], axis=0)
-        figures |= zip((f"{SHORT[method]}_folded", f"{SHORT[method]}_folded_max"), folded, strict=True)
+        figures |= zip((f"{_SHORT[method]}_folded", f"{_SHORT[method]}_folded_max"), folded, strict=True)
     return {name: f"{figure:.2f}" if figure < 10 else f"{figure:.1f}" for name, figure in figures.items()}
 
 
 def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     series = one.series
     whole = (0.0, float(series.t_s[-1]))
-    drawn = [_picture(one, shown, whole) for shown in FIGURES[scenario.name]]
+    drawn = [_picture(one, shown, whole) for shown in _FIGURES[scenario.name]]
     if not series.errors:
         return drawn
     judges = make_picture(
@@ -243,7 +243,7 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
         "Total error of both references against the truth, which the paper could not draw. Rests are grey.",
         1,
         200,
-        lambda axes: draw_judges(axes[0], series, OF_JUDGE),
+        lambda axes: draw_judges(axes[0], series, _OF_JUDGE),
     )
     return [*drawn, judges]
 
@@ -256,7 +256,7 @@ def _picture(one: Trial, shown: _Shown, whole: Span) -> Picture:
         len(shown.parts),
         230 if len(shown.parts) == 1 else 140,
         lambda axes: draw_angles(
-            axes, one.series, {name: COLOUR[name] for name in shown.methods}, shown.parts, shown.span or whole
+            axes, one.series, {name: _COLOUR[name] for name in shown.methods}, shown.parts, shown.span or whole
         ),
     )
 

@@ -39,7 +39,7 @@ ESTIMATORS: dict[str, tuple[str, Mapping[str, float]]] = {
     KALMAN_AXIS: ("kf-axis", {}),
 }
 METHODS = (CF, CF_SLOWER, CF_LITERAL, ACC, ACC_MA, ACC_MA_CENTRED, GYRO, KALMAN, KALMAN_AXIS)
-LONG_METHODS = (CF, CF_SLOWER, KALMAN, KALMAN_AXIS)
+_LONG_METHODS = (CF, CF_SLOWER, KALMAN, KALMAN_AXIS)
 
 
 class KalmanGain(NamedTuple):
@@ -217,7 +217,7 @@ def restart_integration(q_nb: Floats, other_q_nb: Floats, at: int) -> Floats:
     return quaternion(turn * rotation(q_nb))
 
 
-def time_long_run(minutes: float, hand: str, methods: Sequence[str] = LONG_METHODS) -> list[LongRun]:
+def time_long_run(minutes: float, hand: str, methods: Sequence[str] = _LONG_METHODS) -> list[LongRun]:
     """Run filters over one long recording of experiment 3; the time of each is that of the fastest of RUNS runs."""
     recording = simulate(EXPERIMENTS["phone-3"].hands[hand], seed=0, minutes=minutes)
     assert recording.truth is not None

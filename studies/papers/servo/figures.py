@@ -9,7 +9,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.report.figures import get_colour
 from stillpoint.studies.papers.servo.study import GYRO, Series, restart_at
 
-AXES = "xyz"
+_AXES = "xyz"
 Span = tuple[float, float]
 
 
@@ -22,7 +22,7 @@ def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
     )
     for ax, (t_s, columns, name) in zip(axes, shown, strict=True):
         rows = slice(*t_s.searchsorted(span))
-        for k, axis in enumerate(AXES):
+        for k, axis in enumerate(_AXES):
             ax.plot(t_s[rows], columns[rows, k], color=get_colour(k), lw=0.8, label=axis)
         ax.set_ylabel(name)
 

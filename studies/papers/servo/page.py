@@ -12,15 +12,15 @@ from stillpoint.scoring.report.templates import load_template
 from stillpoint.studies.papers.servo.figures import draw_drift, draw_rolls, draw_sensors
 from stillpoint.studies.papers.servo.study import ACC, GYRO, KALMAN, PRINTED_DRIFT_DEG, Trial, find_first_swing_s
 
-COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
-SHOWN_S = 20.0
-ROWS = (
+_COLOUR = {KALMAN: 0, ACC: 4, GYRO: 5}  # places in COLOURS
+_SHOWN_S = 20.0
+_ROWS = (
     ("roll", ACC, "acc"),
     ("roll", KALMAN, "kf"),
     ("heading", ACC, "acc_heading"),
     ("heading", KALMAN, "kf_heading"),
 )
-STRETCHES = ("rest", "low", "high")
+_STRETCHES = ("rest", "low", "high")
 
 
 def _median_over(trials: Sequence[Trial], key: str) -> float:
@@ -58,11 +58,11 @@ def make_rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
             "judge": judge,
             "angle": angle,
             "method": method,
-            "colour": COLOUR[method],
-            "cells": [f"{_median_over(some, f'{short}_{stretch}_deg'):.2g}" for stretch in STRETCHES],
+            "colour": _COLOUR[method],
+            "cells": [f"{_median_over(some, f'{short}_{stretch}_deg'):.2g}" for stretch in _STRETCHES],
         }
         for judge, some in by_judge.items()
-        for angle, method, short in ROWS
+        for angle, method, short in _ROWS
     ]
 
 
@@ -71,7 +71,7 @@ def _pictures(one: Trial) -> list[Picture]:
     low, high = find_first_swing_s(series, series.low_hz), find_first_swing_s(series, series.high_hz)
     rest_s = series.rests_s[0]
     shown_s = (20.0, 30.0) if rest_s[1] > 30.0 else (float(rest_s[0]), float(rest_s[1]))
-    middles = [(sum(span) / 2 - SHOWN_S / 2, sum(span) / 2 + SHOWN_S / 2) for span in (low, high)]
+    middles = [(sum(span) / 2 - _SHOWN_S / 2, sum(span) / 2 + _SHOWN_S / 2) for span in (low, high)]
     return [
         make_picture(
             "Sensors at rest",
@@ -85,14 +85,14 @@ def _pictures(one: Trial) -> list[Picture]:
             "As the paper's figure 5: the trapezoidal integral (13) over the first minute of swings, and its error.",
             2,
             170,
-            lambda axes: draw_drift(axes, series, low, COLOUR[GYRO]),
+            lambda axes: draw_drift(axes, series, low, _COLOUR[GYRO]),
         ),
         make_picture(
             "The accelerometer alone",
             f"As the paper's figure 6: (14) at {series.low_hz:.2g} Hz and at {series.high_hz:.2g} Hz.",
             2,
             170,
-            lambda axes: draw_rolls(axes, series, {ACC: COLOUR[ACC]}, middles),
+            lambda axes: draw_rolls(axes, series, {ACC: _COLOUR[ACC]}, middles),
             time_axis=False,
         ),
         make_picture(
@@ -100,7 +100,7 @@ def _pictures(one: Trial) -> list[Picture]:
             "As the paper's last figure: the gyro begins at the left edge with the true angle.",
             2,
             190,
-            lambda axes: draw_rolls(axes, series, {m: COLOUR[m] for m in (ACC, GYRO, KALMAN)}, middles),
+            lambda axes: draw_rolls(axes, series, {m: _COLOUR[m] for m in (ACC, GYRO, KALMAN)}, middles),
             time_axis=False,
         ),
     ]

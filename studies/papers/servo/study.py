@@ -21,9 +21,9 @@ from stillpoint.studies.papers.auv.study import compute_difference_deg
 
 GYRO, ACC, KALMAN = "gyro", "accelerometer", "kf-axis"
 PRINTED_DRIFT_DEG = -50.0  # the paper's text to fig 5, after a minute
-MINUTE_S = 60.0
-SHORTEST_SWING_S = 15.0
-SAME_RATE = 1.5  # swings whose rates differ by less are of one rate
+_MINUTE_S = 60.0
+_SHORTEST_SWING_S = 15.0
+_SAME_RATE = 1.5  # swings whose rates differ by less are of one rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def run_trial(seed: int, minutes: float) -> Trial:
     rests_s, swings_hz = (np.array(json.loads(recording.info.extra[name])) for name in ("rests_s", "swings_hz"))
     series = _make_series(recording, recording.truth, ULAANBAATAR.start_ns, rests_s, swings_hz)
     bias_b = json.loads(recording.info.extra["sensor_drawn"])["gyro"]["bias"]
-    worst_deg = float(np.abs(np.rad2deg(bias_b)).max()) * MINUTE_S
+    worst_deg = float(np.abs(np.rad2deg(bias_b)).max()) * _MINUTE_S
     return Trial(recording.name, "truth", series, _compute_figures(series, worst_deg))
 
 
@@ -118,7 +118,7 @@ def score_recording(recording: Recording) -> list[Trial]:
         series = _make_series(blind, truth, int(imu.t_ns[0]), rests_s, swings_hz)
         at_rest = np.rad2deg(imu.gyro_b_radps[select_swings(series, None)].mean(axis=0))
         trials.append(
-            Trial(recording.name, judge, series, _compute_figures(series, float(np.abs(at_rest).max()) * MINUTE_S))
+            Trial(recording.name, judge, series, _compute_figures(series, float(np.abs(at_rest).max()) * _MINUTE_S))
         )
     return trials
 
@@ -154,13 +154,13 @@ def _measure_swings_hz(imu: Imu, rests_s: Floats, name: str) -> Floats:
     found = np.zeros(len(rests_s) - 1)
     for k, (start, end) in enumerate(zip(rests_s[:-1, 1], rests_s[1:, 0], strict=True)):
         inside = slice(*np.searchsorted(t_s, (start, end)))
-        if end - start >= SHORTEST_SWING_S:
+        if end - start >= _SHORTEST_SWING_S:
             smooth = savgol_filter(rate[inside], 11, 2)
             found[k] = np.count_nonzero(np.diff(np.sign(smooth - smooth.mean()))) / 2 / (end - start)
     if not found.any():
-        raise BadRecording(f"{name}: nothing swings about x for {SHORTEST_SWING_S:g} s between two rests")
+        raise BadRecording(f"{name}: nothing swings about x for {_SHORTEST_SWING_S:g} s between two rests")
     low, high = found[found > 0].min(), found.max()
-    nearest = np.where(found < np.sqrt(low * high), low, high) if high > SAME_RATE * low else np.full_like(found, low)
+    nearest = np.where(found < np.sqrt(low * high), low, high) if high > _SAME_RATE * low else np.full_like(found, low)
     return np.where(found > 0, nearest, 0.0)
 
 
@@ -203,7 +203,7 @@ def _euler_deg(q_nb: Floats) -> Floats:
 def _compute_figures(series: Series, worst_drift_deg: float) -> Figures:
     start, _ = find_first_swing_s(series, series.low_hz)
     minute = restart_at(series, GYRO, start) - series.true_roll_deg
-    drift = float(minute[np.searchsorted(series.t_s, start + MINUTE_S) - 1])
+    drift = float(minute[np.searchsorted(series.t_s, start + _MINUTE_S) - 1])
     stretches = {"rest": None, "low": series.low_hz, "high": series.high_hz}
     rms = {}
     for method, short in ((ACC, "acc"), (KALMAN, "kf")):

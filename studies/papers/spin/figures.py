@@ -9,24 +9,24 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from stillpoint.scoring.report.figures import get_colour
 from stillpoint.studies.papers.spin.study import Trial
 
-MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
-GROUP = 0.8  # share of the room of a trial that its bars take
-LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
+_MANY_DECADES = 300.0  # ratio above which only powers of ten are labelled
+_GROUP = 0.8  # share of the room of a trial that its bars take
+_LOGARITHMIC_FROM = 30.0  # ratio of the largest to the smallest bar
 
 
 def draw_bars(ax: Axes, trials: Sequence[Trial], metric: str, methods: Mapping[str, int], unit: str) -> None:
     """Draw one group of bars per trial, a bar per method in its colour; logarithmic where the sizes differ much."""
     values = np.array([[_figure(one, method, metric) for method in methods] for one in trials])
-    width = GROUP / len(methods)
+    width = _GROUP / len(methods)
     low, high = np.nanmin(values), np.nanmax(values)
-    logarithmic = bool(high > LOGARITHMIC_FROM * low)
+    logarithmic = bool(high > _LOGARITHMIC_FROM * low)
     for k, (method, colour) in enumerate(methods.items()):
         at = np.arange(len(trials)) + (k - (len(methods) - 1) / 2) * width
         ax.bar(at, values[:, k], width * 0.92, color=get_colour(colour), label=method)
     if logarithmic:
         ax.set_yscale("log")
         ax.set_ylim(low / 2, high * 1.5)
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < MANY_DECADES * low else (1.0,)))
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _MANY_DECADES * low else (1.0,)))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.minorticks_off()
     ax.set_xticks(range(len(trials)), [str(one.seed) for one in trials])

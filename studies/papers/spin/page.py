@@ -22,8 +22,8 @@ from stillpoint.studies.papers.spin.study import (
     find_worst,
 )
 
-METHODS = (*FILTERS, SMOOTHER)
-COLOUR = {"observation": 4, "EKF": 0, "AEKF": 1, "guarded": 2, "smoother": 3}  # places in COLOURS
+_METHODS = (*FILTERS, SMOOTHER)
+_COLOUR = {"observation": 4, "EKF": 0, "AEKF": 1, "guarded": 2, "smoother": 3}  # places in COLOURS
 
 
 class _Metric(NamedTuple):
@@ -34,13 +34,13 @@ class _Metric(NamedTuple):
     unit: str
 
 
-NAMED = (
+_NAMED = (
     _Metric("angle_max_deg", "angle, largest error", "deg"),
     _Metric("angle_rmse_deg", "angle, RMSE", "deg"),
     _Metric("rate_max_degps", "rate, largest error", "deg/s"),
     _Metric("rate_rmse_degps", "rate, RMSE", "deg/s"),
 )
-assert tuple(metric.key for metric in NAMED) == METRICS
+assert tuple(metric.key for metric in _NAMED) == METRICS
 
 
 def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, command: str) -> str:
@@ -48,7 +48,7 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
 
     Those of recordings stand under the names of their judges.
     """
-    methods = [m for m in METHODS if any(m in one.scores for some in trials.values() for one in some)]
+    methods = [m for m in _METHODS if any(m in one.scores for some in trials.values() for one in some)]
     first = next(iter(trials.values()))
     return load_template("stillpoint.studies.papers.spin", "page.html.j2").render(
         colours=COLOURS,
@@ -61,7 +61,7 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
         shaken=_shaken(trials.get("vibration", ())),
         recorded=set(trials) <= set(RECORDED),
         worst_of={noise: _worst_of(some) for noise, some in trials.items()},
-        metrics=NAMED,
+        metrics=_NAMED,
         of_paper=OF_PAPER,
         has_smoother=SMOOTHER in methods,
         worst=_worst_rows(scenario, trials, online, methods),
@@ -152,7 +152,7 @@ def _worst_rows(
                 "figures": [find_worst(some, method, metric) for metric in METRICS],
                 "of_paper": False,
                 "first": method == methods[0],
-                "colour": COLOUR[method],
+                "colour": _COLOUR[method],
             }
             for method in methods
         ]
@@ -184,7 +184,7 @@ def _section(
     noise: str, trials: Sequence[Trial], scenario: Scenario, online: bool, methods: Sequence[str]
 ) -> dict[str, Any]:
     numbers = scenario.printed[online].figures
-    bars = [_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in NAMED]
+    bars = [_bars(noise, trials, metric, methods, numbers[metric.key]) for metric in _NAMED]
     return {
         "noise": noise,
         "pictures": [*_rates(noise, trials[0], scenario, methods), *bars],
@@ -204,7 +204,7 @@ def _bars(noise: str, trials: Sequence[Trial], metric: _Metric, methods: Sequenc
         f"As the paper's figure {number}: one group of bars per trial.",
         1,
         230,
-        lambda axes: draw_bars(axes[0], trials, metric.key, {m: COLOUR[m] for m in methods}, metric.unit),
+        lambda axes: draw_bars(axes[0], trials, metric.key, {m: _COLOUR[m] for m in methods}, metric.unit),
         time_axis=False,
     )
 
@@ -214,7 +214,7 @@ def _rates(noise: str, one: Trial, scenario: Scenario, methods: Sequence[str]) -
         return []
     series = one.series
     number = {"spin-constant": "9", "spin-variable": "18"}[scenario.name]
-    shown = {method: COLOUR[method] for method in methods if method in series.rate_radps}
+    shown = {method: _COLOUR[method] for method in methods if method in series.rate_radps}
     drawn = make_picture(
         f"Rate over time ({noise})",
         f"As the paper's figure {number}: trial {one.seed}. Errors are estimate minus truth.",

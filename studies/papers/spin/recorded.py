@@ -25,8 +25,8 @@ from stillpoint.studies.papers.spin.study import (
 )
 from stillpoint.studies.rig.identify import identify_variances
 
-ENCODER, GRAPH, TRUTH = "against the encoder", "against the graph", "against the truth"
-RECORDED = (ENCODER, GRAPH, TRUTH)
+_ENCODER, _GRAPH, _TRUTH = "against the encoder", "against the graph", "against the truth"
+RECORDED = (_ENCODER, _GRAPH, _TRUTH)
 
 
 def identify_noise(recordings: Sequence[Recording]) -> dict[str, float]:
@@ -69,7 +69,7 @@ def score_recording(
         made[SMOOTHER] = graph
     if graph is None and recording.encoder is None and recording.roll_truth is None:
         raise BadRecording(f"no encoder to judge by, and the graph refuses: {refused[SMOOTHER]}")
-    judges: dict[str, Any] = {ENCODER: recording.encoder, GRAPH: graph, TRUTH: recording.roll_truth}
+    judges: dict[str, Any] = {_ENCODER: recording.encoder, _GRAPH: graph, _TRUTH: recording.roll_truth}
     return [
         _score_against(recording, judge, truth, number, made, refused)
         for judge, truth in judges.items()

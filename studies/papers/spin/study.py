@@ -25,13 +25,13 @@ from stillpoint.smoother import reference
 NoiseKind = Literal["white", "vibration", "vibration-f4", "glitch", "replica"]
 NOISES: tuple[NoiseKind, ...] = get_args(NoiseKind)
 Reading = Literal["default", "printed"]
-LITERAL = ("vibration-f4", "replica")  # hypotheses that belong with the paper's equations as printed
-EQUAL = 1e-6  # figures this close, relatively, are a tie: with Q as printed the AEKF is the EKF
+_LITERAL = ("vibration-f4", "replica")  # hypotheses that belong with the paper's equations as printed
+_EQUAL = 1e-6  # figures this close, relatively, are a tie: with Q as printed the AEKF is the EKF
 METRICS = ("angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps")
 OF_PAPER = ("observation", "EKF", "AEKF")
 SMOOTHER = "smoother"
 # 3 deg after 30 s, as printed, take F4 to 1 mg and d1 to 0.01 %: the paper's rig was calibrated.
-CALIBRATED = {"calibration.accel_bias_sd_mps2": 0.01, "calibration.lever_arm_sd": 1e-4}  # what the smoother is told
+_CALIBRATED = {"calibration.accel_bias_sd_mps2": 0.01, "calibration.lever_arm_sd": 1e-4}  # what the smoother is told
 FILTERS = {"observation": "roll-obs", "EKF": "roll-ekf", "AEKF": "roll-aekf", "guarded": "roll-guarded"}
 
 
@@ -76,7 +76,7 @@ def run_trial(
     ``reading`` of the paper's equations: None takes them as printed for the noises LITERAL and ours elsewhere.
     """
     recording = simulate(scenario.name, seed=seed, sensor=noise)
-    printed = reading == "printed" or (reading is None and noise in LITERAL)
+    printed = reading == "printed" or (reading is None and noise in _LITERAL)
     return score_trial(recording, scenario, noise, seed, online, printed)
 
 
@@ -130,7 +130,7 @@ def count_wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> 
     for one in trials:
         figures = {method: getattr(one.scores[method], metric) for method in methods if method in one.scores}
         for method, figure in figures.items():
-            counted[method] += figure <= min(figures.values()) * (1 + EQUAL)
+            counted[method] += figure <= min(figures.values()) * (1 + _EQUAL)
     return counted
 
 
@@ -144,7 +144,7 @@ def _run_method(
     recording: Recording, method: str, scenario: Scenario, printed: bool, online: bool
 ) -> Estimate | SpinReference:
     if method == SMOOTHER:
-        found = reference(recording, params=CALIBRATED)
+        found = reference(recording, params=_CALIBRATED)
         assert isinstance(found, SpinReference)
         return found
     settings = make_settings(scenario, method, printed)
