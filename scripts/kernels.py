@@ -19,7 +19,8 @@ def main() -> int:
         old.unlink()
     with tempfile.TemporaryDirectory() as own_cache:
         generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": own_cache}
-        command = [sys.executable, "-c", "from stillpoint.scripts.kernels import compile_all; compile_all()"]
+        program = f"from stillpoint.scripts.kernels import {_compile_all.__name__} as run; run()"
+        command = [sys.executable, "-c", program]
         code = subprocess.run(command, env=os.environ | generic | {TARGET: str(KERNELS)}, check=False).returncode
     kept = sorted(KERNELS.glob("*.kernel"))
     print(f"{len(kept)} kernels, {sum(path.stat().st_size for path in kept) / 1e6:.1f} MB in {KERNELS}")
