@@ -11,6 +11,7 @@ are then fitted to the chordal distance, ``sum |R_est - R_fit|^2 = 4 sum (1 - co
 where it is small, bounded where it is large, with an optimum that is found from any start.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats
+from stillpoint.scoring.blocks import split_rows, sum_blocks
 from stillpoint.scoring.clock import find_clock_offset_ns
 from stillpoint.scoring.errors import heading_offset
 from stillpoint.scoring.match import Mask, Track, match, pair_up, require_some
@@ -91,31 +93,37 @@ def find_alignment(estimated: Track, truth: Track, moving: Mask, kind: AlignKind
 
 def align_pairs(q_est: Floats, q_true: Floats, kind: AlignKind, time_offset_s: float = 0.0) -> Alignment:
     """Find heading and mounting, as far as ``kind`` has them, between pairs of attitudes (N, 4) at equal times."""
+    return align_blocks(zip(split_rows(q_est), split_rows(q_true), strict=True), kind, time_offset_s)
+
+
+def align_blocks(blocks: Iterable[tuple[Floats, Floats]], kind: AlignKind, time_offset_s: float = 0.0) -> Alignment:
+    """Find the alignment of :func:`align_pairs` between blocks of pairs (:mod:`stillpoint.scoring.blocks`)."""
     if kind == "none":
         return Alignment(kind)
     if kind == "heading":
-        return Alignment(kind, heading_rad=_circular_mean(heading_offset(q_est, q_true)))
-    heading_rad, mounting = _fit_heading_and_mounting(q_est, q_true)
+        turned = sum_blocks(np.exp(1j * heading_offset(q_est, q_true)) for q_est, q_true in blocks)
+        return Alignment(kind, heading_rad=float(np.angle(turned)))
+    heading_rad, mounting = _fit_heading_and_mounting(blocks)
     return Alignment(kind, heading_rad, mounting.as_rotvec(), time_offset_s)
 
 
-def _circular_mean(angle_rad: Floats) -> float:
-    return float(np.angle(np.mean(np.exp(1j * angle_rad))))
-
-
-def _fit_heading_and_mounting(q_est: Floats, q_true: Floats) -> tuple[float, Rotation]:
+def _fit_heading_and_mounting(blocks: Iterable[tuple[Floats, Floats]]) -> tuple[float, Rotation]:
     """Return heading h and mounting M of ``R_est ~ Rz(h) R_true M`` with the smallest mean of 2 (1 - cos angle).
 
     For a given heading the best mounting is a polar decomposition of ``B(h) = sum R_true' Rz(-h) R_est``, which is
     ``B_0 + cos h B_c + sin h B_s``: three sums over the data, then a search over one angle. If the truth never tilts,
     every heading fits equally well, and the one with the smallest mounting is returned.
     """
-    true, est = rotation(q_true).as_matrix(), rotation(q_est).as_matrix()
-    gram = (true.reshape(-1, 9).T @ est.reshape(-1, 9)).reshape(3, 3, 3, 3) / len(q_est)  # [row, col, row', col']
+    count, together, up_sum = 0, np.zeros((9, 9)), np.zeros(3)
+    for q_est, q_true in blocks:
+        true, est = rotation(q_true).as_matrix(), rotation(q_est).as_matrix()
+        together += true.reshape(-1, 9).T @ est.reshape(-1, 9)
+        up_sum += true[:, 2].sum(axis=0)
+        count += len(q_est)
+    gram = together.reshape(3, 3, 3, 3) / count  # [row, col, row', col']
     level, turned, upright = gram[0, :, 0] + gram[1, :, 1], gram[0, :, 1] - gram[1, :, 0], gram[2, :, 2]
-    up_b = true[:, 2]  # (N, 3) vertical in the truth's body axes
-    mean_up_b = up_b.mean(axis=0)
-    if np.mean((up_b - mean_up_b) ** 2) * 3 < _LEVEL_SPREAD_RAD**2:
+    mean_up_b = up_sum / count  # of the vertical in the truth's body axes, unit vectors: their variance is 1 - |mean|^2
+    if 1 - mean_up_b @ mean_up_b < _LEVEL_SPREAD_RAD**2:
         return _smallest_mounting(_polar(upright + level), mean_up_b / np.linalg.norm(mean_up_b))
 
     def profile(heading_rad: Floats) -> Floats:

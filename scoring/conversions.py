@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import from_xyzw, quaternion, rotation, to_xyzw
@@ -51,13 +52,18 @@ _AXES: dict[str, Change] = {
 }
 
 
+def choose_rows(count: int) -> NDArray[np.intp]:
+    """Return which of so many samples are tried: at most :data:`_MOST_SAMPLES`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, _MOST_SAMPLES).astype(np.intp))
+
+
 def find_conversion(q_est: Floats, q_true: Floats, rmse_after: Callable[[Floats, Floats], float]) -> str | None:
     """Return the simplest conversion of an estimate (N, 4) that explains its error, in words; None when none does.
 
     ``rmse_after(q_est, q_true)`` aligns as the score did and returns the RMSE in deg. Nothing is looked for below
     :data:`ABSURD_DEG`.
     """
-    rows = np.unique(np.linspace(0, len(q_est) - 1, _MOST_SAMPLES).astype(np.intp))
+    rows = choose_rows(len(q_est))
     q_est, q_true = q_est[rows], q_true[rows]
     before = rmse_after(q_est, q_true)
     if before < ABSURD_DEG:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.errors import BadRecording, Unobservable
 from stillpoint.datasets.frames import slerp
 from stillpoint.datasets.recording import Floats, Times, Truth
-from stillpoint.datasets.times import longest_step_ns
+from stillpoint.datasets.times import GAP_STEPS
 from stillpoint.datasets.trajectory import Estimate, Reference
 
 Mask = NDArray[np.bool_]
@@ -18,18 +18,23 @@ _SPARSER = 1.05  # ratio of median steps: rates that differ by jitter count as e
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """An attitude on its own clock, as scores read it: of an estimate, a reference or a truth."""
+    """An attitude on its own clock, as scores read it: of an estimate, a reference or a truth; whole, or a part of it.
+
+    ``step_ns`` and ``span_ns`` are those of the whole.
+    """
 
     label: str  # "vqf of run7", for messages
     t_ns: Times  # (N,)
     q_nb: Floats  # (N, 4)
     cov_b_rad2: Floats | None  # (N, 3, 3)
     unready: Mask  # (N,)
+    step_ns: float  # the median step between samples; 0 for a single one
+    span_ns: tuple[int, int]  # the first and the last stamp
 
     @property
-    def step_ns(self) -> float:
-        """The median step between samples; 0 for a single one."""
-        return float(np.median(np.diff(self.t_ns))) if len(self.t_ns) > 1 else 0.0
+    def longest_step_ns(self) -> float:
+        """The longest interval that is not a gap."""
+        return GAP_STEPS * self.step_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,28 +62,47 @@ class Match:
         """(M,) True where the estimate can be read."""
         return ~(self.outside | self.in_gap | self.unready)
 
+    def counts(self) -> tuple[int, int, int]:
+        """Return how many times are outside, in a gap, and not ready."""
+        return int(self.outside.sum()), int(self.in_gap.sum()), int(self.unready.sum())
+
 
 def track(thing: Estimate | Reference | Truth) -> Track:
     """Return the attitude of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
-    unready = np.zeros(len(thing.t_ns), dtype=np.bool_)
+    t_ns = thing.t_ns
+    cov = None if isinstance(thing, Truth) else thing.cov_b_rad2
+    step_ns = float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
+    span_ns = int(t_ns[0]), int(t_ns[-1])
+    return Track(label_of(thing), t_ns, attitude_of(thing), cov, unready_of(thing), step_ns, span_ns)
+
+
+def label_of(thing: Estimate | Reference | Truth) -> str:
+    """Return the name of a thing in messages."""
     if isinstance(thing, Truth):
-        return Track("truth", thing.t_ns, thing.q_nb, None, unready)
-    if isinstance(thing, Reference):
-        return Track(f"reference of {thing.name}", thing.t_ns, thing.q_nb, thing.cov_b_rad2, unready)
-    label = f"{thing.name} of {thing.recording}"
+        return "truth"
+    return f"reference of {thing.name}" if isinstance(thing, Reference) else f"{thing.name} of {thing.recording}"
+
+
+def attitude_of(thing: Estimate | Reference | Truth) -> Floats:
+    """Return the attitudes (N, 4) of a thing; raises :class:`BadRecording` for an estimate that has only an angle."""
     if thing.q_nb is None:
-        raise BadRecording(f"{label}: is an angle about one axis; give an estimate with an attitude")
-    if thing.ready is not None:
-        unready = ~thing.ready
-    return Track(label, thing.t_ns, thing.q_nb, thing.cov_b_rad2, unready)
+        raise BadRecording(f"{label_of(thing)}: is an angle about one axis; give an estimate with an attitude")
+    return thing.q_nb
+
+
+def unready_of(thing: Estimate | Reference | Truth) -> Mask:
+    """Return at which samples (N,) an estimator says that it is still starting."""
+    if isinstance(thing, Estimate) and thing.ready is not None:
+        return ~thing.ready
+    return np.zeros(len(thing.t_ns), dtype=np.bool_)
 
 
 def match(source: Track, at_ns: Times) -> Match:
     """Find which of the times ``at_ns`` (M,) lie between two near samples of the track that are both ready."""
     t = source.t_ns
-    outside = (at_ns < t[0]) | (at_ns > t[-1])
+    outside = (at_ns < source.span_ns[0]) | (at_ns > source.span_ns[1])
     left, right = _neighbours(t, at_ns)
-    in_gap = ~outside & (t[right] - t[left] > longest_step_ns(t))
+    in_gap = ~outside & (t[right] - t[left] > source.longest_step_ns)
     unready = ~outside & ~in_gap & (source.unready[left] | source.unready[right])
     return Match(outside, in_gap, unready)
 
@@ -86,13 +110,18 @@ def match(source: Track, at_ns: Times) -> Match:
 def require_some(source: Track, matched: Match) -> Mask:
     """Return ``matched.found``; raises :class:`Unobservable` with the reasons when it is False everywhere."""
     if not matched.found.any():
-        reasons = {"outside its span": matched.outside, "in its gaps": matched.in_gap, "not ready": matched.unready}
-        counts = ", ".join(f"{mask.sum()} {reason}" for reason, mask in reasons.items() if mask.any())
-        raise Unobservable(
-            f"{source.label}: covers none of the {len(matched.found)} moving samples of the truth ({counts}); "
-            "are both of one recording and on one clock?"
-        )
+        raise Unobservable(describe_none(source.label, len(matched.found), matched.counts()))
     return matched.found
+
+
+def describe_none(label: str, n: int, counts: tuple[int, int, int]) -> str:
+    """Return the error of a trajectory that covers none of n moving samples, with the counts of a :class:`Match`."""
+    reasons = zip(counts, ("outside its span", "in its gaps", "not ready"), strict=True)
+    counted = ", ".join(f"{count} {reason}" for count, reason in reasons if count)
+    return (
+        f"{label}: covers none of the {n} moving samples of the truth ({counted}); "
+        "are both of one recording and on one clock?"
+    )
 
 
 def is_sparser(estimated: Track, truth: Track) -> bool:

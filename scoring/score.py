@@ -1,6 +1,6 @@
 """Score an estimate against a truth or a reference over the moving samples: one function, one frozen result."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,9 @@ from stillpoint.datasets.frames import EULER_FRAMES, EulerFrame, heading_rotatio
 from stillpoint.datasets.recording import Floats, Truth
 from stillpoint.datasets.trajectory import Estimate, Reference, total_sd_rad
 from stillpoint.scoring.align import AlignKind, Alignment, align_pairs
+from stillpoint.scoring.blocks import Store, find_quantiles, list_blocks, split_rows, sum_blocks
 from stillpoint.scoring.compare import Comparison, compare
-from stillpoint.scoring.conversions import ABSURD_DEG, find_conversion
+from stillpoint.scoring.conversions import ABSURD_DEG, choose_rows, find_conversion
 from stillpoint.scoring.errors import attitude_error, euler_error, near_gimbal, normalised_square, rotation_error_b
 from stillpoint.scoring.position import PositionScore, score_position
 from stillpoint.scoring.score_table import format_score, format_score_html, make_score_frame
@@ -23,7 +24,7 @@ from stillpoint.scoring.turns import TurnError, turn_errors
 if TYPE_CHECKING:
     import pandas as pd
 
-CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
+_CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
 
 
 @dataclass(frozen=True)
@@ -44,17 +45,32 @@ class ErrorStats:
     @classmethod
     def of(cls, error_deg: Floats) -> "ErrorStats":
         """Return the statistics of errors (N,)."""
-        size = np.abs(error_deg)
-        p50, p95, p99 = np.percentile(size, [50, 95, 99])
+        return cls.of_blocks(split_rows(error_deg), len(error_deg))
+
+    @classmethod
+    def of_blocks(cls, blocks: Iterable[Floats], count: int) -> "ErrorStats":
+        """Return the statistics of ``count`` errors in blocks, which are gone through several times."""
+        mean = float(sum_blocks(blocks)) / count
+        p50, p95, p99 = find_quantiles(_Sizes(blocks), count, (0.5, 0.95, 0.99))
         return cls(
-            rmse_deg=float(np.sqrt(np.mean(error_deg**2))),
-            max_deg=float(size.max()),
-            mean_deg=float(error_deg.mean()),
-            variance_deg2=float(error_deg.var()),
-            p50_deg=float(p50),
-            p95_deg=float(p95),
-            p99_deg=float(p99),
+            rmse_deg=float(np.sqrt(sum_blocks(error**2 for error in blocks) / count)),
+            max_deg=float(max(np.abs(error).max() for error in blocks)),
+            mean_deg=mean,
+            variance_deg2=float(sum_blocks((error - mean) ** 2 for error in blocks)) / count,
+            p50_deg=p50,
+            p95_deg=p95,
+            p99_deg=p99,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sizes:
+    """The sizes of errors in blocks."""
+
+    blocks: Iterable[Floats]
+
+    def __iter__(self) -> Iterator[Floats]:
+        return (np.abs(block) for block in self.blocks)
 
 
 _SPLIT = ("total", "heading", "inclination")  # errors of the rotation, each >= 0
@@ -150,72 +166,138 @@ def score(
 
 def score_of(comparison: Comparison, frame: EulerFrame = "nwu", over_s: Sequence[float] = ()) -> Score:
     """Compute the figures of a comparison."""
+    moving = comparison.moving
+    columns = (comparison.q_est, comparison.q_true, comparison.cov_b_rad2, comparison.true_cov_b_rad2)
+    scored = ScoredPairs(*(None if column is None else column[moving] for column in columns))  # type: ignore[arg-type]
+    names = ("estimated", "against", "recording", "samples_outside", "samples_in_gap", "samples_unready")
+    found = score_blocks(
+        scored.split(),
+        len(scored.q_est),
+        comparison.alignment,
+        frame,
+        {name: getattr(comparison, name) for name in (*names, "moving_share")},
+    )
+    return replace(found, turns=turn_errors(comparison, over_s))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredPairs:
+    """K moving samples of a truth, and the aligned estimate there."""
+
+    q_est: Floats  # (K, 4)
+    q_true: Floats  # (K, 4)
+    cov_b_rad2: Floats | None  # (K, 3, 3) of the estimate, in the truth's body axes
+    true_cov_b_rad2: Floats | None  # (K, 3, 3) of the truth
+
+    def split(self) -> "Iterator[ScoredPairs]":
+        """Yield them as blocks (:mod:`stillpoint.scoring.blocks`)."""
+        for rows in list_blocks(len(self.q_est)):
+            cov, true_cov = (None if one is None else one[rows] for one in (self.cov_b_rad2, self.true_cov_b_rad2))
+            yield ScoredPairs(self.q_est[rows], self.q_true[rows], cov, true_cov)
+
+
+def score_blocks(
+    blocks: Iterable[ScoredPairs],
+    count: int,
+    alignment: Alignment,
+    frame: EulerFrame,
+    facts: Mapping[str, Any],
+    new_store: Callable[[], Store] = list,
+) -> Score:
+    """Compute the figures of ``count`` aligned pairs that come in blocks, once.
+
+    ``facts`` are names and counts of the comparison; ``new_store`` makes what keeps the errors, of which quantiles need
+    several passes. Raises :class:`BadParameter` for an unknown frame, :class:`BadRecording` for a covariance that is
+    none.
+    """
     if frame not in EULER_FRAMES:
         raise BadParameter(f"frame: {frame!r} is not one of {', '.join(EULER_FRAMES)}")
-    moving = comparison.moving
-    q_est, q_true = comparison.q_est[moving], comparison.q_true[moving]
-    error = attitude_error(q_est, q_true)
-    parts = {name: ErrorStats.of(np.rad2deg(getattr(error, f"{name}_rad"))) for name in _SPLIT}
-    euler_rad = euler_error(q_est, q_true, frame)
-    parts |= {name: ErrorStats.of(np.rad2deg(column)) for name, column in zip(_EULER, euler_rad.T, strict=True)}
-    nees, coverage = _consistency(comparison)
+    errors_deg, true_sd_rad = {name: new_store() for name in (*_SPLIT, *_EULER)}, new_store()
+    sampled, consistency = _Sampled(count), _Consistency()
+    n_gimbal, has_true_cov = 0, False
+    for pairs in blocks:
+        error = attitude_error(pairs.q_est, pairs.q_true)
+        for name in _SPLIT:
+            errors_deg[name].append(np.rad2deg(getattr(error, f"{name}_rad")))
+        for name, column in zip(_EULER, euler_error(pairs.q_est, pairs.q_true, frame).T, strict=True):
+            errors_deg[name].append(np.rad2deg(column))
+        n_gimbal += int(near_gimbal(pairs.q_true, frame).sum())
+        sampled.add(pairs)
+        consistency.add(pairs)
+        if pairs.true_cov_b_rad2 is not None:
+            has_true_cov = True
+            true_sd_rad.append(total_sd_rad(pairs.true_cov_b_rad2))
+    nees, coverage = consistency.close(f"{facts['estimated']} of {facts['recording']}")
+    parts = {name: ErrorStats.of_blocks(store, count) for name, store in errors_deg.items()}
     return Score(
-        estimated=comparison.estimated,
-        against=comparison.against,
-        recording=comparison.recording,
-        alignment=comparison.alignment,
+        **facts,
+        alignment=alignment,
         frame=frame,
-        samples=int(moving.sum()),
-        samples_outside=comparison.samples_outside,
-        samples_in_gap=comparison.samples_in_gap,
-        samples_unready=comparison.samples_unready,
-        moving_share=comparison.moving_share,
-        near_gimbal_share=float(near_gimbal(q_true, frame).mean()),
-        reference_sd_deg=_reference_sd_deg(comparison),
+        samples=count,
+        near_gimbal_share=n_gimbal / count,
+        reference_sd_deg=float(np.rad2deg(find_quantiles(true_sd_rad, count, (0.5,))[0])) if has_true_cov else None,
         nees_per_dof=nees,
         coverage95=coverage,
-        turns=turn_errors(comparison, over_s),
-        conversion=_find_conversion(comparison) if parts["total"].rmse_deg > ABSURD_DEG else None,
-        total=parts["total"],
-        heading=parts["heading"],
-        inclination=parts["inclination"],
-        roll=parts["roll"],
-        pitch=parts["pitch"],
-        yaw=parts["yaw"],
+        conversion=sampled.find_conversion(alignment) if parts["total"].rmse_deg > ABSURD_DEG else None,
+        **parts,
     )
 
 
-def _find_conversion(comparison: Comparison) -> str | None:
-    """Look for a fixed conversion of the estimate as it was before the alignment."""
-    alignment, moving = comparison.alignment, comparison.moving
-    raw = heading_rotation(alignment.heading_rad) * rotation(comparison.q_est[moving]) * alignment.mounting
+class _Sampled:
+    """Pairs spread evenly over all, to look for a fixed conversion of the estimate as it was before the alignment."""
 
-    def rmse_after(q_est: Floats, q_true: Floats) -> float:
-        aligned = align_pairs(q_est, q_true, alignment.kind).attitude(q_est)
-        return float(np.rad2deg(np.sqrt(np.mean(attitude_error(aligned, q_true).total_rad ** 2))))
+    def __init__(self, count: int) -> None:
+        self._rows = choose_rows(count)
+        self._pairs: list[tuple[Floats, Floats]] = []
+        self._done = 0
 
-    return find_conversion(quaternion(raw), comparison.q_true[moving], rmse_after)
+    def add(self, pairs: ScoredPairs) -> None:
+        """Take what is wanted of the next pairs."""
+        end = self._done + len(pairs.q_est)
+        rows = self._rows[(self._rows >= self._done) & (self._rows < end)] - self._done
+        self._pairs.append((pairs.q_est[rows], pairs.q_true[rows]))
+        self._done = end
+
+    def find_conversion(self, alignment: Alignment) -> str | None:
+        """Return the conversion that explains the error, in words."""
+        aligned, q_true = (np.concatenate(column) for column in zip(*self._pairs, strict=True))
+        raw = heading_rotation(alignment.heading_rad) * rotation(aligned) * alignment.mounting
+
+        def rmse_after(q_est: Floats, q_true: Floats) -> float:
+            again = align_pairs(q_est, q_true, alignment.kind).attitude(q_est)
+            return float(np.rad2deg(np.sqrt(np.mean(attitude_error(again, q_true).total_rad ** 2))))
+
+        return find_conversion(quaternion(raw), q_true, rmse_after)
 
 
-def _consistency(comparison: Comparison) -> tuple[float | None, float | None]:
-    if comparison.cov_b_rad2 is None:
-        return None, None
-    moving = comparison.moving
-    d_rad, cov = rotation_error_b(comparison.q_est[moving], comparison.q_true[moving]), comparison.cov_b_rad2[moving]
-    bad = np.linalg.eigvalsh(cov)[:, 0] <= 0
-    if bad.any():
-        raise BadRecording(
-            f"{comparison.estimated} of {comparison.recording}: its covariance is not positive definite at {bad.sum()} "
-            f"of {len(bad)} samples; leave cov_b_rad2 out where none is stated"
-        )
-    square = normalised_square(d_rad, cov)
-    return float(square.mean()) / 3.0, float((square <= CHI2_3_95).mean())
+class _Consistency:
+    """Counts how well the covariances of an estimate fit its errors."""
 
+    def __init__(self) -> None:
+        self._count = self._bad = self._inside = 0
+        self._sum = 0.0
 
-def _reference_sd_deg(comparison: Comparison) -> float | None:
-    if comparison.true_cov_b_rad2 is None:
-        return None
-    return float(np.rad2deg(np.median(total_sd_rad(comparison.true_cov_b_rad2[comparison.moving]))))
+    def add(self, pairs: ScoredPairs) -> None:
+        """Take the next pairs."""
+        if pairs.cov_b_rad2 is None:
+            return
+        self._count += len(pairs.q_est)
+        self._bad += int((np.linalg.eigvalsh(pairs.cov_b_rad2)[:, 0] <= 0).sum())
+        if not self._bad:
+            square = normalised_square(rotation_error_b(pairs.q_est, pairs.q_true), pairs.cov_b_rad2)
+            self._sum += float(square.sum())
+            self._inside += int((square <= _CHI2_3_95).sum())
+
+    def close(self, whose: str) -> tuple[float | None, float | None]:
+        """Return d' C^-1 d / 3 and the share below the 95 % point; raises :class:`BadRecording`."""
+        if self._bad:
+            raise BadRecording(
+                f"{whose}: its covariance is not positive definite at {self._bad} of {self._count} samples; "
+                "leave cov_b_rad2 out where none is stated"
+            )
+        if not self._count:
+            return None, None
+        return self._sum / self._count / 3.0, self._inside / self._count
 
 
 def score_row(score: Score) -> dict[str, Any]:
