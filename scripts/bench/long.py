@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from stillpoint.datasets.mcap.store import open_recording
-from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece
+from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece, Truth
 from stillpoint.scripts.shared.output import print_line
 
 _START_NS = 1_700_000_000_000_000_000
@@ -41,9 +41,12 @@ print(json.dumps({"wall_s": time.perf_counter() - begun, "user_s": sum(one.ru_ut
 """
 
 
-def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0) -> int:
-    """Write a recording of an IMU, a magnetometer and satellite fixes; return the samples of its IMU."""
-    pieces = _make_pieces(hours, rate_hz, seed)
+def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0, with_truth: bool = False) -> int:
+    """Write a recording of an IMU, a magnetometer, satellite fixes and, where wanted, a truth at each sample of the IMU.
+
+    Returns the samples of the IMU.
+    """
+    pieces = _make_pieces(hours, rate_hz, seed, with_truth)
     first = next(pieces)
     head = Head(path.stem, Info(source="made for timing", date="2026-01-01", epoch="unix"), {})
     samples = 0
@@ -58,7 +61,7 @@ def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0) 
     return samples
 
 
-def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
+def _make_pieces(hours: float, rate_hz: int, seed: int, with_truth: bool) -> Iterator[Piece]:
     rng = np.random.default_rng(seed)
     for begin_s in range(0, round(hours * 3600), _PIECE_S):
         n = _PIECE_S * rate_hz
@@ -73,6 +76,8 @@ def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
         of_mag, of_gps = slice(None, None, _MAG_EVERY), slice(None, None, rate_hz // _GPS_HZ)
         field = 20 * np.stack([np.sin(yaw), np.cos(yaw), np.full(n, -2.0)], axis=1)[of_mag]
         fixes = len(t_ns[of_gps])
+        zero = np.zeros(n)
+        level_q_nb = np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1)
         yield Piece(
             imu=Imu(t_ns, gyro, accel),
             mag=Mag(t_ns[of_mag], field + rng.normal(size=field.shape) * 0.3),
@@ -85,6 +90,7 @@ def _make_pieces(hours: float, rate_hz: int, seed: int) -> Iterator[Piece]:
                 speed_mps=np.zeros(fixes),
                 valid=np.ones(fixes, np.bool_),
             ),
+            truth=Truth(t_ns, level_q_nb, moving=phase > 0) if with_truth else None,
         )
 
 
@@ -102,12 +108,13 @@ def _main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--rate", type=int, default=200)
+    parser.add_argument("--truth", action="store_true", help="with a truth, for score")
     parser.add_argument("verbs", nargs="*", help="a verb with its options, in quotes")
     given = parser.parse_intermixed_args()
-    path = given.folder / f"long-{given.hours:g}h-{given.rate}hz.mcap"
+    path = given.folder / f"long-{given.hours:g}h-{given.rate}hz{'-truth' * given.truth}.mcap"
     if not path.exists():
         begun = time.perf_counter()
-        count = write_long_recording(path, given.hours, given.rate)
+        count = write_long_recording(path, given.hours, given.rate, with_truth=given.truth)
         seconds, size_mb = time.perf_counter() - begun, path.stat().st_size / 1e6
         print_line(f"{path.name}: {count} samples, {size_mb:.0f} MB in {seconds:.0f} s", flush=True)
     for verb in given.verbs:
