@@ -24,7 +24,7 @@ from stillpoint.scoring.turns import TurnError, turn_errors
 if TYPE_CHECKING:
     import pandas as pd
 
-_CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
+CHI2_3_95 = float(chdtri(3, 0.05))  # scipy.stats has it too, and takes half a second to import
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ class _Consistency:
         if not self._bad:
             square = normalised_square(rotation_error_b(pairs.q_est, pairs.q_true), pairs.cov_b_rad2)
             self._sum += float(square.sum())
-            self._inside += int((square <= _CHI2_3_95).sum())
+            self._inside += int((square <= CHI2_3_95).sum())
 
     def close(self, whose: str) -> tuple[float | None, float | None]:
         """Return d' C^-1 d / 3 and the share below the 95 % point; raises :class:`BadRecording`."""
