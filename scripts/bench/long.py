@@ -42,9 +42,9 @@ print(json.dumps({"wall_s": time.perf_counter() - begun, "user_s": sum(one.ru_ut
 
 
 def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0, with_truth: bool = False) -> int:
-    """Write a recording of an IMU, a magnetometer, satellite fixes and, where wanted, a truth at each sample of the IMU.
+    """Write a recording of an IMU, a magnetometer and satellite fixes; return the samples of its IMU.
 
-    Returns the samples of the IMU.
+    ``with_truth``: it also has the true attitude at each of them.
     """
     pieces = _make_pieces(hours, rate_hz, seed, with_truth)
     first = next(pieces)
