@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
+from stillpoint.datasets.cut import cut_recording
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable, require_known
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording, Truth
@@ -40,6 +41,7 @@ from stillpoint.studies.leaderboard.verdicts import merge_rows
 from stillpoint.studies.result_store import ResultStore, product_version
 
 Sampler = Literal["tpe", "random", "grid"]
+_LEAD_S = 5.0  # before the first motion, for an estimator to start
 _JUDGED_HZ = 25.0  # stamps of a judge that are compared: RMSE over more differ by 0.02 %
 _RMSE_ATTRIBUTE = "rmse_deg"  # of a trial: one value per recording
 
@@ -91,6 +93,7 @@ class TuneSpec:
     trials: int
     seed: int
     journal: Path
+    seconds: float | None = None  # of motion in each recording; None: all of it
 
     def __str__(self) -> str:
         return f"trials of {self.estimator}"
@@ -104,6 +107,7 @@ class TuneSpec:
             [asdict(each) for each in self.ranges],
             [source.sha256 for source in self.sources],
             [self.against, self.align, self.calibration, self.sampler, self.steps if self.sampler == "grid" else 0],
+            self.seconds,
         ]
         return hashlib.sha256(json.dumps(deciding).encode()).hexdigest()
 
@@ -153,19 +157,22 @@ def tune(
     against: Against = "auto",
     align: AlignKind = "heading",
     calibration: str = NONE,
+    seconds: float | None = None,
     workers: int = 1,
     run_jobs: JobRunner = run_here,
 ) -> Tuning:
     """Tune an estimator of the table over recordings.
 
     Trials are kept in ``out``/ESTIMATOR.journal: a second call goes on where the first one stopped, and several
-    processes may work on one journal. ``workers`` is how many of them ``run_jobs`` starts.
+    processes may work on one journal. ``workers`` is how many of them ``run_jobs`` starts. With ``seconds`` the
+    estimator runs over so much of each recording, from 5 s before its first moving sample; references and
+    calibrations are still those of whole recordings.
 
     Raises :class:`BadParameter` for an unknown estimator or parameter, a range beyond what the parameter allows, and a
     missing package; :class:`Unobservable` when no recording can be judged.
     """
     _require_optuna()
-    _check(estimator, ranges, against, trials, steps)
+    _check(estimator, ranges, against, trials, steps, seconds)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     store = ResultStore(folder / RESULTS)
@@ -189,6 +196,7 @@ def tune(
         trials=steps ** len(ranges) if sampler == "grid" else trials,
         seed=seed,
         journal=folder / f"{estimator}.journal",
+        seconds=seconds,
     )
     outcomes = run_jobs(_run_trials, [replace(spec, seed=seed + k) for k in range(max(workers, 1))], "trials")
     errors = [outcome.error for outcome in outcomes if outcome.error]
@@ -271,12 +279,13 @@ def _summarise(spec: TuneSpec) -> Tuning:
     defaults = TunedTrial(_defaults_of(spec), tuple(defaults_rmse), _typical(defaults_rmse, bench.row_of))
     table = np.array([trial.rmse_deg for trial in trials])
     devices = sorted({source.device or source.source or "unknown device" for source in spec.sources})
+    part = "" if spec.seconds is None else f"the first {spec.seconds:g} s of motion of "
     return Tuning(
         estimator=spec.estimator,
         figure=bench.figure,
         recordings=tuple(source.recording for source in spec.sources),
         sha256={source.recording: source.sha256 for source in spec.sources},
-        tuned_on=f"tuned on {len(spec.sources)} recordings ({', '.join(devices)})",
+        tuned_on=f"tuned on {part}{len(spec.sources)} recordings ({', '.join(devices)})",
         ranges=spec.ranges,
         trials=tuple(trials),
         defaults=defaults,
@@ -288,6 +297,7 @@ def _summarise(spec: TuneSpec) -> Tuning:
             "align": spec.align,
             "against": spec.against,
             "calibration": spec.calibration,
+            "seconds": spec.seconds,
             "stillpoint": product_version(),
         },
     )
@@ -338,13 +348,17 @@ def _require_optuna() -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 
-def _check(estimator: str, ranges: Sequence[ParamRange], against: str, trials: int, steps: int) -> None:
+def _check(
+    estimator: str, ranges: Sequence[ParamRange], against: str, trials: int, steps: int, seconds: float | None
+) -> None:
     require_known(estimator, ATTITUDES, "estimator of attitude")
     require_known(against, AGAINST, "--against")
     if not ranges:
         raise BadParameter(f"no parameter of {estimator} to tune: --param NAME=LOW:HIGH[:log]")
     if trials < 1 or steps < 2:
         raise BadParameter("give at least 1 trial, and 2 steps per parameter of a grid")
+    if seconds is not None and not seconds > 0:
+        raise BadParameter(f"--seconds {seconds:g}: give a length of time above 0")
     defaults = ESTIMATORS[estimator].params()
     for each in ranges:
         for end in (each.low, each.high):
@@ -406,8 +420,14 @@ def _load(spec: TuneSpec, source: Source) -> tuple[Recording, Reference | Truth,
     if file is not None:
         recording = apply_calibration(recording, load_calibration(file), source.sha256)
     t_ns = judge.trajectory.t_ns
+    moving = judge.moving
+    if spec.seconds is not None:
+        begin_ns = int(t_ns[np.argmax(moving)])
+        end_ns = begin_ns + round(spec.seconds * 1e9)
+        recording = cut_recording(recording, begin_ns - round(_LEAD_S * 1e9), end_ns, recording.name)
+        moving = moving & (t_ns <= end_ns)
     rate_hz = 1e9 * (len(t_ns) - 1) / max(int(t_ns[-1] - t_ns[0]), 1)
     step = max(1, int(rate_hz // _JUDGED_HZ))
     kept = slice(None, None, step)
-    thin = Truth(t_ns[kept], judge.trajectory.q_nb[kept], judge.moving[kept])
-    return recording, thin, judge.moving[kept]
+    thin = Truth(t_ns[kept], judge.trajectory.q_nb[kept], moving[kept])
+    return recording, thin, moving[kept]

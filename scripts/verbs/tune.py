@@ -29,7 +29,7 @@ def tune(
     paths: Inputs,
     /,
     *,
-    estimator: Annotated[str, Parameter(name=["--estimator", "-e"])],
+    estimator: Annotated[str, Parameter(name=["--estimators", "-e", "--estimator"])],
     param: Annotated[list[str], Parameter(negative=())],
     save: Path | None = None,
     out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path("tune"),
@@ -40,6 +40,7 @@ def tune(
     against: Against = "auto",
     align: AlignKind = "heading",
     calibration: str = "none",
+    seconds: float | None = None,
     workers: Workers = LOCAL,
     force: Annotated[bool, Parameter(negative=())] = False,
     json: JsonFile = None,
@@ -55,7 +56,7 @@ def tune(
     paths
         Recordings: MCAP files, folders or globs.
     estimator
-        The estimator, as for estimate.
+        The estimator, one at a time; names as for estimate.
     param
         A parameter and its range, NAME=LOW:HIGH or NAME=LOW:HIGH:log, for example omega0_radps=0.02:2:log; can be
         given several times.
@@ -77,6 +78,9 @@ def tune(
         What may differ without being an error, as for score.
     calibration
         Input of the estimator: none, reference or a file, as for leaderboard.
+    seconds
+        Run the estimator over only so many seconds of motion of each recording, where it is too slow for all of it
+        (madgwick takes minutes a recording).
     force
         Forget the trials and results in the output folder and begin anew.
     json
@@ -84,6 +88,8 @@ def tune(
     """
     if against == "both":
         raise BadParameter("--against both: tuning needs one judge for each recording; give truth, reference or auto")
+    if "," in estimator:
+        raise BadParameter(f"--estimators {estimator}: tune takes one at a time, as each has parameters of its own")
     ranges = [ParamRange.parse(text) for text in param]
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
@@ -104,6 +110,7 @@ def tune(
         against=against,
         align=align,
         calibration=calibration,
+        seconds=seconds,
         workers=workers.jobs or 1,
         run_jobs=run,
     )

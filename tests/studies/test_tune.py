@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillpoint.datasets import BadParameter, write
+from stillpoint.datasets import BadParameter, read, write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.studies.leaderboard import leaderboard
@@ -64,6 +64,22 @@ def test_tpe_goes_on_to_the_number_asked_for(files, tmp_path):
     assert len(more.trials) == 5
 
 
+def test_seconds_score_no_more_than_that_stretch(files, tuning, tmp_path):
+    cut = tune(files, "cf", [RANGE], tmp_path, sampler="grid", steps=4, seconds=20.0)
+    assert cut.tuned_on.startswith("tuned on the first 20 s of motion of 2 recordings")
+    assert cut.trials != tuning.trials, "another stretch has other errors"
+    whole = tune(files, "cf", [RANGE], tmp_path, sampler="grid", steps=4, seconds=3600.0)
+    begins_late = [np.argmax(read(file).truth.moving) > 0 for file in files]
+    assert begins_late == [True, True], "otherwise the estimator would start at the same sample"
+    assert whole.new_trials == 4, "trials of another stretch are not taken for these"
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
+def test_seconds_must_be_above_0(files, tmp_path, seconds):
+    with pytest.raises(BadParameter, match="--seconds"):
+        tune(files, "cf", [RANGE], tmp_path, seconds=seconds)
+
+
 def test_saved_setting_is_what_the_leaderboard_runs(files, tuning, tmp_path):
     saved = tmp_path / "mine.toml"
     saved.write_text(tuning_toml(tuning))
@@ -105,8 +121,6 @@ def test_range_beyond_what_the_parameter_allows_is_refused(files, tmp_path):
 
 def test_estimates_while_starting_count(files, tuning):
     """A setting that starts slowly must not be scored on fewer samples."""
-    from stillpoint.datasets import read
-
     made = estimate(read(files[0]), "cf", {"omega0_radps": 0.05})
     assert made.ready is not None
     assert not made.ready.all(), "otherwise this test says nothing"
