@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets.fetch import Fetched, Source, fetch_trials, find_source
-from stillpoint.scripts.shared.flags import OutBeside
+from stillpoint.scripts.shared.flags import Jobs, OutBeside
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.import_ import Flags, import_
@@ -23,6 +23,7 @@ def fetch(
     list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
     to: Annotated[Path | None, Parameter(name="--import")] = None,
     mirror: str | None = None,
+    jobs: Jobs = None,
 ) -> int:
     """Fetch a published dataset with optical truth into FOLDER/DATASET, and say its licence and how to cite it.
 
@@ -42,6 +43,8 @@ def fetch(
         Also import what was fetched into this folder.
     mirror
         Address of another server with the same paths, http://....
+    jobs
+        Processes that import; by default one per core for many trials.
     """
     source = find_source(dataset)
     chosen = source.select([text for each in trials or () for text in each.split(",")])
@@ -62,7 +65,7 @@ def fetch(
     if to is None:
         print_line("the same command with --import FOLDER makes MCAP files of them")
         return 0
-    return _import_trials(source, items, to)
+    return _import_trials(source, items, to, jobs)
 
 
 def _say(one: Fetched) -> None:
@@ -70,6 +73,6 @@ def _say(one: Fetched) -> None:
         print_line(f"  {one.path.name}", flush=True)
 
 
-def _import_trials(source: Source, items: list[Path], to: Path) -> int:
+def _import_trials(source: Source, items: list[Path], to: Path, jobs: int | None) -> int:
     settings: dict[str, Any] = dict(source.settings)
-    return import_(source.kind, *items, out=to, flags=Flags(**settings))
+    return import_(source.kind, *items, out=to, jobs=jobs, flags=Flags(**settings))

@@ -2,15 +2,12 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from cyclopts import App, Group, Parameter
-from rich.console import Console
-from rich.text import Text
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError, require_known
 from stillpoint.datasets.importers.imported import Imported
@@ -18,10 +15,10 @@ from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.parts import split_recording
 from stillpoint.datasets.mcap.store import sha256, write
-from stillpoint.datasets.names import make_printable
-from stillpoint.datasets.recording import Recording, rate_hz
-from stillpoint.scripts.shared.flags import OutDir, read_span
+from stillpoint.datasets.recording import Info, Recording, rate_hz
+from stillpoint.scripts.shared.flags import Jobs, OutDir, Workers, read_span
 from stillpoint.scripts.shared.inputs import output_dir
+from stillpoint.scripts.shared.jobs import ITEMS_PER_WORKER, exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
@@ -211,12 +208,33 @@ _NO_FLAGS = Flags()
 
 
 @dataclass(frozen=True)
+class _Item:
+    """One recording of a source, and what is to be done with it; it can be pickled."""
+
+    kind: str
+    options: Options
+    source: Path
+    path: Path  # of the recording in the source
+    out: Path
+    claims: Path  # folder in which the names of this import are taken, so that no two recordings share one
+    repair: bool
+    skip: tuple[str, ...]
+    span_s: float | None  # longest part; None: the recording whole
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+@dataclass(frozen=True)
 class _Kept:
-    """A recording and the file it went to."""
+    """What is told about a recording, and the file it went to."""
 
     source: Path
     file: Path
-    recording: Recording
+    name: str
+    duration_s: float
+    streams: dict[str, dict[str, float]]  # samples and rate_hz of each
+    info: Info
     estimates: tuple[Path, ...]  # of the device, beside the recording
 
 
@@ -228,6 +246,7 @@ def import_(
     repair: Annotated[bool, Parameter(negative="")] = False,
     skip: Annotated[tuple[str, ...], Parameter(name="--skip", negative="")] = (),
     split: str | None = None,
+    jobs: Jobs = None,
     json: JsonFile = None,
     flags: Annotated[Flags, Parameter(name="*")] = _NO_FLAGS,
 ) -> int:
@@ -252,6 +271,8 @@ def import_(
     split
         Write recordings in parts of this length, for example 1h or 600s: NAME-001.mcap, NAME-002.mcap and so on;
         stillpoint join makes one of them again.
+    jobs
+        Processes; by default one per core for many recordings, else this one alone.
     json
         Also write what was imported as JSON to this file; - is the standard output.
     flags
@@ -264,41 +285,85 @@ def import_(
     if not sources:
         raise BadParameter(f"no source: name files or folders of kind {kind}")
     span_s = None if split is None else read_span(split, "--split").total_seconds()
-    kept: dict[Path, _Kept] = {}
     failed: list[str] = []
-    with Console(stderr=True).status("import") as status:
-        for source, imported in _split_all(_read_sources(importer, options, sources, repair, skip, failed), span_s):
-            recording = imported.recording
-            status.update(Text(make_printable(f"import {recording.name}")))
-            file = output_dir(out) / f"{recording.name}.mcap"
-            if file in kept:
-                raise BadSource(
-                    f"{source}: a recording {recording.name} was already imported from {kept[file].source}; "
-                    "import them into different folders"
-                )
-            write(file, recording)
-            beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
-            for estimate_file, estimate in beside.items():
-                write(estimate_file, replace(estimate, made_from={**estimate.made_from, file.name: sha256(file)}))
-            kept[file] = _Kept(source, file, recording, tuple(beside))
+    found = _find_items(importer, sources, failed)
+    folder = output_dir(out)
+    with TemporaryDirectory(prefix="stillpoint-") as claims:
+        items = [
+            _Item(kind, options, source, path, folder, Path(claims), repair, skip, span_s) for source, path in found
+        ]
+        outcomes = run_jobs(_import_item, items, Workers(jobs), "import", here_up_to=ITEMS_PER_WORKER)
+    failed += [outcome.error for outcome in outcomes if outcome.error is not None]
+    kept = [one for outcome in outcomes for one in outcome.value or ()]
+    if len(failed) == 1 and not kept and not any(outcome.defect for outcome in outcomes):
+        raise BadSource(failed[0])
+    for error in failed:
+        print_line(f"stillpoint: {error}", file=sys.stderr)
     if kept and json != STDOUT:
-        _show(list(kept.values()))
+        _show(kept)
     if failed and json != STDOUT:
         print_line(f"{len(failed)} not imported")
-    write_json(json, [_facts(one) for one in kept.values()])
-    return 2 if failed else 0
+    write_json(json, [_facts(one) for one in kept])
+    return exit_code(outcomes) or (2 if failed else 0)
 
 
-def _split_all(all_imported: Iterable[tuple[Path, Imported]], span_s: float | None) -> Iterator[tuple[Path, Imported]]:
-    """Yield each recording, or its parts where a length is given."""
-    for source, imported in all_imported:
-        if span_s is None:
-            yield source, imported
-            continue
+def _find_items(importer: Importer, sources: tuple[Path, ...], failed: list[str]) -> list[tuple[Path, Path]]:
+    """Return each source with each recording in it; the error of a source is added to ``failed``."""
+    items: list[tuple[Path, Path]] = []
+    for source in dict.fromkeys(sources):
+        try:
+            items += [(source, path) for path in importer.find_items(source)]
+        except StillpointError as error:
+            failed.append(str(error))
+    return items
+
+
+def _import_item(item: _Item) -> list[_Kept]:
+    """Read one recording, mend and split it as asked, and write it; raises :class:`BadSource` for a name twice."""
+    imported = _read(item)
+    parts = [imported]
+    if item.span_s is not None:
         if imported.estimates:
-            print_line(f"stillpoint: {source}: --split leaves out the attitude of the device itself", file=sys.stderr)
-        for part in split_recording(imported.recording, span_s):
-            yield source, replace(imported, recording=part, estimates=())
+            print_line(f"stillpoint: {item}: --split leaves out the attitude of the device itself", file=sys.stderr)
+        split = split_recording(imported.recording, item.span_s)
+        parts = [replace(imported, recording=part, estimates=()) for part in split]
+    return [_write(item, part) for part in parts]
+
+
+def _read(item: _Item) -> Imported:
+    importer = IMPORTERS[item.kind]
+    if not item.repair:
+        return importer.read_one(item.path, item.options)
+    # Sizes are tested after the repair: what the doctor mends need not be refused before.
+    imported = importer.read_one(item.path, replace(item.options, units_unchecked=True))
+    mended = _repair(imported.recording, item.path, item.skip, item.options.units_unchecked)
+    return replace(imported, recording=mended)
+
+
+def _write(item: _Item, imported: Imported) -> _Kept:
+    recording = imported.recording
+    file = item.out / f"{recording.name}.mcap"
+    _claim(item, file)
+    write(file, recording)
+    beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
+    for estimate_file, estimate in beside.items():
+        write(estimate_file, replace(estimate, made_from={**estimate.made_from, file.name: sha256(file)}))
+    streams = {name: {"samples": len(t_ns), "rate_hz": rate_hz(t_ns)} for name, t_ns in recording.streams()}
+    return _Kept(item.source, file, recording.name, recording.duration_s, streams, recording.info, tuple(beside))
+
+
+def _claim(item: _Item, file: Path) -> None:
+    """Take the name of a file for this recording; raises :class:`BadSource` when another one has taken it."""
+    claim = item.claims / file.name
+    try:
+        with open(claim, "x", encoding="utf-8", errors="surrogateescape") as taken:
+            taken.write(str(item.source))
+    except FileExistsError:
+        first = claim.read_text(encoding="utf-8", errors="surrogateescape")
+        raise BadSource(
+            f"{item}: a recording {file.stem} was already imported from {first or 'another source'}; "
+            "import them into different folders"
+        ) from None
 
 
 def _importer(kind: str, given: dict[str, Any]) -> tuple[Importer, Options]:
@@ -325,41 +390,6 @@ def _choices(annotation: Any) -> tuple[str, ...]:
     return ()
 
 
-def _read_sources(
-    importer: Importer,
-    options: Options,
-    sources: tuple[Path, ...],
-    repair: bool,
-    skip: tuple[str, ...],
-    failed: list[str],
-) -> Iterator[tuple[Path, Imported]]:
-    """Yield every recording with its source; an error goes to stderr and ``failed``, that of a single one is raised."""
-    items: list[tuple[Path, Path]] = []
-    for source in dict.fromkeys(sources):
-        with _note_failure(failed, alone=len(sources) == 1):
-            items += [(source, item) for item in importer.find_items(source)]
-    for source, item in items:
-        with _note_failure(failed, alone=len(items) == 1 and not failed):
-            if not repair:
-                yield source, importer.read_one(item, options)
-                continue
-            # Sizes are tested after the repair: what the doctor mends need not be refused before.
-            imported = importer.read_one(item, replace(options, units_unchecked=True))
-            yield source, replace(imported, recording=_repair(imported.recording, item, skip, options.units_unchecked))
-
-
-@contextmanager
-def _note_failure(failed: list[str], alone: bool) -> Iterator[None]:
-    """Print and keep the error of one source of several."""
-    try:
-        yield
-    except StillpointError as error:
-        if alone:
-            raise
-        print_line(f"stillpoint: {error}", file=sys.stderr)
-        failed.append(str(error))
-
-
 def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unchecked: bool) -> Recording:
     from stillpoint.datasets.doctor import apply
     from stillpoint.scripts.verbs.doctor import examine, select_remedies
@@ -373,23 +403,21 @@ def _repair(recording: Recording, source: Path, skip: tuple[str, ...], units_unc
 
 def _show(kept: list[_Kept]) -> None:
     """Print one table of the recordings; below it what was converted, once where it holds for all, and notes."""
-    present = [name for name in _STREAMS if any(getattr(one.recording, name) is not None for one in kept)]
+    present = [name for name in _STREAMS if any(name in one.streams for one in kept)]
     rows = []
     for one in kept:
-        rates = {name: f"{rate_hz(t_ns):.1f}" for name, t_ns in one.recording.streams()}
-        rows.append(
-            [one.recording.name, f"{one.recording.duration_s:.1f}", *(rates.get(name, "-") for name in present)]
-        )
+        rates = [f"{one.streams[name]['rate_hz']:.1f}" if name in one.streams else "-" for name in present]
+        rows.append([one.name, f"{one.duration_s:.1f}", *rates])
     print_table("imported", ["recording", "s", *(f"{name}, Hz" for name in present)], [rows], texts=1)
-    lines = Counter(line for one in kept for line in _list_lines(one.recording))
+    lines = Counter(line for one in kept for line in _list_lines(one.info))
     print_line()
-    print_line(f"{'all' if len(kept) > 1 else kept[0].recording.name}:")
+    print_line(f"{'all' if len(kept) > 1 else kept[0].name}:")
     for line in (line for line, count in lines.items() if count == len(kept)):
         print_line(f"  {line}")
     for one in kept:
-        own = [line for line in _list_lines(one.recording) if lines[line] < len(kept)]
+        own = [line for line in _list_lines(one.info) if lines[line] < len(kept)]
         if own:
-            print_line(f"{one.recording.name}:")
+            print_line(f"{one.name}:")
         for line in own:
             print_line(f"  {line}")
     for file in (file for one in kept for file in one.estimates):
@@ -398,24 +426,23 @@ def _show(kept: list[_Kept]) -> None:
     print_line(f"{len(kept)} written to {kept[0].file.parent}")
 
 
-def _list_lines(recording: Recording) -> list[str]:
+def _list_lines(info: Info) -> list[str]:
     """Return conversions and notes, each once."""
-    notes = (f"note: {note}" for note in recording.info.notes)
-    return list(dict.fromkeys((*recording.info.conversions, *notes)))
+    notes = (f"note: {note}" for note in info.notes)
+    return list(dict.fromkeys((*info.conversions, *notes)))
 
 
 def _facts(one: _Kept) -> dict[str, Any]:
-    recording = one.recording
     return {
-        "recording": recording.name,
+        "recording": one.name,
         "file": str(one.file),
         "source": str(one.source),
         "estimates": [str(file) for file in one.estimates],
-        "duration_s": recording.duration_s,
-        "streams": {name: {"samples": len(t_ns), "rate_hz": rate_hz(t_ns)} for name, t_ns in recording.streams()},
-        "conversions": list(recording.info.conversions),
-        "notes": list(recording.info.notes),
-        "sha256": dict(recording.info.sha256),
+        "duration_s": one.duration_s,
+        "streams": one.streams,
+        "conversions": list(one.info.conversions),
+        "notes": list(one.info.notes),
+        "sha256": dict(one.info.sha256),
     }
 
 

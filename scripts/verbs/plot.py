@@ -1,10 +1,11 @@
 """``stillpoint plot``: one figure for a paper, of a recording with its estimates or of a leaderboard."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -19,6 +20,11 @@ from stillpoint.scripts.shared.flags import Inputs
 from stillpoint.scripts.shared.inputs import SUFFIX, kind_of
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.verbs.report import gather_material
+
+if TYPE_CHECKING:  # imported where a leaderboard is drawn
+    from matplotlib.axes import Axes
+
+    from stillpoint.studies.leaderboard import Leaderboard, Table
 
 Kind = Literal["angles", "errors", "ranking", "map"]
 _BOARD_FILE = "leaderboard.json"
@@ -35,11 +41,13 @@ def plot(
     frame: EulerFrame = "nwu",
     from_s: Annotated[float | None, Parameter(name="--from")] = None,
     to_s: Annotated[float | None, Parameter(name="--to")] = None,
+    table: str | None = None,
     width: float = COLUMN_IN,
 ) -> None:
     """Draw one figure for a paper.
 
-    Writes a PDF, SVG or PNG at the width of a column, with type that stays readable there.
+    Writes a PDF, SVG or PNG at the width of a column, with type that stays readable there. The ranking of a leaderboard
+    with several tables becomes a figure for each: OUT, OUT-2 and so on.
 
     Parameters
     ----------
@@ -59,17 +67,21 @@ def plot(
         Begin of the shown stretch, in seconds from the start.
     to_s
         End of the shown stretch, in seconds from the start.
+    table
+        For ranking: the number of one table, or the tag or device of a group, to draw that one alone.
     width
         Width of the figure in inches.
     """
+    if table is not None and kind != "ranking":
+        raise BadParameter(f"--table {table}: chooses a ranking; give --kind ranking")
     if kind in ("ranking", "map"):
-        _plot_board(_find_board_file(paths), kind, out, width)
+        _plot_board(_find_board_file(paths), kind, out, width, table)
     else:
         _plot_run(paths, kind, out, width, align, frame, (from_s, to_s))
-    print_line(out)
+        print_line(out)
 
 
-def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
+def _plot_board(file: Path, kind: Kind, out: Path, width: float, wanted: str | None) -> None:
     from stillpoint.studies.leaderboard import Leaderboard
     from stillpoint.studies.publish.figures import draw_map, draw_ranking, get_map_height_in, get_ranking_height_in
 
@@ -80,9 +92,32 @@ def _plot_board(file: Path, kind: Kind, out: Path, width: float) -> None:
         raise BadParameter(f"{file}: is no result of stillpoint leaderboard ({reason})") from None
     if kind == "map":
         write_figure(out, 1, get_map_height_in(board), lambda axes: draw_map(axes[0], board), width)
-    else:
-        table = board.tables[0]
-        write_figure(out, 1, get_ranking_height_in(table), lambda axes: draw_ranking(axes[0], table), width)
+        print_line(out)
+        return
+    for k, table in enumerate(board.tables if wanted is None else _choose_tables(board, wanted)):
+        target = out if k == 0 else out.with_stem(f"{out.stem}-{k + 1}")
+        write_figure(target, 1, get_ranking_height_in(table), partial(_draw_on_first, draw_ranking, table), width)
+        print_line(f"{target}: {_name_table(table)}")
+
+
+def _draw_on_first(draw: "Callable[[Axes, Table], None]", table: "Table", axes: "Sequence[Axes]") -> None:
+    draw(axes[0], table)
+
+
+def _choose_tables(board: "Leaderboard", wanted: str) -> "Sequence[Table]":
+    """Return the table with a number as they are printed, or those of a group; raises :class:`BadParameter`."""
+    numbered = {str(k): table for k, table in enumerate(board.tables, 1)}
+    chosen = [numbered[wanted]] if wanted in numbered else [group for group in board.groups if group.name == wanted]
+    if not chosen:
+        listed = [f"{k} ({_name_table(table)})" for k, table in numbered.items()]
+        known = ", ".join([*listed, *dict.fromkeys(group.name for group in board.groups)])
+        raise BadParameter(f"--table {wanted}: there is no such table; there are {known}")
+    return chosen
+
+
+def _name_table(table: "Table") -> str:
+    whose = f"{table.name}, " if table.name else ""
+    return f"{whose}by {table.ranked_by} against {table.against}, input {table.inputs}"
 
 
 def _find_board_file(paths: Sequence[Path]) -> Path:

@@ -1,4 +1,8 @@
-"""The ranking of a leaderboard as a table for papers and spreadsheets: LaTeX, CSV, Markdown, HTML, pandas."""
+"""The ranking of a leaderboard as a table for papers and spreadsheets: LaTeX, CSV, Markdown, HTML, pandas.
+
+Names of estimators and files may hold any character. In every text those that are not printable are escaped, and then
+those that the format itself would read.
+"""
 
 import csv
 import io
@@ -6,6 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.names import make_printable
 from stillpoint.studies.leaderboard import Leaderboard, Row, Summary, Table
 
 if TYPE_CHECKING:
@@ -29,6 +34,7 @@ _LATEX = {
     ">": r"\textgreater{}",
     "–": "--",
 }
+MARKDOWN = str.maketrans({letter: f"\\{letter}" for letter in "\\`*_[]<>|~$&"})
 
 
 def format_latex(board: Leaderboard) -> str:
@@ -42,7 +48,7 @@ def format_csv(board: Leaderboard) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else ["estimator"], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: _make_plain(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
 
 
@@ -51,11 +57,11 @@ def format_markdown(board: Leaderboard) -> str:
     parts = []
     for table in board.tables:
         headings = _list_headings(table)
-        rows = [[cell.replace("|", "\\|") for cell in cells] for cells in _list_cells(table)]
+        rows = [[cell.translate(MARKDOWN) for cell in cells] for cells in _list_cells(table)]
         aligned = ["---" if k == 1 else "---:" for k in range(len(headings))]
         lines = [headings, aligned, *rows]
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        parts.append(f"{text}\n\n{_make_caption(table)} {table.conclusion}\n")
+        parts.append(f"{text}\n\n{f'{_make_caption(table)} {_conclude(table)}'.translate(MARKDOWN)}\n")
     return "\n".join(parts)
 
 
@@ -69,7 +75,7 @@ def format_html(board: Leaderboard) -> str:
         )
         parts.append(
             f"<table><caption>{escape(_make_caption(table))}</caption><thead><tr>{head}</tr></thead>"
-            f"<tbody>{body}</tbody></table><p>{escape(table.conclusion)}</p>"
+            f"<tbody>{body}</tbody></table><p>{escape(_conclude(table))}</p>"
         )
     return "".join(parts)
 
@@ -81,7 +87,7 @@ def format_text(board: Leaderboard) -> str:
         lines = [_list_headings(table), *_list_cells(table)]
         widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
         padded = ["  ".join(_pad(line[k], width, k) for k, width in enumerate(widths)).rstrip() for line in lines]
-        parts.append("\n".join([_make_caption(table), *padded, table.conclusion]))
+        parts.append("\n".join([_make_caption(table), *padded, _conclude(table)]))
     return "\n\n".join(parts)
 
 
@@ -140,7 +146,7 @@ def _format_cells(row: Row, table: Table) -> list[str]:
     others = [getattr(row, f"{error}_rmse_deg") for error in _ERRORS if error != table.ranked_by]
     return [
         "–" if row.rank is None else "–".join(dict.fromkeys(map(str, row.rank))),
-        row.label,
+        make_printable(row.label),
         _format_typical(lead),
         "–" if lead is None else f"{lead.ci95[0]:.2f}–{lead.ci95[1]:.2f}",
         *map(_format_typical, others),
@@ -154,8 +160,17 @@ def _format_typical(summary: Summary | None) -> str:
     return "–" if summary is None else f"{summary.typical:.2f}"
 
 
+def _make_plain(value: Any) -> Any:
+    """Return a figure as it is, and a text in which every letter is printable."""
+    return make_printable(value) if isinstance(value, str) else value
+
+
+def _conclude(table: Table) -> str:
+    return make_printable(table.conclusion)
+
+
 def _make_caption(table: Table) -> str:
-    return (
+    return make_printable(
         f"RMSE in degrees against {table.against} over {len(table.recordings)} recordings, input {table.inputs}, "
         f"ranked by the {table.ranked_by} error; geometric means with 95 % intervals."
     )
@@ -165,7 +180,7 @@ def _format_latex_table(table: Table) -> str:
     lines = [
         r"\begin{table}",
         r"\centering",
-        rf"\caption{{{_escape_latex(_make_caption(table))} {_escape_latex(table.conclusion)}}}",
+        rf"\caption{{{_escape_latex(_make_caption(table))} {_escape_latex(_conclude(table))}}}",
         r"\begin{tabular}{rlrrrrrrr}",
         r"\toprule",
         f"{' & '.join(map(_escape_latex, _list_headings(table)))} \\\\",

@@ -73,6 +73,21 @@ def test_two_recordings_of_one_name_are_not_written_over_each_other(call, log, t
     assert "already imported from" in capsys.readouterr().err
 
 
+def test_processes_write_the_same_bytes_and_refuse_a_name_that_another_has_taken(call, log, tmp_path, capsys):
+    other = log.with_name("other.csv")
+    other.write_text(log.read_text())
+    (tmp_path / "again").mkdir()
+    twin = tmp_path / "again" / "other.csv"
+    twin.write_text(log.read_text())
+    assert call("import", "csv", log, other, "-o", tmp_path / "one", *FLAGS) == 0
+    assert call("import", "csv", log, other, twin, "-o", tmp_path / "two", *FLAGS, "--jobs", "2") == 2
+    printed = capsys.readouterr()
+    assert "other was already imported from" in printed.err
+    assert "1 not imported" in printed.out
+    assert (tmp_path / "two" / "still.mcap").read_bytes() == (tmp_path / "one" / "still.mcap").read_bytes()
+    assert sorted(file.name for file in (tmp_path / "two").iterdir()) == ["other.mcap", "still.mcap"]
+
+
 def test_info_finds_rates_gaps_and_rests(call, tmp_path, capsys):
     """20 s of rest, a second without samples, 20 s of swinging, 20 s of rest; 100 Hz with 1 mrad/s of noise."""
     t_s = np.concatenate([np.arange(0, 20, 0.01), np.arange(21, 61, 0.01)])

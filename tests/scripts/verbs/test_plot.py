@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 from boards import make_board
@@ -57,9 +58,25 @@ def test_a_leaderboard_is_drawn_from_its_folder_or_its_file(call, folder, tmp_pa
     assert out.read_bytes().startswith(b"%PDF")
 
 
+def test_every_table_of_a_leaderboard_is_drawn_or_the_one_that_is_asked_for(call, tmp_path, capsys) -> None:
+    board = make_board()
+    second = replace(board.tables[0], ranked_by="inclination", rows=board.tables[0].rows[:2], pairs=())
+    (tmp_path / "leaderboard.json").write_text(json.dumps(replace(board, tables=(*board.tables, second)).to_json()))
+    out = tmp_path / "figure.svg"
+    assert call("plot", tmp_path, "--kind", "ranking", "-o", out) == 0
+    assert "inclination RMSE" in (tmp_path / "figure-2.svg").read_text()
+    assert "total RMSE" in out.read_text()
+    assert call("plot", tmp_path, "--kind", "ranking", "-o", out, "--table", "2") == 0
+    assert out.read_text() == (tmp_path / "figure-2.svg").read_text()
+    assert call("plot", tmp_path, "--kind", "ranking", "-o", out, "--table", "slow") == 0
+    assert "figure.svg: slow, by total" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        ([".", "--kind", "ranking", "-o", "x.pdf", "--table", "9"], "--table 9: there is no such table; there are 1 ("),
+        ([".", "--kind", "map", "-o", "x.pdf", "--table", "1"], "--table 1: chooses a ranking"),
         (["run.mcap", "--kind", "errors", "-o", "x.jpg"], "-o x.jpg: ends in none of .pdf, .svg, .png"),
         (["run.mcap", "--kind", "ranking", "-o", "x.pdf"], "run.mcap: is no result of stillpoint leaderboard"),
         (["missing.mcap", "--kind", "angles", "-o", "x.pdf"], "missing.mcap: there is no such file"),

@@ -7,7 +7,10 @@ from dataclasses import replace
 
 import pytest
 from boards import HOSTILE, make_board
+from hypothesis import given
+from hypothesis.strategies import characters, text
 
+from stillpoint.datasets.names import make_printable
 from stillpoint.studies.publish.paper import write_paper
 from stillpoint.studies.publish.tables import (
     format_csv,
@@ -18,10 +21,12 @@ from stillpoint.studies.publish.tables import (
     list_rows,
 )
 
+BOARD = make_board()
+
 
 @pytest.fixture(scope="module")
 def board():
-    return make_board()
+    return BOARD
 
 
 def test_csv_holds_every_figure_in_full(board) -> None:
@@ -55,6 +60,30 @@ def test_markdown_keeps_its_columns_when_a_name_has_a_bar(board) -> None:
     text = format_markdown(replace(board, tables=(replace(board.tables[0], rows=rows),)))
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {10}
+
+
+@given(text(characters(exclude_categories=()), min_size=1))
+def test_a_name_of_any_characters_stays_in_its_cell(name) -> None:
+    """No line break, tab, escape sequence or character of the format's own ends a cell or reaches a terminal."""
+    first = BOARD.tables[0]
+    rows = tuple(replace(row, label=name, estimator=name, calibration=name) for row in first.rows)
+    table = replace(first, rows=rows, conclusion=f"{name} is best.")
+    board = replace(BOARD, tables=(table,))
+    written = [format_latex(board), format_csv(board), format_markdown(board), format_html(board), format_text(board)]
+    for each in written:
+        assert all(letter.isprintable() or letter == "\n" for letter in each)
+        each.encode()
+    latex, _, markdown, html, plain = written
+    body = latex.split("\\midrule\n")[1].split("\\bottomrule")[0].splitlines()
+    assert {len(re.findall(r"(?<!\\)&", line)) for line in body} == {8}
+    assert len(body) == len(rows)
+    lines = [line for line in markdown.splitlines() if line.startswith("|")]
+    assert {len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) for line in lines} == {10}
+    assert len(lines) == len(rows) + 2
+    assert html.count("<td>") == 9 * len(rows)
+    assert len(plain.splitlines()) == len(rows) + 3
+    read = list(csv.DictReader(io.StringIO(format_csv(board))))
+    assert {row["label"] for row in read} == {make_printable(name)}
 
 
 def test_html_escapes_names_and_text_is_aligned(board) -> None:
