@@ -29,7 +29,7 @@ from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.progress import show_progress
 
 SHORT = 15  # items of less than a second, up to which processes are not worth their start
-_ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
+ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
 
 
 def run_jobs(
@@ -103,7 +103,7 @@ def _run_anywhere(
         return run_on_cluster(function, items, workers)
     if workers.memory_limit is None and (len(items) == 1 or (workers.jobs is None and len(items) <= here_up_to)):
         return ((place, run_item(function, item)) for place, item in enumerate(items))
-    worthwhile = min(os.cpu_count() or 1, -(-len(items) // _ITEMS_PER_WORKER))
+    worthwhile = min(os.cpu_count() or 1, -(-len(items) // ITEMS_PER_WORKER))
     count = min(workers.jobs or worthwhile, len(items))
     return _run_in_processes(function, items, count, Surroundings(workers.memory_limit))
 

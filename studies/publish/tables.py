@@ -34,7 +34,7 @@ _LATEX = {
     ">": r"\textgreater{}",
     "–": "--",
 }
-MARKDOWN = str.maketrans({letter: f"\\{letter}" for letter in "\\`*_[]<>|~$&"})
+_MARKDOWN = str.maketrans({letter: f"\\{letter}" for letter in "\\`*_[]<>|~$&"})
 
 
 def format_latex(board: Leaderboard) -> str:
@@ -57,11 +57,11 @@ def format_markdown(board: Leaderboard) -> str:
     parts = []
     for table in board.tables:
         headings = _list_headings(table)
-        rows = [[cell.translate(MARKDOWN) for cell in cells] for cells in _list_cells(table)]
+        rows = [[cell.translate(_MARKDOWN) for cell in cells] for cells in _list_cells(table)]
         aligned = ["---" if k == 1 else "---:" for k in range(len(headings))]
         lines = [headings, aligned, *rows]
         text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        parts.append(f"{text}\n\n{f'{_make_caption(table)} {_conclude(table)}'.translate(MARKDOWN)}\n")
+        parts.append(f"{text}\n\n{f'{_make_caption(table)} {_conclude(table)}'.translate(_MARKDOWN)}\n")
     return "\n".join(parts)
 
 
