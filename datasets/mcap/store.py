@@ -40,7 +40,7 @@ from stillpoint.datasets.mcap.topics import (
     microtesla,
     tesla,
 )
-from stillpoint.datasets.mcap.writer import MessageWriter, Stream, open_mcap
+from stillpoint.datasets.mcap.writer import ZSTD_LEVEL, MessageWriter, Stream, open_mcap
 from stillpoint.datasets.recording import Encoder, Gps, Head, Imu, Info, Mag, Piece, Recording, Series, Spin, Truth
 from stillpoint.datasets.trajectory import CONVENTION, Estimate, Reference, SpinReference
 
@@ -49,6 +49,7 @@ OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
 _ORIGIN = "stillpoint-made"  # of the record that says what made a file
 _FORMAT = "1"
+_TRAJECTORY_LEVEL = 1  # of zstd: files of estimates and references are no larger than by level 3, and sooner written
 _ROWS_AT_ONCE = 1 << 17  # of a stream that are laid out as messages together
 OWN_COLUMNS = {
     topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS
@@ -75,7 +76,8 @@ def write(
     streams, absent = _templates(kind, thing)
     samples = _count_samples(kind, thing, [stream.topic for stream in streams])
     streams = [stream for stream in streams if samples.get(stream.topic)]
-    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+    level = ZSTD_LEVEL if kind == "recording" else _TRAJECTORY_LEVEL
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", level) as out:
         out.declare(streams)
         record = _record(kind, facts_of(thing), samples, absent)
         out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, attachments or {})
@@ -165,7 +167,7 @@ def open_trajectory(path: Path | str) -> "Iterator[TrajectoryWriter]":
 
     Raises :class:`BadFile` when the file cannot be written.
     """
-    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
         yield TrajectoryWriter(out)
 
 

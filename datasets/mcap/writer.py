@@ -47,7 +47,7 @@ from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECO
 
 _CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
 _CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
-_ZSTD_LEVEL = 3
+ZSTD_LEVEL = 3
 _PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
 _MOST_WAITING = 2 * _PACKERS  # chunks that wait to be packed: some MiB
 
@@ -89,12 +89,12 @@ def write_mcap(
 
 
 @contextmanager
-def open_mcap(path: Path, library: str = "stillpoint") -> "Iterator[MessageWriter]":
+def open_mcap(path: Path, library: str = "stillpoint", level: int = ZSTD_LEVEL) -> "Iterator[MessageWriter]":
     """Open a file for messages that come piece by piece; it appears, atomically, when the block ends without an error.
 
-    Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
+    ``level`` is that of zstd. Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with write_file(path) as file, _open_writer(file, library) as out:
+    with write_file(path) as file, _open_writer(file, library, level) as out:
         messages = MessageWriter(out)
         yield messages
         messages.release(None)
@@ -194,10 +194,11 @@ class _Messages:
         self.blank = blank.view((np.void, self.dtype.itemsize))
         self.stamped = "header.stamp.sec" in (layout.dtype.names or ())
 
-    def records(self, stream: Stream, rows: slice) -> NDArray[np.void]:
-        """Return the records of the next rows, packed one after the other."""
+    def fill(self, stream: Stream, rows: slice, room: NDArray[np.uint8], step: int) -> None:
+        """Write the records of the next rows into the bytes of ``room``, each ``step`` bytes after the one before."""
         t_ns = stream.t_ns[rows]
-        out = np.repeat(self.blank, len(t_ns)).view(self.dtype)
+        out: NDArray[np.void] = np.ndarray((len(t_ns),), self.dtype, room, strides=(step,))
+        out.view(self.blank.dtype)[...] = self.blank
         out["sequence"] = np.arange(self.done, self.done + len(t_ns))
         self.done += len(t_ns)
         out["log_time"] = out["publish_time"] = t_ns
@@ -206,7 +207,6 @@ class _Messages:
             body["header.stamp.sec"], body["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
         for leaf, column in stream.columns.items():
             body[leaf] = column[rows].reshape(body[leaf].shape)
-        return out
 
 
 @dataclass
@@ -280,7 +280,7 @@ class _Group:
         self.size = int(end[-1])
         numbers, spans = end // _CHUNK_BYTES, (times - self.start_ns) // _CHUNK_SPAN_NS
         bounds = np.flatnonzero((np.diff(numbers) > 0) | (np.diff(spans) > 0)) + 1
-        done = [0] * len(makers)
+        done, turn = [0] * len(makers), sum(maker.dtype.itemsize for maker in makers)
         for first, last in pairwise([0, *bounds.tolist(), len(end)]):
             buffer = np.empty(int(end[last - 1] - start[first]), np.uint8)
             offsets, of_chunk = start[first:last] - start[first], which[first:last]
@@ -291,8 +291,13 @@ class _Group:
                 done[k] = rows.stop
                 if not len(own):
                     continue
-                records = maker.records(stream, rows).view((np.void, maker.dtype.itemsize))
-                windows(buffer, maker.dtype.itemsize)[own] = records
+                size = maker.dtype.itemsize
+                if in_turn:  # the records lie evenly, so that they are written where they belong
+                    maker.fill(stream, rows, buffer[int(own[0]) :], turn)
+                else:
+                    records = np.empty(len(own) * size, np.uint8)
+                    maker.fill(stream, rows, records, size)
+                    windows(buffer, size)[own] = records.view((np.void, size))
                 entries = np.empty(len(own), INDEX_ENTRY)
                 entries["log_time"], entries["offset"] = stream.t_ns[rows], own
                 indexes[maker.channel] = entries
@@ -348,10 +353,10 @@ def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel
 
 
 @contextmanager
-def _open_writer(file: IO[bytes], library: str) -> "Iterator[_Writer]":
+def _open_writer(file: IO[bytes], library: str, level: int = ZSTD_LEVEL) -> "Iterator[_Writer]":
     """Begin a file; chunks are packed by threads meanwhile, which end with the block."""
     with ThreadPoolExecutor(_PACKERS, thread_name_prefix="pack") as packers:
-        out = _Writer(file, packers)
+        out = _Writer(file, packers, level)
         out.file_bytes(MAGIC)
         out.record(Header(profile="ros2", library=library))
         yield out
@@ -360,10 +365,10 @@ def _open_writer(file: IO[bytes], library: str) -> "Iterator[_Writer]":
 _OF_THREAD = threading.local()
 
 
-def _pack(raw: memoryview) -> tuple[bytes, int]:
+def _pack(raw: memoryview, level: int) -> tuple[bytes, int]:
     """Return the packed bytes of a chunk and its checksum; both are computed without the interpreter's lock."""
-    if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads
-        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+    if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads; a file has threads of its own
+        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=level)
     return _OF_THREAD.compressor.compress(raw), zlib.crc32(raw)
 
 
@@ -379,9 +384,9 @@ class _Waiting:
 class _Writer:
     """Puts records into the file and remembers what the summary has to say."""
 
-    def __init__(self, file: IO[bytes], packers: ThreadPoolExecutor) -> None:
+    def __init__(self, file: IO[bytes], packers: ThreadPoolExecutor, level: int) -> None:
         self.file, self.position, self.crc = file, 0, 0
-        self.packers = packers
+        self.packers, self.level = packers, level
         self.waiting: deque[_Waiting] = deque()
         self.schemas: list[McapRecord] = []
         self.channels: list[McapRecord] = []
@@ -431,7 +436,7 @@ class _Writer:
 
     def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
         """Take one chunk and its message indexes, and write the oldest of those that wait to be packed."""
-        self.waiting.append(_Waiting(self.packers.submit(_pack, buffer.data), len(buffer), indexes))
+        self.waiting.append(_Waiting(self.packers.submit(_pack, buffer.data, self.level), len(buffer), indexes))
         if len(self.waiting) > _MOST_WAITING:
             self._write_chunk(self.waiting.popleft())
 
