@@ -1,0 +1,178 @@
+"""``python -m stillpoint.scripts.pages.tuning_page FOLDER OUT``: tune ours and theirs alike, and quote on others.
+
+Recordings with truth are split by every second name of each source: half A is tuned on, half B is quoted. Two kinds of
+input: corrected by the reference, of all recordings, and as recorded, of those whose magnetometer is calibrated. Trials
+and results are kept in OUT, so that a second run only writes the tables.
+"""
+
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from stillpoint.datasets.errors import BadParameter
+from stillpoint.filters import ESTIMATORS
+from stillpoint.scripts.shared.children import Outcome
+from stillpoint.scripts.shared.flags import Workers
+from stillpoint.scripts.shared.inputs import recordings
+from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.output import print_line, write_text
+from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, leaderboard
+from stillpoint.studies.leaderboard.board import Source
+from stillpoint.studies.leaderboard.sources import survey_sources
+from stillpoint.studies.result_store import ResultStore
+from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tune, tuning_toml
+
+_PAGE = Path("docs/estimator-accuracy.md")
+_INPUTS = {"calibrated": "reference", "raw": "none"}
+
+
+@dataclass(frozen=True)
+class Search:
+    """The parameters of an estimator that are tuned, in which ranges, and how hard."""
+
+    ranges: tuple[ParamRange, ...]
+    trials: int
+    sampler: Sampler = "tpe"
+    seconds: float | None = None  # of motion; the filters of ahrs take 0.1 to 0.5 ms a sample
+
+
+def _of(text: str, trials: int, sampler: Sampler = "tpe", seconds: float | None = None) -> Search:
+    return Search(tuple(map(ParamRange.parse, text.split())), trials, sampler, seconds)
+
+
+_KALMAN = "velocity_mps_rts=0.1:3:log field_noise_ut_rts=2:60:log"
+SEARCHES: dict[str, Search] = {
+    "ekf": _of(_KALMAN, 30),
+    "aekf": _of(_KALMAN, 30),
+    "vqf": _of("tau_acc_s=0.5:10:log tau_mag_s=2:100:log", 30),
+    "cf": _of("omega0_radps=0.01:2:log zeta=0.3:3", 30),
+    "cf-fixed": _of("kp_per_s=0.02:2:log ki_per_s2=0.0001:0.1:log", 30),
+    "kf-axis": _of("tilt_sd_rad=0.05:1.5:log heading_sd_rad=0.1:3:log", 30),
+    "fusion": _of("gain_radps=0.02:2:log", 12),
+    "madgwick": _of("gain_marg_radps=0.002:0.2:log", 8, "grid", 60.0),
+    "mahony": _of("k_p_radps=0.02:3:log k_i_radps2=0.0001:0.5:log", 14, "tpe", 60.0),
+    "ahrs-ekf": _of("accel_sd=0.1:100:log mag_sd=0.1:100:log", 14, "tpe", 60.0),
+}
+
+
+def main(folder: Path, out: Path, jobs: int = 1, page: Path = _PAGE, names: Sequence[str] = tuple(SEARCHES)) -> None:
+    """Tune on half A, quote on half B, and rewrite the tables of the page."""
+    files = recordings([folder])
+    sources = [source for source in survey_sources(files, ResultStore(out / "sources")) if source.truth]
+    text = page.read_text(encoding="utf-8")
+
+    def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
+        return run_jobs(function, items, Workers(jobs), what)
+
+    for kind, calibration in _INPUTS.items():
+        usable = [s for s in sources if calibration != "none" or s.magnetometer == "calibrated"]
+        half_a, half_b = split_halves(usable)
+        tunings = {}
+        for name in names:
+            search = SEARCHES[name]
+            tunings[name] = tune(
+                half_a,
+                name,
+                search.ranges,
+                out / kind,
+                sampler=search.sampler,
+                trials=search.trials,
+                steps=search.trials,
+                against="truth",
+                calibration=calibration,
+                seconds=search.seconds,
+                workers=jobs,
+                run_jobs=run,
+            )
+            write_text(out / kind / f"{name}-tuned.toml", tuning_toml(tunings[name]))
+            print_line(f"{kind}, {name}: {tunings[name].best.params}", flush=True)
+        board = leaderboard(
+            half_b,
+            [each for name in names for each in (name, f"{name}@{out / kind / name}-tuned.toml")],
+            out / f"quoted-{kind}",
+            against="truth",
+            calibration=[calibration],
+            run_jobs=run,
+        )
+        text = _replace_table(text, kind, make_table(tunings, board))
+    page.write_text(text, encoding="utf-8")
+
+
+def split_halves(sources: Sequence[Source]) -> tuple[list[Path], list[Path]]:
+    """Return half A and half B: every second recording of each source, by name."""
+    halves: tuple[list[Path], list[Path]] = ([], [])
+    ordered = sorted(sources, key=lambda source: (source.source, source.recording))
+    for _, same in groupby(ordered, key=lambda source: source.source):
+        for k, source in enumerate(same):
+            halves[k % 2].append(Path(source.file))
+    return halves
+
+
+def make_table(tunings: Mapping[str, Tuning], board: Leaderboard) -> str:
+    """Return a row for each estimator: typical errors on both halves, the gain on half B, and the setting."""
+    (table,) = board.tables
+    rows = {row.label: row for row in table.rows}
+    lines = [
+        "| estimator | A, defaults | A, tuned | B, defaults | B, tuned | tuned / defaults on B | tuned | trials |",
+        "|---" * 8 + "|",
+    ]
+    for name in sorted(tunings, key=lambda each: _get_typical(rows[_get_tuned_label(each)])):
+        tuning, label = tunings[name], _get_tuned_label(name)
+        setting = ", ".join(f"`{param}` {value:.3g}" for param, value in tuning.best.params.items())
+        stretch = tuning.settings["seconds"]
+        trials = f"{len(tuning.trials)}, {tuning.settings['sampler']}" + (f", {stretch:.0f} s" if stretch else "")
+        cells = [
+            f"`{name}`" + (" (peer)" if ESTIMATORS[name].is_peer else ""),
+            f"{tuning.defaults.typical_deg:.2f}",
+            f"{tuning.best.typical_deg:.2f}",
+            _format_typical(rows[name]),
+            _format_typical(rows[label]),
+            _format_gain(table.pairs, name, label),
+            setting,
+            trials,
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _get_tuned_label(name: str) -> str:
+    return f"{name}@{name}-tuned"
+
+
+def _get_typical(row: Row) -> float:
+    return float("inf") if row.total_rmse_deg is None else row.total_rmse_deg.typical
+
+
+def _format_typical(row: Row) -> str:
+    if row.total_rmse_deg is None:
+        return "–"
+    low, high = row.total_rmse_deg.ci95
+    return f"{row.total_rmse_deg.typical:.2f} ({low:.2f}-{high:.2f})"
+
+
+def _format_gain(pairs: Sequence[Pair], name: str, label: str) -> str:
+    """Return the ratio of tuned over defaults with its interval, and the verdict of the leaderboard."""
+    pair = next((pair for pair in pairs if {pair.a, pair.b} == {name, label}), None)
+    if pair is None:
+        return "–"
+    turned = pair.a == name
+    ratio, low, high = (1 / pair.ratio, 1 / pair.ci95[1], 1 / pair.ci95[0]) if turned else (pair.ratio, *pair.ci95)
+    winner = {"a": pair.a, "b": pair.b, "undecided": ""}[pair.verdict]
+    verdict = "undecided" if not winner else "better" if winner == label else "worse"
+    return f"{ratio:.2f} ({low:.2f}-{high:.2f}), {verdict}"
+
+
+def _replace_table(text: str, kind: str, table: str) -> str:
+    """Return the page with the table of one kind of input between its marks; raises :class:`BadParameter`."""
+    marks = re.compile(rf"(<!-- tuned {kind} -->\n).*?(<!-- end -->)", re.DOTALL)
+    if not marks.search(text):
+        raise BadParameter(f"the page has no marks <!-- tuned {kind} --> and <!-- end -->")
+    return marks.sub(lambda match: f"{match[1]}{table}{match[2]}", text)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:4]))
