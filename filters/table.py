@@ -91,6 +91,7 @@ class Estimator:
     innovations: int = 0  # how many normalised innovations an output has
     is_peer: bool = False
     offline: bool = False  # True: it sees the future
+    chosen_on: str = ""  # the recordings in sight of which its default parameters were chosen; "": its paper's
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,8 @@ def _describe_spin(module: Any, summary: str, innovations: int = 1) -> SpinEstim
     return SpinEstimator(summary, *functions, module, innovations)
 
 
+_BROAD = "12 trials of BROAD"
+
 ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
     "acc": _describe(
         tilt, "tilt and heading by accelerometer and magnetometer alone (Elmi Aziz and Mohseni Araste 2021)"
@@ -153,8 +156,11 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
         gives_bias=True,
         gives_cov=True,
         innovations=3,
+        chosen_on=_BROAD,
     ),
-    "cf-fixed": _describe(fixed_gain, "PI complementary filter, fixed gains (Zia 2022, eq 10)", gives_bias=True),
+    "cf-fixed": _describe(
+        fixed_gain, "PI complementary filter, fixed gains (Zia 2022, eq 10)", gives_bias=True, chosen_on=_BROAD
+    ),
     "cf-lse": _describe(
         least_squares,
         "PI complementary filter, least-squares gains by one-step prediction (Zia 2022)",
@@ -176,6 +182,7 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
         gives_bias=True,
         gives_cov=True,
         innovations=3,
+        chosen_on=_BROAD,
     ),
     "aekf": _describe(
         aekf,
@@ -183,6 +190,7 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
         gives_bias=True,
         gives_cov=True,
         innovations=3,
+        chosen_on=_BROAD,
     ),
     "iekf": _describe(
         ekf,
@@ -190,6 +198,7 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
         gives_bias=True,
         gives_cov=True,
         innovations=3,
+        chosen_on=_BROAD,
     ),
     "vqf": Peer("VQF of the package vqf (Laidig and Seel 2023)", peers.VqfParams, peers.vqf),
     "offline-vqf": Peer(

@@ -139,6 +139,7 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
         )
         print_table(title, _COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
         print_line(table.conclusion)
+        print_line(table.origins)
     for group in board.groups:
         best = [row.label for row in group.rows if row.rank is not None and row.rank[0] == 1]
         if best:

@@ -14,6 +14,7 @@ from stillpoint.scoring import AlignKind
 if TYPE_CHECKING:
     import pandas as pd
 
+DEFAULTS = "defaults"  # the parameters that an estimator's authors chose
 RankedBy = Literal["total", "heading", "inclination"]
 Verdict = Literal["a", "b", "undecided"]
 
@@ -37,7 +38,7 @@ class Row:
     estimator: str
     calibration: str  # "none", "reference", or the name of the calibration file
     against: str  # "truth", "reference", or "truth and reference"
-    parameters: str  # "defaults", or what they were tuned on
+    parameters: str  # "defaults", and what they were chosen or tuned on
     rank: tuple[int, int] | None  # best and worst; None when the estimator failed on a recording
     recordings: int  # of the table, including those on which the estimator failed
     failed: int
@@ -82,6 +83,17 @@ class Table:
         words = {"none": "as recorded", "reference": "calibrated by the reference"}
         kinds = sorted({row.calibration for row in self.rows})
         return ", ".join(words.get(kind, f"calibrated by {kind}") for kind in kinds)
+
+    @property
+    def origins(self) -> str:
+        """Say where the parameters of the rows come from, and on what they were chosen or tuned: one sentence."""
+        labels: dict[str, list[str]] = {}
+        for row in self.rows:
+            labels.setdefault(row.parameters, []).append(row.label)
+        named = [f"{', '.join(labels[origin])}: {origin}" for origin in labels if origin != DEFAULTS]
+        if DEFAULTS in labels:
+            named.append(f"{'all others' if named else 'all'}: {DEFAULTS}")
+        return f"Parameters: {'; '.join(named)}."
 
 
 @dataclass(frozen=True)

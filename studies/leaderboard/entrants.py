@@ -15,6 +15,7 @@ from stillpoint.datasets.settings import choose_settings, names_of
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters import estimate
 from stillpoint.filters.table import ATTITUDES, ESTIMATORS, ROLLS, Peer
+from stillpoint.studies.leaderboard.board import DEFAULTS
 from stillpoint.studies.leaderboard.files import files_of_label, read_estimate_of
 from stillpoint.studies.leaderboard.own import load_own, run_own, version_of_own
 
@@ -26,6 +27,7 @@ _PEER_PACKAGES = {
     "riann": "riann",
 }  # all others are of the package ahrs
 _SLOW = ("madgwick", "mahony", "ahrs-ekf", "fusion")  # loops in Python: 20-500 µs per sample
+_OWN, _UNKNOWN = "its own", "unknown"  # origins of parameters of one's own estimators, and of files
 Kind = Literal["table", "own", "file"]
 Own = Callable[..., Any] | type
 
@@ -38,7 +40,7 @@ class Entrant:
     kind: Kind
     target: str  # key of the table of estimators, FILE.py:NAME or MODULE:NAME, or the label of the files
     params: Mapping[str, Any] = field(default_factory=dict)  # those that differ from the defaults
-    origin: str = "defaults"  # of the parameters
+    origin: str = DEFAULTS  # of the parameters; says what they were chosen or tuned on
     version: str = ""  # of the code
     slow: bool = False
     spelled: str = ""  # as the user wrote it, where that is not the target
@@ -88,7 +90,7 @@ def find_entrants(
         names = list(ATTITUDES) if each == "all" else [each]
         found += [_find_entrant(name, labels, given) for name in names]
     used = {entrant.target for entrant in found if entrant.kind == "file"}
-    found += [Entrant(label, "file", label) for label in labels if label not in used]
+    found += [_entrant_of_files(label) for label in labels if label not in used]
     names = [entrant.name for entrant in found]
     unknown = [name for name in given if name not in names]
     if unknown:
@@ -101,25 +103,35 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
         return _entrant_of_object(name)
     known, at, settings_file = name.partition("@")
     if known in ESTIMATORS:
-        settings, origin = read_settings(Path(settings_file), known) if at else ({}, "defaults")
+        settings, origin = read_settings(Path(settings_file), known) if at else ({}, _name_defaults(known))
         shown = f"{known}@{Path(settings_file).stem}" if at else known
         if shown in params:
             settings, origin = {**settings, **params[shown]}, "set by the user"
         return replace(_entrant_of_table(shown, known, settings, origin), spelled=name)
     if ":" in name:
-        return Entrant(name.rpartition(":")[2], "own", name, version=version_of_own(name), slow=True)
+        return Entrant(name.rpartition(":")[2], "own", name, origin=_OWN, version=version_of_own(name), slow=True)
     installed = entry_points(group=_ENTRY_POINTS, name=name)
     if installed:
         target = next(iter(installed)).value
-        return Entrant(name, "own", target, version=version_of_own(target), slow=True)
+        return Entrant(name, "own", target, origin=_OWN, version=version_of_own(target), slow=True)
     if name in labels:
-        return Entrant(name, "file", name)
+        return _entrant_of_files(name)
     if name == "device":
         raise BadParameter("device: no recording has its device's own orientation beside it (NAME.device.*)")
     raise BadParameter(
         f"no estimator {name!r}, and no file NAME.{name}.tum, .csv, .mcap or .bag beside a recording; "
         f"{nearest(name, [*ATTITUDES, *labels])}; one's own is FILE.py:NAME or MODULE:NAME"
     )
+
+
+def _name_defaults(known: str) -> str:
+    """Say what the default parameters of an estimator of the table were chosen on, where it is not their paper's."""
+    chosen_on = getattr(ESTIMATORS[known], "chosen_on", "")
+    return f"{DEFAULTS}, chosen on {chosen_on}" if chosen_on else DEFAULTS
+
+
+def _entrant_of_files(label: str) -> Entrant:
+    return Entrant(label, "file", label, origin=_UNKNOWN)
 
 
 def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origin: str) -> Entrant:
@@ -152,7 +164,7 @@ def _entrant_of_object(own: Own) -> Entrant:
     except (OSError, TypeError):
         code = ""
     module = getattr(own, "__module__", "")
-    return Entrant(name, "own", f"{module}:{name}", version=code, slow=True, own=own)
+    return Entrant(name, "own", f"{module}:{name}", origin=_OWN, version=code, slow=True, own=own)
 
 
 def read_settings(path: Path, estimator: str) -> tuple[dict[str, Any], str]:

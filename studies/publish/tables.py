@@ -166,7 +166,8 @@ def _make_plain(value: Any) -> Any:
 
 
 def _conclude(table: Table) -> str:
-    return make_printable(table.conclusion)
+    """Return the sentences below a table: what it decides, and where the parameters come from."""
+    return make_printable(f"{table.conclusion} {table.origins}")
 
 
 def _make_caption(table: Table) -> str:

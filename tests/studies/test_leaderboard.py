@@ -119,6 +119,15 @@ def test_an_estimator_that_settles_for_a_minute_takes_10_s_from_the_others(folde
     assert lost == pytest.approx(int((truth.moving & started).sum()), abs=2), "10 s of samples at most"
 
 
+def test_every_row_says_what_its_parameters_were_chosen_on(board, files):
+    assert row_of(board, "gyro").parameters == "defaults"
+    assert row_of(board, "slam").parameters == "unknown", "a file does not tell"
+    assert row_of(board, "Still").parameters == "its own"
+    ours = leaderboard(files[:1], ["ekf", "vqf"]).tables[0]
+    said = "Parameters: slam: unknown; ekf: defaults, chosen on 12 trials of BROAD; all others: defaults."
+    assert ours.origins == said
+
+
 def test_tags_get_tables_of_their_own(board):
     assert [(table.name, table.recordings) for table in board.groups] == [
         ("even", ("run0", "run2")),
