@@ -1,4 +1,4 @@
-"""The README's promises that a machine can keep: its code runs, its verbs are all of them, its links lead somewhere."""
+"""The promises of the first pages that a machine can keep: code runs, the verbs are all there, links lead somewhere."""
 
 import re
 from pathlib import Path
@@ -8,16 +8,16 @@ import pytest
 from stillpoint.scripts.main import VERBS
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+INDEX = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
-def test_the_python_of_the_readme_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys) -> None:
+def test_the_python_of_the_first_page_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys) -> None:
     """Figures may move in their last digit with numpy and BLAS; the words and the order may not."""
-    code, printed = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", README, re.DOTALL).groups()
+    code, printed = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", INDEX, re.DOTALL).groups()
     assert len(code.splitlines()) < 15
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "README.md", "exec"), {})
+    exec(compile(code, "index.md", "exec"), {})
     said = capsys.readouterr().out
     numbers = re.compile(r"\d+\.\d")
     assert numbers.sub("#", said) == numbers.sub("#", printed)
@@ -27,7 +27,7 @@ def test_the_python_of_the_readme_runs_and_prints_what_it_says(tmp_path, monkeyp
 
 
 def test_the_table_of_commands_has_every_verb() -> None:
-    rows = re.search(r"## The commands\n(.*?)\n\n[A-Z]", README, re.DOTALL)[1]
+    rows = re.search(r"## The commands\n(.*?)\n\n\[Commands", INDEX, re.DOTALL)[1]
     firsts = " ".join(line.split(" | ")[0] for line in rows.splitlines())
     assert set(VERBS) <= set(re.findall(r"[a-z]+(?:-[a-z]+)*", firsts))
 
