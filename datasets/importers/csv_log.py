@@ -5,7 +5,7 @@ per count. Columns go by their names in the header, or by numbers from 1.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -39,7 +39,7 @@ from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import make_info
 from stillpoint.datasets.importers.series import Log, Series, find_finite_rows, make_gps, merge_imu
 from stillpoint.datasets.importers.trajectories import read_poses
-from stillpoint.datasets.recording import Floats, Mag, Recording, Truth
+from stillpoint.datasets.recording import Floats, Info, Mag, Recording, Truth
 
 _SENSORS = {"gyro": (RATE, "rad/s"), "accel": (FORCE, "m/s^2"), "mag": (FIELD, "uT")}
 _FARTHEST_NORM = 0.01  # a quaternion with three decimals is still one; other columns are not
@@ -78,7 +78,24 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     """
     options = apply_config(options)
     log = Log()
-    reading = _Reading(read_table(file, options.delimiter, log), options, log)
+    recording = read_csv_table(read_table(file, options.delimiter, log), file, options, log)
+    files = [file]
+    if recording.truth is None and (truth_file := _find_truth_file(options, file)) is not None:
+        recording = replace(recording, truth=_read_truth_file(truth_file, options, log))
+        files += [truth_file] if truth_file.is_file() else []
+    assert recording.imu is not None
+    sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
+    info = make_info(f"delimited log {file.name}", options, recording.imu.t_ns, sha256, log)
+    return Imported(replace(recording, info=info))
+
+
+def read_csv_table(table: Table, file: Path, options: CsvOptions, log: Log) -> Recording:
+    """Return the recording of a table, whose facts are not known and whose units are not judged yet.
+
+    ``options`` are complete (:func:`~stillpoint.datasets.importers.delimited_log.apply_config`). Raises as
+    :func:`read_csv`.
+    """
+    reading = _Reading(table, options, log)
     found = {what: reading.read_sensor(what) for what in _SENSORS}
     if found["gyro"] is None or found["accel"] is None:
         raise BadParameter(
@@ -91,13 +108,7 @@ def read_csv(file: Path, options: CsvOptions) -> Imported:
     mag = Mag(streams["mag"].t_ns, streams["mag"].values) if "mag" in streams else None
     gps = make_gps(streams["gps"], log) if "gps" in streams else None
     truth = reading.make_truth(streams["truth"]) if "truth" in streams else None
-    files = [file]
-    if truth is None and (truth_file := _find_truth_file(options, file)) is not None:
-        truth = reading.read_truth_file(truth_file)
-        files += [truth_file] if truth_file.is_file() else []
-    sha256 = {name: digest for one in files for name, digest in digests([one], one.parent).items()}
-    info = make_info(f"delimited log {file.name}", options, imu.t_ns, sha256, log)
-    return Imported(Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info))
+    return Recording(file.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=Info(units_unchecked=True))
 
 
 def _find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
@@ -108,6 +119,22 @@ def _find_truth_file(options: CsvOptions, log_file: Path) -> Path | None:
     if not path.exists():
         raise BadParameter(f"--truth {options.truth!r}: is neither four columns W,X,Y,Z nor a file that is there")
     return path
+
+
+def _read_truth_file(file: Path, options: CsvOptions, log: Log) -> Truth:
+    """Return the truth of a file of its own, on its own clock."""
+    truth = read_poses(
+        file,
+        log,
+        time=options.truth_time,
+        quaternion=options.truth_columns,
+        frame=options.truth_frame,
+        inverse=options.truth_inverse,
+    )
+    inverse = ", inverted" if options.truth_inverse else ""
+    frame = options.truth_frame.upper()
+    log.converted(f"truth from {file.name}, body -> {frame} -> East-North-Up{inverse}, on its own clock")
+    return truth
 
 
 @dataclass(frozen=True)
@@ -189,22 +216,6 @@ class _Reading:
         """Return the truth of rows (N, 8); see :meth:`read_truth`."""
         position_n_m = series.values[:, 4:7] if self.options.position is not None else None
         return Truth(series.t_ns, series.values[:, :4], series.values[:, 7] > 0, position_n_m)
-
-    def read_truth_file(self, file: Path) -> Truth:
-        """Return the truth of a file of its own, on its own clock."""
-        options = self.options
-        truth = read_poses(
-            file,
-            self.log,
-            time=options.truth_time,
-            quaternion=options.truth_columns,
-            frame=options.truth_frame,
-            inverse=options.truth_inverse,
-        )
-        inverse = ", inverted" if options.truth_inverse else ""
-        frame = options.truth_frame.upper()
-        self.log.converted(f"truth from {file.name}, body -> {frame} -> East-North-Up{inverse}, on its own clock")
-        return truth
 
     def _clock(self, what: str) -> Clock:
         time = getattr(self.options, f"{what}_time")

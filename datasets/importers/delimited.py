@@ -196,6 +196,20 @@ def parse(text: str, where: str, delimiter: str | None = None) -> Table:
     return Table(where, columns, cells[first:], numbers[first:], decimal_comma, skipped, delimiter)
 
 
+def take_rows(text: str, whole: Table, first_line: int, done: int) -> Table:
+    """Return the rows of one piece of a text as a table with the columns of the whole.
+
+    ``first_line`` is the line of the first row of the whole, ``done`` the number of lines before the piece. The text
+    has no quotes. Raises :class:`BadSource` as :func:`parse`.
+    """
+    lines = _split_lines(text, whole.where)
+    content = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    content = [k for k in content if done + k + 1 >= first_line]
+    rows = _SplitLines([lines[k] for k in content], whole.delimiter)
+    numbers = [done + k + 1 for k in content]
+    return Table(whole.where, whole.columns, rows, numbers, whole.decimal_comma, 0, whole.delimiter)
+
+
 def _split_lines(text: str, where: str) -> list[str]:
     if "\0" in text:
         raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")

@@ -53,9 +53,14 @@ def list_logs(source: Path) -> list[Path]:
 def read_table(file: Path, delimiter: str | None, log: Log) -> Table:
     """Return the table in a file and note the lines before its header."""
     table = parse(read_text(file), str(file), delimiter)
+    note_skipped(table, file, log)
+    return table
+
+
+def note_skipped(table: Table, file: Path, log: Log) -> None:
+    """Note the lines before the header of a table."""
     if table.skipped:
         log.noted(f"{table.skipped} lines beside the header of {file.name} skipped (device data or units)")
-    return table
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -151,8 +156,7 @@ def read_sensor(
     finite = find_finite_rows(values)
     if not finite.any():
         raise BadSource(f"{table.where}: no row has numbers in all columns of {flag}; check the columns")
-    if not finite.all():
-        log.noted(f"{what}: {int((~finite).sum())} of {len(finite)} rows without a number dropped")
+    log.dropped_rows(what, int((~finite).sum()), len(finite))
     keep = finite & clock.known
     if not keep.any():
         raise BadSource(f"{table.where}: no row with numbers of {flag} has a time in {clock.name!r}; check the columns")

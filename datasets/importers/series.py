@@ -19,6 +19,8 @@ class Log:
 
     conversions: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    dropped: dict[str, int] = field(default_factory=dict)  # sensor -> rows without a number, which have a note each
+    is_resampled: bool = False  # the accelerometer was brought to other stamps
 
     def converted(self, line: str) -> None:
         """Add a change of unit, sign, frame or clock."""
@@ -27,6 +29,12 @@ class Log:
     def noted(self, line: str) -> None:
         """Add something that was dropped, merged, missing or doubtful."""
         self.notes.append(line)
+
+    def dropped_rows(self, what: str, lost: int, rows: int) -> None:
+        """Add how many rows of a table hold no number for a sensor; nothing where each does."""
+        if lost:
+            self.dropped[what] = lost
+            self.noted(f"{what}: {lost} of {rows} rows without a number dropped")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +122,7 @@ def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
         force, how = _average_before(accel, t_ns, step_ns), "averaged over the intervals that end at the gyro's stamps"
     else:
         force, how = _interpolate(accel, t_ns), "interpolated linearly onto the gyro's stamps"
+    log.is_resampled = True
     log.converted(f"accelerometer ({len(accel.t_ns)} samples on its own stamps) {how}")
     lost = int((~keep).sum())
     if lost:

@@ -4,6 +4,7 @@ Columns go to the topics of :mod:`stillpoint.datasets.mcap.topics`; everything e
 rests, calibration) goes as JSON into the metadata record ``stillpoint``. The same input gives the same bytes.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -85,6 +86,34 @@ def write(
             out.add(_streams(kind, piece)[0], until_ns)
 
 
+def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Piece]]) -> None:
+    """Write a recording that comes in pieces, twice: the bytes are those of :func:`write` of the whole.
+
+    A piece holds all samples of all streams in a range of time. Raises :class:`BadFile` when the file cannot be
+    written.
+    """
+    first: dict[str, Any] = {}
+    extra: dict[str, Series] = {}
+    counts: Counter[str] = Counter()
+    for piece in pieces():
+        rows = _first_rows(piece)
+        assert isinstance(rows, Piece)
+        first = {name: getattr(rows, name) for name in _STREAMS if getattr(rows, name) is not None} | first
+        extra = {**rows.extra, **extra}
+        counts.update(_count_samples("recording", piece, [stream.topic for stream in _templates("recording", rows)[0]]))
+    templates, absent = _templates("recording", Piece(**first, extra=extra))
+    streams = [stream for stream in templates if counts[stream.topic]]
+    samples = {stream.topic: counts[stream.topic] for stream in streams}
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}") as out:
+        out.declare(streams)
+        out.describe(
+            {RECORD: _record("recording", recording_facts(head, first.get("spin"), extra), samples, absent)}, {}
+        )
+        for piece in pieces():
+            last_ns = max(int(t_ns[-1]) for _, t_ns in piece.streams())
+            out.add(_streams("recording", piece)[0], last_ns + 1)
+
+
 def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
     """Return one message of each topic, in the order of the file, and which fields are None.
 
@@ -108,20 +137,20 @@ def _first_rows(thing: Kept | Piece) -> Kept | Piece:
     return Piece(**streams, extra={name: slice_stream(series, 0, 1) for name, series in thing.extra.items()})
 
 
-def _count_samples(kind: str, thing: Kept, topics: Sequence[str]) -> dict[str, int]:
+def _count_samples(kind: str, thing: Kept | Piece, topics: Sequence[str]) -> dict[str, int]:
     """Return the number of messages of each of some topics that has any."""
-    held = dict(thing.streams()) if isinstance(thing, Recording) else {}
+    held = dict(thing.streams()) if isinstance(thing, Recording | Piece) else {}
     names = {topic.name: topic.stream for topic in TOPICS if topic.kind == kind}
     samples: dict[str, int] = {}
     for name in topics:
         if name == MAG_REMAINDER:
-            assert isinstance(thing, Recording)
+            assert isinstance(thing, Recording | Piece)
             assert thing.mag is not None
             count = sum(
                 int((tesla(thing.mag.mag_b_ut[first : first + _ROWS_AT_ONCE])[1] != 0).any(axis=1).sum())
                 for first in range(0, len(thing.mag.t_ns), _ROWS_AT_ONCE)
             )
-        elif isinstance(thing, Recording):
+        elif isinstance(thing, Recording | Piece):
             count = len(held[names.get(name) or f"extra {name.removeprefix(EXTRA)}"])
         else:
             count = len(thing.t_ns)

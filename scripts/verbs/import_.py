@@ -10,11 +10,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from cyclopts import App, Group, Parameter
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError, require_known
+from stillpoint.datasets.importers.csv_log import CsvOptions
+from stillpoint.datasets.importers.csv_pieces import LongRecording, read_csv_pieces
 from stillpoint.datasets.importers.imported import Imported
 from stillpoint.datasets.importers.options import Options
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.parts import split_recording
-from stillpoint.datasets.mcap.store import sha256, write
+from stillpoint.datasets.mcap.store import sha256, write, write_pieces
 from stillpoint.datasets.recording import Info, Recording, rate_hz
 from stillpoint.scripts.shared.flags import Jobs, OutDir, Workers, read_span
 from stillpoint.scripts.shared.inputs import output_dir
@@ -22,6 +24,7 @@ from stillpoint.scripts.shared.jobs import ITEMS_PER_WORKER, exit_code, run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.shared.tables import print_table
 
+LONG_BYTES = 64 << 20  # logs from this size on are read in pieces
 _STREAMS = ("imu", "mag", "gps", "spin", "encoder", "truth")  # that importers make, in the order of the table
 
 # The kinds that take a flag, on the help page, and the types of the flags.
@@ -320,6 +323,9 @@ def _find_items(importer: Importer, sources: tuple[Path, ...], failed: list[str]
 
 def _import_item(item: _Item) -> list[_Kept]:
     """Read one recording, mend and split it as asked, and write it; raises :class:`BadSource` for a name twice."""
+    long = _read_long(item)
+    if long is not None:
+        return [_write_long(item, long)]
     imported = _read(item)
     parts = [imported]
     if item.span_s is not None:
@@ -328,6 +334,28 @@ def _import_item(item: _Item) -> list[_Kept]:
         split = split_recording(imported.recording, item.span_s)
         parts = [replace(imported, recording=part, estimates=()) for part in split]
     return [_write(item, part) for part in parts]
+
+
+def _read_long(item: _Item) -> LongRecording | None:
+    """Return a long log in pieces, where its format allows that and it is written as it is."""
+    if item.repair or item.span_s is not None or not isinstance(item.options, CsvOptions):
+        return None
+    if not item.path.is_file() or item.path.stat().st_size < LONG_BYTES:
+        return None
+    return read_csv_pieces(item.path, item.options)
+
+
+def _write_long(item: _Item, long: LongRecording) -> _Kept:
+    file = item.out / f"{long.head.name}.mcap"
+    _claim(item, file)
+    write_pieces(file, long.head, long.pieces)
+    clocks = long.clocks
+    streams = {
+        name: {"samples": one.samples, "rate_hz": 1e9 / one.step_ns if one.step_ns else 0.0}
+        for name, one in clocks.items()
+    }
+    last_ns, first_ns = max(one.last_ns for one in clocks.values()), min(one.first_ns for one in clocks.values())
+    return _Kept(item.source, file, long.head.name, (last_ns - first_ns) / 1e9, streams, long.head.info, ())
 
 
 def _read(item: _Item) -> Imported:
