@@ -4,6 +4,7 @@ The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, an
 """
 
 import glob
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
@@ -12,6 +13,7 @@ from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.files.remote import is_url, list_files
 from stillpoint.datasets.mcap.pieces import PieceReader
 from stillpoint.datasets.mcap.summary import summarise
+from stillpoint.scripts.shared.output import print_line
 
 SUFFIX = ".mcap"
 KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
@@ -80,9 +82,13 @@ def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     named = [Path(path) for path in paths]
     if not named:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
-    for path in named:
-        if file_exists(path) and path.name.endswith(SUFFIX) and kind_of(path) != kind:
-            raise BadParameter(f"{path}: is {_A[kind_of(path)]} by its name; give {_A[kind]}")
+    files = [path for path in named if file_exists(path) and path.name.endswith(SUFFIX)]
+    others = [path for path in files if kind_of(path) != kind]
+    if others and len(others) == len(files):
+        raise BadParameter(f"{others[0]}: is {_A[kind_of(others[0])]} by its name; give {_A[kind]}")
+    if others:  # a shell makes them of run/*.mcap
+        kinds = " and ".join(sorted({f"{kind_of(path)}s" for path in others}))
+        print_line(f"{len(others)} {kinds} among the named files are left out", file=sys.stderr)
     found = [file for file in mcap_files(named) if kind_of(file) == kind]
     if not found:
         wanted = KINDS.get(kind, SUFFIX)

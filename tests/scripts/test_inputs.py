@@ -37,6 +37,13 @@ def test_a_file_whose_name_holds_glob_signs_is_taken_as_it_is(folder):
     assert inputs.recordings([odd]) == [odd]
 
 
+def test_files_of_other_kinds_that_a_shell_makes_of_a_glob_are_left_out_and_counted(folder, capsys):
+    every = sorted(folder.glob("*.mcap"))
+    assert names(inputs.recordings(every)) == [".half.mcap", "a.mcap", "b.mcap"]
+    assert capsys.readouterr().err == "2 estimates and references among the named files are left out\n"
+    assert names(inputs.references(every)) == ["a.reference.mcap"]
+
+
 @pytest.mark.parametrize(
     ("argument", "said"),
     [
