@@ -8,6 +8,7 @@ The files for the release are written to ``build/release``: two wheels that must
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -36,12 +37,16 @@ _FREE = (
     "HPND",
 )
 _KNOWN_LICENCES: dict[str, str] = {
+    "apsw": "any licence that the Open Source Initiative approved, as its licence text says",
     "gtsam": "BSD-3-Clause; its wheel names none, its repository holds the text",
+    "mlcroissant": "Apache-2.0; its wheel names none, its repository holds the text",
     "stillpoint": "MIT",
 }
 # The fast tests of every layer: a wrong bound of a dependency shows in them.
 _TESTS = ("tests/datasets/mcap", "tests/datasets/importers", "tests/filters/test_filters.py", "tests/smoother/attitude",
          "tests/scoring", "tests/scripts/test_command.py")  # fmt: skip
+# What these tests import beside the package, of the extra dev.
+_TEST_TOOLS = ("pytest", "hypothesis", "mcap-ros2-support", "foxglove-sdk", "websockets")
 
 
 @dataclass(frozen=True)
@@ -153,10 +158,12 @@ def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
     home = _OUT / "environments" / name.replace(" ", "-").replace(",", "")
     shutil.rmtree(home, ignore_errors=True)
     uv, python = _find_tool("uv"), str(home / "bin" / "python")
+    dev = tomllib.loads(Path("pyproject.toml").read_text())["project"]["optional-dependencies"]["dev"]
+    tools = [line for line in dev if re.split("[=<>]", line)[0] in _TEST_TOOLS]
     steps: list[Sequence[str]] = [
         [uv, "venv", "--quiet", "--python", interpreter, str(home)],
         [uv, "pip", "install", "--quiet", "--python", python, "--resolution", resolution, "--editable", ".[peers]",
-         "pytest>=9,<10", "hypothesis>=6.150,<7"],
+         *tools],
         [python, "-m", "pytest", "-q", "-m", "not slow and not wheel", *_TESTS],
     ]  # fmt: skip
     for step in steps:
