@@ -5,6 +5,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest
+# The tests of a file share its fixtures: a file goes to one worker, in the order in which pytest found it.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+
+# Without bytecode, every process that a test starts would compile the whole package again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test quick kernels wheel fuzz faults soak properties test-data test-wheel lint types format docs clean release-check
 
@@ -12,11 +17,11 @@ demo: .venv/.run
 	$(BIN)/stillpoint demo -o demo
 
 test: .venv/.dev
-	$(PYTEST) -q -n auto
+	$(PYTEST) -q $(PARALLEL)
 
 # All but the tests marked slow: under a minute once the estimators are compiled.
 quick: .venv/.dev
-	$(PYTEST) -q -n auto -m 'not wheel and not slow'
+	$(PYTEST) -q $(PARALLEL) -m 'not wheel and not slow'
 
 # Damaged inputs of every kind: a recording or one line of error each, within 10 s and 512 MB.
 FUZZ_MINUTES ?= 10
@@ -34,7 +39,7 @@ soak: .venv/.dev
 
 # The property tests with new examples at every run, twenty times as many; `make test` repeats the same ones.
 properties: .venv/.dev
-	STILLPOINT_HYPOTHESIS=draw $(PYTEST) -q -n auto -m hypothesis
+	STILLPOINT_HYPOTHESIS=draw $(PYTEST) -q $(PARALLEL) -m hypothesis
 
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data

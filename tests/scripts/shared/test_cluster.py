@@ -14,6 +14,7 @@ from clusters import start_cluster, start_worker
 from farm_work import lines, run_orders, work
 
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.scripts.shared import cluster as cluster_module
 from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 
@@ -136,6 +137,7 @@ def _list_kept() -> list[Path]:
     return list(Path(os.environ["STILLPOINT_RESULTS"]).glob("*.npz"))
 
 
-def test_no_scheduler_is_one_line_that_says_what_to_do():
+def test_no_scheduler_is_one_line_that_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(cluster_module, "_CONNECT_S", 1.0)  # how long a user waits does not matter here
     with pytest.raises(StillpointError, match=r"tcp://127.0.0.1:9: cannot be reached .*dask scheduler"):
         run_jobs(work, ["here"], Workers(scheduler="tcp://127.0.0.1:9"), "cluster")
