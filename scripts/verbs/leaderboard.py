@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,8 +30,24 @@ from stillpoint.studies.publish.run_pages import write_run_pages
 from stillpoint.studies.result_store import ResultStore
 
 _DEFAULT_OUT = Path("leaderboard")
-_COLUMNS = ("rank", "estimator", "deg", "95 %", "heading", "incl.", "worst", "ns", "failed")
+_COLUMNS = (
+    "rank",
+    "estimator",
+    "deg",
+    "95 %",
+    "heading",
+    "incl.",
+    "worst",
+    "ns",
+    "failed",
+    "mean",
+    "median",
+    "NEES/3",
+    "in 95 %",
+    "parameters",
+)
 _EXAMPLE = "cf.omega0_radps=0.3"
+_MOST_FAILED = 3  # recordings that a line about a failure names; of more it gives the number
 
 
 def leaderboard(
@@ -132,10 +148,10 @@ def leaderboard(
 def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
     """Print the table of each judge with its conclusion, the groups in short, and the failures by reason."""
     for table in board.tables:
-        what = "error" if table.ranked_by == "total" else table.ranked_by
         whose = f", input {table.inputs}" if len(board.tables) > 1 else ""
         title = (
-            f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned{whose}; RMSE of {what}"
+            f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned{whose}; "
+            f"typical RMSE of the {table.ranked_by} error"
         )
         print_table(title, _COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
         print_line(table.conclusion)
@@ -146,10 +162,21 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
             by = "" if group.ranked_by == "total" else f", by {group.ranked_by}"
             whose = f"{group.name} ({len(group.recordings)} recordings, {group.against}{by})"
             print_line(f"{whose}: first {', '.join(best)}")
-    print_refusals("failed", ((str(run.error), f"{run.label} on {run.recording}") for run in board.failures))
+    print_refusals("failed", _list_failures(board))
     for source in board.sources:
         if source.lost:
             print_line(f"{source.recording}: {source.lost}")
+
+
+def _list_failures(board: Leaderboard) -> Iterator[tuple[str, str]]:
+    """Yield each error with what failed for it: a row on a recording, or on how many where there are many."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for run in board.failures:
+        places.setdefault((str(run.error), run.label), []).append(run.recording)
+    for (error, label), names in places.items():
+        where = names if len(names) <= _MOST_FAILED else [f"{len(names)} of {len(board.sources)} recordings"]
+        for name in where:
+            yield error, f"{label} on {name}"
 
 
 def _cells(row: Row, table: Table) -> list[str]:
@@ -157,11 +184,17 @@ def _cells(row: Row, table: Table) -> list[str]:
     rank = "-" if row.rank is None else str(row.rank[0]) if row.rank[0] == row.rank[1] else "{}-{}".format(*row.rank)
     failed = f"{row.failed} of {row.recordings}" if row.failed else ""
     ns = "-" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}"
+    rest = [*(_format(value) for value in (row.nees_per_dof, row.coverage95)), row.parameters]
     if ranked is None or row.heading_rmse_deg is None or row.inclination_rmse_deg is None:
-        return [rank, row.label, "-", "-", "-", "-", "-", ns, failed]
+        return [rank, row.label, "-", "-", "-", "-", "-", ns, failed, "-", "-", *rest]
     interval = f"{ranked.ci95[0]:.2f}-{ranked.ci95[1]:.2f}" if table.general else "-"
     figures = (row.heading_rmse_deg.typical, row.inclination_rmse_deg.typical, ranked.worst)
-    return [rank, row.label, f"{ranked.typical:.2f}", interval, *(f"{figure:.2f}" for figure in figures), ns, failed]
+    shown = [f"{ranked.typical:.2f}", interval, *map(_format, figures), ns, failed]
+    return [rank, row.label, *shown, _format(ranked.mean), _format(ranked.median), *rest]
+
+
+def _format(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _study(
