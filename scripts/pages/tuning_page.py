@@ -20,7 +20,7 @@ from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.inputs import recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
-from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, leaderboard
+from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, Summary, Table, leaderboard
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.result_store import ResultStore
@@ -63,7 +63,6 @@ def main(folder: Path, out: Path, jobs: int = 1, page: Path = _PAGE, names: Sequ
     """Tune on half A, quote on half B, and rewrite the tables of the page."""
     files = recordings([folder])
     sources = [source for source in survey_sources(files, ResultStore(out / "sources")) if source.truth]
-    text = page.read_text(encoding="utf-8")
 
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
         return run_jobs(function, items, Workers(jobs), what)
@@ -90,16 +89,17 @@ def main(folder: Path, out: Path, jobs: int = 1, page: Path = _PAGE, names: Sequ
             )
             write_text(out / kind / f"{name}-tuned.toml", tuning_toml(tunings[name]))
             print_line(f"{kind}, {name}: {tunings[name].best.params}", flush=True)
-        board = leaderboard(
-            half_b,
-            [each for name in names for each in (name, f"{name}@{out / kind / name}-tuned.toml")],
-            out / f"quoted-{kind}",
-            against="truth",
-            calibration=[calibration],
-            run_jobs=run,
-        )
-        text = _replace_table(text, kind, make_table(tunings, board))
-    page.write_text(text, encoding="utf-8")
+        labels = [each for name in names for each in (name, f"{name}@{out / kind / name}-tuned.toml")]
+        _, uncalibrated_b = split_halves([source for source in sources if source not in usable])
+        boards = [
+            leaderboard(
+                quoted, labels, out / f"{where}-{kind}", against="truth", calibration=[calibration], run_jobs=run
+            )
+            for where, quoted in (("quoted", half_b), ("inclination", uncalibrated_b))
+            if quoted
+        ]
+        text = _replace_table(page.read_text(encoding="utf-8"), kind, make_table(tunings, *boards))
+        page.write_text(text, encoding="utf-8")
 
 
 def split_halves(sources: Sequence[Source]) -> tuple[list[Path], list[Path]]:
@@ -112,14 +112,17 @@ def split_halves(sources: Sequence[Source]) -> tuple[list[Path], list[Path]]:
     return halves
 
 
-def make_table(tunings: Mapping[str, Tuning], board: Leaderboard) -> str:
-    """Return a row for each estimator: typical errors on both halves, the gain on half B, and the setting."""
+def make_table(tunings: Mapping[str, Tuning], board: Leaderboard, inclined: Leaderboard | None = None) -> str:
+    """Return a row for each estimator: typical errors on both halves, the gain on half B, and the setting.
+
+    ``inclined`` is a leaderboard of other recordings, on which the inclination alone says something.
+    """
     (table,) = board.tables
     rows = {row.label: row for row in table.rows}
-    lines = [
-        "| estimator | A, defaults | A, tuned | B, defaults | B, tuned | tuned / defaults on B | tuned | trials |",
-        "|---" * 8 + "|",
-    ]
+    headings = ["estimator", "A, defaults", "A, tuned", "B, defaults", "B, tuned", "tuned / defaults on B"]
+    headings += ["raw phones, inclination: defaults", "tuned", "tuned / defaults"] if inclined else []
+    headings += ["tuned", "trials"]
+    lines = [f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
     for name in sorted(tunings, key=lambda each: _get_typical(rows[_get_tuned_label(each)])):
         tuning, label = tunings[name], _get_tuned_label(name)
         setting = ", ".join(f"`{param}` {value:.3g}" for param, value in tuning.best.params.items())
@@ -129,9 +132,8 @@ def make_table(tunings: Mapping[str, Tuning], board: Leaderboard) -> str:
             f"`{name}`" + (" (peer)" if ESTIMATORS[name].is_peer else ""),
             f"{tuning.defaults.typical_deg:.2f}",
             f"{tuning.best.typical_deg:.2f}",
-            _format_typical(rows[name]),
-            _format_typical(rows[label]),
-            _format_gain(table.pairs, name, label),
+            *_compare(table, name, label),
+            *(() if inclined is None else _compare(inclined.tables[0], name, label)),
             setting,
             trials,
         ]
@@ -147,11 +149,15 @@ def _get_typical(row: Row) -> float:
     return float("inf") if row.total_rmse_deg is None else row.total_rmse_deg.typical
 
 
-def _format_typical(row: Row) -> str:
-    if row.total_rmse_deg is None:
-        return "–"
-    low, high = row.total_rmse_deg.ci95
-    return f"{row.total_rmse_deg.typical:.2f} ({low:.2f}-{high:.2f})"
+def _compare(table: Table, name: str, label: str) -> list[str]:
+    """Return the typical error of the defaults and of the tuned setting, and their ratio."""
+    rows = {row.label: row for row in table.rows}
+    found = []
+    for row in (rows[name], rows[label]):
+        summary: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
+        low, high = (0.0, 0.0) if summary is None else summary.ci95
+        found.append("–" if summary is None else f"{summary.typical:.2f} ({low:.2f}-{high:.2f})")
+    return [*found, _format_gain(table.pairs, name, label)]
 
 
 def _format_gain(pairs: Sequence[Pair], name: str, label: str) -> str:
