@@ -119,6 +119,7 @@ class Peer:
     batch: Callable[[peers.PeerInput, Any], peers.PeerTrack]
     is_peer: bool = True
     offline: bool = False
+    has_heading: bool = True  # False: its heading has no meaning, even with a magnetometer
 
 
 def _describe(module: Any, summary: str, **facts: Any) -> Estimator:
@@ -209,7 +210,10 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
     "ahrs-ekf": Peer("quaternion EKF of the package ahrs", peers.AhrsEkfParams, peers.ahrs_ekf),
     "fusion": Peer("revised Madgwick of the package imufusion", peers.FusionParams, peers.fusion),
     "riann": Peer(
-        "neural network of the package riann (Weber et al. 2021): inclination only", peers.RiannParams, peers.riann
+        "neural network of the package riann (Weber et al. 2021): inclination only",
+        peers.RiannParams,
+        peers.riann,
+        has_heading=False,
     ),
     "roll-obs": _describe_spin(
         spin_observation, "spin: root of the observed square of the rate (Asghari et al. 2018)", innovations=0

@@ -47,6 +47,7 @@ _COLUMNS = (
     "parameters",
 )
 _EXAMPLE = "cf.omega0_radps=0.3"
+_MOST_FIRST = 4  # estimators that the line of a group names
 _MOST_FAILED = 3  # recordings that a line about a failure names; of more it gives the number
 
 
@@ -153,7 +154,9 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
             f"{len(table.recordings)} recordings against {table.against}, {board.align} aligned{whose}; "
             f"typical RMSE of the {table.ranked_by} error"
         )
-        print_table(title, _COLUMNS, [[_cells(row, table) for row in table.rows]], wanted=columns)
+        names = _shorten_labels(table)
+        cells = [_cells(row, table, name) for row, name in zip(table.rows, names, strict=True)]
+        print_table(title, _COLUMNS, [cells], wanted=columns)
         print_line(table.conclusion)
         print_line(table.origins)
     for group in board.groups:
@@ -161,7 +164,8 @@ def _print_leaderboard(board: Leaderboard, columns: str | None = None) -> None:
         if best:
             by = "" if group.ranked_by == "total" else f", by {group.ranked_by}"
             whose = f"{group.name} ({len(group.recordings)} recordings, {group.against}{by})"
-            print_line(f"{whose}: first {', '.join(best)}")
+            more = f" and {len(best) - _MOST_FIRST} more" if len(best) > _MOST_FIRST else ""
+            print_line(f"{whose}: first {', '.join(best[:_MOST_FIRST])}{more}")
     print_refusals("failed", _list_failures(board))
     for source in board.sources:
         if source.lost:
@@ -179,18 +183,26 @@ def _list_failures(board: Leaderboard) -> Iterator[tuple[str, str]]:
             yield error, f"{label} on {name}"
 
 
-def _cells(row: Row, table: Table) -> list[str]:
+def _shorten_labels(table: Table) -> list[str]:
+    """Return the names of the rows, without the input where the title says it for all of them."""
+    names = [row.estimator for row in table.rows]
+    alike = len({row.calibration for row in table.rows}) == 1 and len(set(names)) == len(names)
+    return names if alike else [row.label for row in table.rows]
+
+
+def _cells(row: Row, table: Table, name: str) -> list[str]:
     ranked: Summary | None = getattr(row, f"{table.ranked_by}_rmse_deg")
     rank = "-" if row.rank is None else str(row.rank[0]) if row.rank[0] == row.rank[1] else "{}-{}".format(*row.rank)
     failed = f"{row.failed} of {row.recordings}" if row.failed else ""
     ns = "-" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}"
     rest = [*(_format(value) for value in (row.nees_per_dof, row.coverage95)), row.parameters]
     if ranked is None or row.heading_rmse_deg is None or row.inclination_rmse_deg is None:
-        return [rank, row.label, "-", "-", "-", "-", "-", ns, failed, "-", "-", *rest]
-    interval = f"{ranked.ci95[0]:.2f}-{ranked.ci95[1]:.2f}" if table.general else "-"
+        return [rank, name, "-", "-", "-", "-", "-", ns, failed, "-", "-", *rest]
+    low, high = ranked.ci95
+    interval = f"{low:.2f}-{high:.2f}" if table.general and low < high else "-"
     figures = (row.heading_rmse_deg.typical, row.inclination_rmse_deg.typical, ranked.worst)
     shown = [f"{ranked.typical:.2f}", interval, *map(_format, figures), ns, failed]
-    return [rank, row.label, *shown, _format(ranked.mean), _format(ranked.median), *rest]
+    return [rank, name, *shown, _format(ranked.mean), _format(ranked.median), *rest]
 
 
 def _format(value: float | None) -> str:

@@ -29,6 +29,9 @@ def write_conclusion(table: Table, sources: Sequence[Source], unusable: Sequence
         listed = ", ".join(f"{row.label} failed on {row.failed} of {row.recordings}" for row in failed[:_MOST_NAMES])
         more = f" and {len(failed) - _MOST_NAMES} others failed on some" if len(failed) > _MOST_NAMES else ""
         sentences.append(f"Not ranked: {listed}{more}.")
+    turned = [row.label for row in table.rows if row.rank is None and not row.failed and sources]
+    if turned:
+        sentences.append(f"Not ranked by the {table.ranked_by} error: {_list(turned)}, whose heading has no meaning.")
     if unusable:
         sentences.append(f"Every estimator failed on {_list(unusable)}.")
     return replace(table, conclusion=" ".join(sentences))

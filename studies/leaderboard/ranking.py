@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
+from stillpoint.filters.table import ESTIMATORS, Peer
 from stillpoint.studies.leaderboard.board import Pair, RankedBy, Row, Run, Source, Summary, Table, Verdict
 from stillpoint.studies.leaderboard.conclusion import write_conclusion
 from stillpoint.studies.leaderboard.sources import number_rows
@@ -91,16 +92,20 @@ def build_tables(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: S
 def _build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> Table:
     """Rank the estimators of ``rows`` (of which only the names are used) over the recordings of ``sources``.
 
-    Recordings on which every estimator failed do not count. An estimator that failed on one of the others is listed
-    without a rank, and takes part in no pair.
+    Recordings on which every estimator failed do not count. An estimator that failed on one of the others, or whose
+    heading has no meaning in a ranking of the total error, is listed without a rank, and takes part in no pair.
     """
     labels = [row.label for row in rows]
     counted = [s for s in sources if any(runs.runs[s.recording, label].error is None for label in labels)]
     names = [source.recording for source in counted]
     row_of = number_rows(counted)
     failed = {label: [n for n in names if runs.runs[n, label].error is not None] for label in labels}
-    ranked = [label for label in labels if names and not failed[label]]
     ranked_by, why = _choose_figure(runs, names, labels)
+    ranked = [
+        row.label
+        for row in rows
+        if names and not failed[row.label] and (ranked_by == "inclination" or _has_heading(row))
+    ]
     pairs, ranks = _compare(runs, names, row_of, ranked, ranked_by)
     filled = [_fill_row(row, runs, counted, failed[row.label], ranks.get(row.label)) for row in rows]
     against = _name_judges(runs, names, labels)
@@ -185,6 +190,11 @@ def _choose_figure(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]
         f"{len(left_out)} of {len(names)} recordings, so {whose} heading and total error say nothing; "
         "--calibration reference corrects it"
     )
+
+
+def _has_heading(row: Row) -> bool:
+    entry = ESTIMATORS.get(row.estimator)
+    return not isinstance(entry, Peer) or entry.has_heading
 
 
 def _name_judges(runs: ScoredRuns, names: Sequence[str], labels: Sequence[str]) -> str:

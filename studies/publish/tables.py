@@ -148,7 +148,7 @@ def _format_cells(row: Row, table: Table) -> list[str]:
         "–" if row.rank is None else "–".join(dict.fromkeys(map(str, row.rank))),
         make_printable(row.label),
         _format_typical(lead),
-        "–" if lead is None else f"{lead.ci95[0]:.2f}–{lead.ci95[1]:.2f}",
+        "–" if lead is None or lead.ci95[0] == lead.ci95[1] else f"{lead.ci95[0]:.2f}–{lead.ci95[1]:.2f}",
         *map(_format_typical, others),
         "–" if lead is None else f"{lead.worst:.2f}",
         "–" if row.ns_per_sample is None else f"{row.ns_per_sample:.0f}",

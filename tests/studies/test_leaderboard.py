@@ -128,6 +128,13 @@ def test_every_row_says_what_its_parameters_were_chosen_on(board, files):
     assert ours.origins == said
 
 
+def test_an_estimator_without_a_heading_is_not_ranked_by_the_total_error(files):
+    pytest.importorskip("riann")
+    table = leaderboard(files[:1], ["gyro", "riann"]).tables[0]
+    assert {row.label for row in table.rows if row.rank is None} == {"riann"}
+    assert "Not ranked by the total error: riann, whose heading has no meaning." in table.conclusion
+
+
 def test_tags_get_tables_of_their_own(board):
     assert [(table.name, table.recordings) for table in board.groups] == [
         ("even", ("run0", "run2")),
