@@ -1,10 +1,13 @@
-"""Times that a user waits at the beginning: for the help page, and for the first estimate after an installation."""
+"""Times that a user waits at the beginning: for the help page, and for the first results after an installation."""
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
@@ -29,6 +32,31 @@ print(json.dumps(time.perf_counter() - start))
 """
 
 
+COMMAND = "import sys; from stillpoint.scripts.main import main; main(sys.argv[1:])"
+# The verbs that compute something, on half a minute and more of a phone, in an order in which each finds its inputs.
+VERBS = (
+    "simulate phone-1 --minutes 0.6 -o .",
+    "info phone-1-seed0.mcap",
+    "doctor phone-1-seed0.mcap --force",
+    "cut phone-1-seed0.mcap --from 2 --to 20 -o cut",
+    "export phone-1-seed0.mcap -o csv",
+    "export phone-1-seed0.mcap --format stream -o csv",
+    "import csv csv/phone-1-seed0.imu.csv -o in --time t_ns:ns --gyro gx,gy,gz:rad/s --accel ax,ay,az:m/s2",
+    "reference phone-1-seed0.mcap --method redistribution -o other --force",
+    "reference phone-1-seed0.mcap --force",
+    "estimate phone-1-seed0.mcap -e cf --force",
+    "estimate phone-1-seed0.mcap -e ekf --force",
+    "stream -e cf < csv/phone-1-seed0.stream.csv",
+    "stream -e ekf < csv/phone-1-seed0.stream.csv",
+    "score phone-1-seed0.mcap --force",
+    "validate phone-1-seed0.mcap --method redistribution --force",
+    "report phone-1-seed0.mcap",
+    "plot phone-1-seed0.mcap --kind errors -o errors.pdf",
+    "leaderboard phone-1-seed0.mcap -e cf --jobs 1 -o board --force",
+    "export-c -e cf -o c",
+)
+
+
 def bench_start(runs: int) -> list[Timing]:
     """Return the rows of the help page, and of each estimator of attitude with nothing compiled (once each)."""
     rows = [Timing("stillpoint --help", [time_call(lambda: _time_command(_HELP)) for _ in range(runs)], None)]
@@ -38,7 +66,34 @@ def bench_start(runs: int) -> list[Timing]:
             seconds = [float(json.loads(_time_command(_FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
         rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
         rows.append(Timing(f"the next process with {name}", seconds[1:], None))
-    return rows
+    return [*rows, *time_verbs()]
+
+
+def time_verbs() -> Iterator[Timing]:
+    """Yield, for each verb, the CPU seconds of a run with an empty cache of compiled code, and of the next run.
+
+    On an idle machine they are the time to the first result; other work of the machine does not count.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for verb in VERBS:
+            seconds = []
+            with tempfile.TemporaryDirectory() as cache:
+                for _ in range(2):
+                    seconds.append(_time_verb(verb, Path(folder), {"NUMBA_CACHE_DIR": cache}))
+            name = f"stillpoint {verb.partition(' --time')[0]}"
+            yield Timing(f"{name}, nothing compiled, CPU", seconds[:1], None)
+            yield Timing(f"{name}, the next process, CPU", seconds[1:], None)
+
+
+def _time_verb(verb: str, folder: Path, environment: dict[str, str]) -> float:
+    """Return the CPU seconds of one verb and of the processes that it starts."""
+    words, _, source = verb.partition(" < ")
+    given = (folder / source).read_bytes() if source else None
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-c", COMMAND, *words.split()]
+    subprocess.run(command, cwd=folder, input=given, env=os.environ | environment, capture_output=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def _time_command(program: str, *words: str, **environment: str) -> str:

@@ -47,13 +47,19 @@ def test_a_part_of_a_recording_has_the_fields_until_its_end():
 @pytest.mark.slow
 def test_the_start_is_measured_in_processes_of_its_own(monkeypatch):
     monkeypatch.setattr(bench_start, "ESTIMATORS", {"gyro": ESTIMATORS["gyro"], "vqf": ESTIMATORS["vqf"]})
+    made = "simulate phone-1 --minutes 0.6 -o ."
+    monkeypatch.setattr(bench_start, "VERBS", (made, "info phone-1-seed0.mcap"))
     rows = bench_start.bench_start(1)
     assert [row.name for row in rows] == [
         "stillpoint --help",
         "first estimate with gyro, nothing compiled",
         "the next process with gyro",
+        f"stillpoint {made}, nothing compiled, CPU",
+        f"stillpoint {made}, the next process, CPU",
+        "stillpoint info phone-1-seed0.mcap, nothing compiled, CPU",
+        "stillpoint info phone-1-seed0.mcap, the next process, CPU",
     ]
-    assert [len(row.seconds) for row in rows] == [1, 1, 1]
+    assert [len(row.seconds) for row in rows] == [1] * 7
     assert all(row.median_s > 0 for row in rows)
 
 
