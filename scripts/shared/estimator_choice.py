@@ -11,6 +11,7 @@ from stillpoint.filters.front.sources import make_front
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, SpinEstimator, find_estimator
 from stillpoint.scripts.shared.batch import assignments
+from stillpoint.scripts.shared.flags import split_names
 
 EXAMPLE = "cf.omega0_radps=0.3"
 _HEADING, _RANGE = "heading", "range"  # of --set, beside the estimators
@@ -54,7 +55,7 @@ def _parse_names(estimators: str) -> list[str]:
     """Return the estimators that a word of the command line stands for."""
     if estimators in ("all", "roll"):
         return list(ATTITUDES if estimators == "all" else ROLLS)
-    return list(dict.fromkeys(name.strip() for name in estimators.split(",")))
+    return split_names(estimators)
 
 
 def _parse_settings(set_: Sequence[str] | None, names: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -67,6 +67,11 @@ _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w|y)")
 _SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400, "y": 365.25 * 86400}
 
 
+def split_names(text: str) -> list[str]:
+    """Return the names in a list with commas, each once and in the given order."""
+    return list(dict.fromkeys(name.strip() for name in text.split(",")))
+
+
 def read_span(text: str, flag: str) -> timedelta:
     """Return a length of time as users write it, 90s, 10min, 1h, 30d; raises :class:`BadParameter` for another text."""
     match = _SPAN.fullmatch(text.strip())

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.names import make_printable
+from stillpoint.scripts.shared.flags import split_names
 from stillpoint.scripts.shared.output import print_cells, print_line
 
 _ALL = "all"
@@ -58,12 +59,10 @@ def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
     for k, heading in enumerate(columns):
         names.setdefault(heading.partition(",")[0].strip().lower(), k)
     chosen = []
-    for name in wanted.split(","):
-        if name.strip().lower() not in names:
-            raise BadParameter(
-                f"--columns {name.strip()}: there is no such column; there are {', '.join(names)}, {_ALL}"
-            )
-        chosen.append(names[name.strip().lower()])
+    for name in split_names(wanted):
+        if name.lower() not in names:
+            raise BadParameter(f"--columns {name}: there is no such column; there are {', '.join(names)}, {_ALL}")
+        chosen.append(names[name.lower()])
     return chosen
 
 

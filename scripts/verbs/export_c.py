@@ -13,7 +13,7 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.estimator_choice import EXAMPLE
-from stillpoint.scripts.shared.flags import SetFlag
+from stillpoint.scripts.shared.flags import SetFlag, split_names
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.studies.leaderboard.entrants import read_settings
 
@@ -60,8 +60,8 @@ def export_c(
 def _read_all_settings(estimators: str, set_: list[str] | None) -> dict[str, dict[str, Any]]:
     """Return the parameters that differ from their defaults, by estimator. Raises :class:`BadParameter`."""
     settings: dict[str, dict[str, Any]] = {}
-    for word in estimators.split(","):
-        name, at, file = word.strip().partition("@")
+    for word in split_names(estimators):
+        name, at, file = word.partition("@")
         if name not in EXPORTED:
             raise BadParameter(f"{name}: cannot be exported to C; choose among {', '.join(EXPORTED)}")
         settings[name] = dict(read_settings(Path(file), name)[0]) if at else {}

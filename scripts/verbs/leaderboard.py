@@ -16,7 +16,7 @@ from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.children import Outcome
-from stillpoint.scripts.shared.flags import LOCAL, Columns, SetFlag, Workers
+from stillpoint.scripts.shared.flags import LOCAL, Columns, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
@@ -232,7 +232,7 @@ def _study(
     assert base is not None
     given: dict[str, Any] = {"against": against, "align": align}
     for name, text in (("estimators", estimators), ("calibration", calibration), ("groups", groups)):
-        given[name] = None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
+        given[name] = None if text is None else tuple(part for part in split_names(text) if part)
     params = {name: dict(values) for name, values in base.params.items()}
     for path, value in assignments(set_, _EXAMPLE).items():
         owner, dot, name = path.partition(".")

@@ -17,7 +17,7 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
-from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile
 from stillpoint.scripts.shared.recordings import open_recording
@@ -121,7 +121,7 @@ def reference(
     if method is None and preset is None:
         methods = _choose_methods(sources, bool(changes))
     else:
-        named = list(dict.fromkeys(name.strip() for name in (method or DEFAULT_METHOD).split(",")))
+        named = split_names(method or DEFAULT_METHOD)
         methods = dict.fromkeys(sources, named)
     settings = _choose_settings(
         list(dict.fromkeys(name for names in methods.values() for name in names)), preset, changes

@@ -17,7 +17,7 @@ from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.children import Outcome
-from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutDir, Workers
+from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutDir, Workers, split_names
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_json
@@ -92,10 +92,10 @@ def validate(
     json
         Also write the rows as JSON to this file; - is the standard output.
     """
-    named = None if methods is None else [name.strip() for name in methods.split(",")]
+    named = None if methods is None else split_names(methods)
     sources = inputs.recordings(paths)
     if fidelity:
-        chosen_estimators = [] if estimators is None else [name.strip() for name in estimators.split(",")]
+        chosen_estimators = [] if estimators is None else split_names(estimators)
         return _validate_fidelity(sources, chosen_estimators, named or [], align, inputs.output_dir(out), workers, json)
     if estimators is not None:
         raise BadParameter("--estimators: belongs to --fidelity; to score estimators of a table here use --method")

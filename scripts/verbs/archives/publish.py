@@ -17,7 +17,7 @@ from stillpoint.datasets.archive.selection import About, Item, select_items
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import read, read_estimate, read_recording
 from stillpoint.datasets.trajectory import Reference, SpinReference
-from stillpoint.scripts.shared.flags import Whole
+from stillpoint.scripts.shared.flags import Whole, split_names
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
 from stillpoint.scripts.verbs.archives.common import ArchiveDir, open_named
 from stillpoint.studies.leaderboard import Leaderboard, Study, study_toml
@@ -169,7 +169,7 @@ def bundle(
         children = {child.sha256: child for child in opened.children(entry.sha256)}.values()
         references = [child for child in children if child.kind in ("reference", "roll reference")]
         found = {str(child.columns["estimator"]): child for child in children if child.kind == "estimate"}
-        named = list(found) if estimators is None else [name.strip() for name in estimators.split(",")]
+        named = list(found) if estimators is None else split_names(estimators)
         for name in named:
             require_known(name, found, f"estimate of {entry.name}")
         recording = read_recording(opened.path_of(entry))
