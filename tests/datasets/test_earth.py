@@ -43,7 +43,7 @@ NOAA = [
 
 
 @pytest.mark.parametrize(("date", "height_km", "lat", "lon", "north", "east", "down"), NOAA)
-def test_field_is_noaas(date, height_km, lat, lon, north, east, down):
+def test_the_field_equals_the_values_of_noaa(date, height_km, lat, lon, north, east, down):
     place = (lat, lon, height_km * 1000.0)
     # 0.05 nT is the rounding of the published values.
     np.testing.assert_allclose(magnetic_field_n_ut(place, date) * 1000, [east, north, -down], rtol=0, atol=0.051)
@@ -73,7 +73,7 @@ def test_places_outside_the_model_are_refused(place):
         magnetic_field_n_ut(place, "2021-06-12")
 
 
-def test_no_declination_at_the_magnetic_pole():
+def test_the_magnetic_pole_has_no_declination():
     # The WMM2020 north dip pole in 2021: 86.4 N, 156.8 E. The field itself is still known there.
     place = (86.4, 156.8, 0.0)
     assert np.linalg.norm(magnetic_field_n_ut(place, "2021-01-01")) > 50
@@ -82,7 +82,7 @@ def test_no_declination_at_the_magnetic_pole():
 
 
 @pytest.mark.parametrize("date", ["yesterday", "", "12.06.2021", "2021-13-01"])
-def test_dates_that_are_none(date):
+def test_dates_that_do_not_exist_are_refused(date):
     with pytest.raises(BadParameter, match="ISO 8601"):
         decimal_year(date)
 
@@ -129,7 +129,7 @@ def test_gravity_outside_its_formula_is_refused(lat_deg, height_m):
     lon=st.floats(-179, 179),
     offset=st.tuples(*[st.floats(-5000, 5000)] * 3),
 )
-def test_local_positions_there_and_back(lat, lon, offset):
+def test_local_positions_convert_there_and_back(lat, lon, offset):
     origin = (lat, lon, 300.0)
     back = enu_m(*geodetic([offset], origin), origin)
     np.testing.assert_allclose(back, [offset], atol=1e-6)

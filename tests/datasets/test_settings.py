@@ -113,7 +113,7 @@ def test_every_setting_of_the_program_has_a_meaning_a_range_and_survives_as_text
         ("any", [], "there are none"),
     ],
 )
-def test_the_nearest_name(name, known, says):
+def test_an_unknown_name_suggests_the_nearest(name, known, says):
     assert nearest(name, known) == says
     with pytest.raises(BadParameter) as caught:
         require_known(name, known, "thing")

@@ -25,7 +25,7 @@ spans = st.lists(st.tuples(st.integers(-10, 210), st.integers(0, 50)), max_size=
 
 
 @given(stamps, spans)
-def test_inside_is_what_it_says(t_ns, starts):
+def test_samples_inside_intervals_are_found(t_ns, starts):
     spans_ns = np.array([(first, first + length) for first, length in starts], dtype=np.int64).reshape(-1, 2)
     expected = [any(first <= t <= last for first, last in spans_ns) for t in t_ns]
     assert is_inside(np.array(t_ns), spans_ns).tolist() == expected

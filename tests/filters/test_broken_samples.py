@@ -203,7 +203,7 @@ def test_a_start_with_nothing_but_bad_samples(name: str) -> None:
 # acc-ma is late by half its window; the Euler rates of cf-literal are not defined at a pitch of 90 deg.
 @pytest.mark.parametrize("name", [name for name in FILTERS if name not in ("acc-ma", "cf-literal")])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, -1), (1, -2, 2)])
-def test_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) -> None:
+def test_the_estimate_follows_a_turn_at_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) -> None:
     spin = turning(axis, 2000.0, Rotation.from_euler("ZYX", [170, 20, -30], degrees=True))
     recording = record(spin, regular(4.0, 500.0))  # 4 deg a sample
     found = estimate(recording, name)
@@ -213,7 +213,7 @@ def test_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) ->
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_hours_of_rest(name: str) -> None:
+def test_the_estimate_survives_hours_of_rest(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [-170, 40, 5], degrees=True))
     t_s = regular(4 * 3600.0, 10.0)
     still, draw = record(pose, t_s), np.random.default_rng(0)

@@ -79,7 +79,7 @@ def test_jitter_of_the_clock_costs_nothing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FOLLOWING)
-def test_a_slower_magnetometer_on_its_own_clock(name: str) -> None:
+def test_a_magnetometer_may_be_slower_and_have_its_own_clock(name: str) -> None:
     slow_turn = turning((0, 0, 1), 5.0)
     recording = record(slow_turn, regular(20), np.arange(0.0031, 20, 0.1))
     held_deg = 5.0 * (0.1 + 0.01 + 0.03)  # acc holds a field in body axes for one period; its low pass, a third more

@@ -84,7 +84,7 @@ def test_from_rows_is_the_inverse_of_the_matrix(q) -> None:
 
 
 @given(st.floats(-20, 20))
-def test_about_up_turns_counter_clockwise(angle) -> None:
+def test_a_rotation_about_up_turns_counter_clockwise(angle) -> None:
     assert np.allclose(
         rotation.rotate(rotation.rotation_about_up(angle), (1.0, 0.0, 0.0)), (np.cos(angle), np.sin(angle), 0)
     )

@@ -144,7 +144,7 @@ def test_an_invalid_covariance_is_reported_and_not_judged():
         score(estimate, as_truth(t_ns, q_nb))
 
 
-def test_no_covariance_no_consistency():
+def test_an_estimate_without_covariance_has_no_consistency():
     t_ns, q_nb = swing(100)
     found = score(Estimate(t_ns, "e", q_nb=q_nb), as_truth(t_ns, q_nb))
     assert found.nees_per_dof is None
@@ -192,7 +192,7 @@ def test_no_overlap_is_said_with_its_reason():
         score(estimate, as_truth(t_ns, q_nb))
 
 
-def test_nothing_moving_is_said():
+def test_a_truth_without_motion_is_refused():
     t_ns, q_nb = swing(100)
     with pytest.raises(Unobservable, match="no sample of it moves"):
         score(Estimate(t_ns, "e", q_nb=q_nb), as_truth(t_ns, q_nb, np.zeros(100, dtype=bool)))
@@ -231,7 +231,7 @@ def test_input_arrays_are_left_alone():
     ("trial", "total", "heading", "inclination"),
     [("02", 0.441, 0.312, 0.312), ("10", 0.440, 0.363, 0.249), ("33", 1.280, 1.219, 0.392)],
 )
-def test_broad_figures_of_offline_vqf(data_dir, trial, total, heading, inclination):
+def test_scores_of_offline_vqf_equal_an_independent_program(data_dir, trial, total, heading, inclination):
     """The figures of BROAD's own definition with one heading removed, by an independent program."""
     found = score(*broad(data_dir, trial, offline_vqf))
     assert found.total_rmse_deg == pytest.approx(total, abs=1e-3)
@@ -248,7 +248,7 @@ def test_broad_figures_of_offline_vqf(data_dir, trial, total, heading, inclinati
         ("21", 12.4438, 9.6489, 7.8675),
     ],
 )
-def test_broad_figures_that_its_authors_publish(data_dir, trial, total, heading, inclination):
+def test_scores_of_mahony_equal_those_that_broad_publishes(data_dir, trial, total, heading, inclination):
     """Mahony's filter with the gains of their TAGP (results_mahony_average_rmse.json); nothing is aligned."""
 
     def tagp(gyro_b_radps, accel_b_mps2, mag_b_ut, rate_hz):

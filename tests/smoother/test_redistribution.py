@@ -266,7 +266,7 @@ EARTH_DEG = {"02": 0.51, "04": 0.66, "10": 0.28, "33": 0.82}  # measured when it
 
 
 @pytest.mark.parametrize("trial", list(PROTOTYPE_DEG))
-def test_real_trials_against_optical_truth(data_dir, trial):
+def test_redistribution_of_real_trials_meets_its_limits_against_optical_truth(data_dir, trial):
     (file,) = (data_dir / "broad").glob(f"{trial}_*.mat")
     (recording,) = IMPORTERS["broad"](file)
     body = score(reference(recording, "redistribution"), recording.truth)

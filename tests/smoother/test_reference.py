@@ -94,7 +94,7 @@ def test_the_verb_writes_what_reference_gives(call, folder, recording, capsys):
     assert "good" in capsys.readouterr().out
 
 
-def test_the_verb_with_several_methods_and_settings(call, folder):
+def test_the_verb_takes_several_methods_and_settings(call, folder):
     names = ",".join(METHODS)
     code = call("reference", folder / "good.mcap", "-o", folder, "--method", names, "--set", "rest.min_rest_s=2")
     assert code == 0

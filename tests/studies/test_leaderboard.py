@@ -253,7 +253,7 @@ def test_rows_without_a_magnetometer_are_ranked_apart_by_inclination(files, tmp_
     assert Leaderboard.from_json(json.loads(json.dumps(board.to_json()))).tables == board.tables
 
 
-def test_recordings_in_memory(tmp_path):
+def test_a_leaderboard_takes_recordings_in_memory(tmp_path):
     made = simulate("phone-3", seed=3, minutes=1.5)
     board = leaderboard([made], [lambda recording: Estimate(made.truth.t_ns, "", q_nb=made.truth.q_nb)])
     assert board.runs[0].total_rmse_deg < 1e-3

@@ -300,7 +300,7 @@ def phone() -> Recording:
     return cut(simulate("phone-3", seed=0, minutes=1.9), 45, 105)
 
 
-def test_nothing_is_wrong_before(phone: Recording) -> None:
+def test_a_clean_recording_has_no_findings(phone: Recording) -> None:
     assert examine(phone).clean
     assert examine(replace(phone, truth=None, base_pose=None)).clean
 

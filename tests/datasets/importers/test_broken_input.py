@@ -111,14 +111,14 @@ def test_disordered_rows_are_sorted_and_counted_when_asked(tmp_path):
         ("gyro = 3", "gyro = 3"),
     ],
 )
-def test_a_wrong_config_file(tmp_path, text, said):
+def test_a_wrong_config_file_gives_one_line_error(tmp_path, text, said):
     config = tmp_path / "log.toml"
     config.write_text(text)
     refused("csv", log(tmp_path, HEADER, *ROWS), CsvOptions(config=config), "log.toml", said)
 
 
 @pytest.mark.parametrize(("truth", "said"), [("gx,gy,gz,ax", "no row has a quaternion"), ("gx,gy,gz,az", "no unit")])
-def test_columns_that_are_no_quaternion(tmp_path, truth, said):
+def test_columns_without_quaternions_are_refused(tmp_path, truth, said):
     refused("csv", log(tmp_path, HEADER, *ROWS), CsvOptions(**{**vars(GOOD), "truth": truth}), "log.csv", said)
 
 

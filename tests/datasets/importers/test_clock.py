@@ -160,7 +160,7 @@ def test_empty_cells_are_nan_and_a_headerless_table_counts_its_columns():
         ("0.15 * uT", FIELD, 0.15),
     ],
 )
-def test_units_and_raw_counts(text, table, factor):
+def test_units_and_factors_convert_raw_counts(text, table, factor):
     assert parse_unit(text, table, "--x").factor == pytest.approx(factor, rel=1e-15)
 
 

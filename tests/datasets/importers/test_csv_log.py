@@ -37,7 +37,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize(("delimiter", "comma"), [(",", False), (";", True), ("\t", True), (";", False), (" ", False)])
-def test_a_delimited_log_by_flags(known, tmp_path, delimiter, comma):
+def test_flags_describe_a_delimited_log(known, tmp_path, delimiter, comma):
     file = tmp_path / "log.csv"
     rows = csv_rows(known, known.q_nb)
     if delimiter == " ":  # no empty cells in a log that is parted by blanks
@@ -51,7 +51,7 @@ def test_a_delimited_log_by_flags(known, tmp_path, delimiter, comma):
     assert any("sign of y flipped" in line for line in recording.info.conversions)
 
 
-def test_a_delimited_log_by_a_toml_file_and_by_column_numbers(known, tmp_path):
+def test_a_delimited_log_is_described_by_a_toml_file_and_column_numbers(known, tmp_path):
     file, config = tmp_path / "log.txt", tmp_path / "log.toml"
     file.write_text("\n".join(",".join(row) for row in csv_rows(known, known.q_nb)))
     numbered = {name: str(place + 1) for place, name in enumerate(HEADER)}
@@ -67,7 +67,7 @@ def test_a_delimited_log_by_a_toml_file_and_by_column_numbers(known, tmp_path):
 
 
 @pytest.mark.parametrize("frame", ["nwu", "ned"])
-def test_a_delimited_log_with_truth_in_another_local_frame(known, tmp_path, frame):
+def test_truth_of_a_delimited_log_is_converted_from_its_local_frame(known, tmp_path, frame):
     # The rows of these matrices are the axes of the frame in East-North-Up.
     axes = {"nwu": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "ned": [[0, 1, 0], [1, 0, 0], [0, 0, -1]]}[frame]
     q = quaternion(Rotation.from_matrix(axes) * rotation(known.q_nb))
@@ -205,7 +205,7 @@ def test_a_truth_that_takes_the_frame_to_the_body(known, tmp_path):
     assert (rotation(recording.truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-6
 
 
-def test_a_truth_in_a_file_of_its_own_on_its_own_clock(known, tmp_path):
+def test_truth_may_be_in_a_separate_file_with_its_own_clock(known, tmp_path):
     file, truth = tmp_path / "run.csv", tmp_path / "run.tum"
     file.write_text("\n".join(["t,gx,gy,gz,ax,ay,az", *plain_rows(known)]))
     poses = np.column_stack([known.t_s[::6] + 0.0025, np.zeros((100, 3)), known.q_nb[::6][:, [1, 2, 3, 0]]])

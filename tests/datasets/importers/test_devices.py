@@ -33,7 +33,7 @@ def assert_device(imported: Imported, known: Known, start_ns: int = 0, near: flo
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_folder_in_the_asl_format(known, tmp_path, turned):
+def test_a_folder_in_the_asl_format_is_read(known, tmp_path, turned):
     turn = rotation([0.5, 0.5, 0.1, np.sqrt(0.49)]) if turned else None
     write_euroc(tmp_path / "MH_01" / "mav0", known, turn)
     recording = read_one("euroc", tmp_path / "MH_01").recording
@@ -69,7 +69,7 @@ def test_ngimu_whose_quaternion_takes_the_earth_to_the_sensor(known, tmp_path):
     assert not any("other way" in note for note in imported.recording.info.notes)
 
 
-def test_ximu3_with_a_field_in_arbitrary_units(known, tmp_path):
+def test_ximu3_is_read_with_a_field_in_arbitrary_units(known, tmp_path):
     t_us = [str(t // 1000) for t in known.t_ns.tolist()]
     axes = [f"{what} {a} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for a in "XYZ"]
     values = np.column_stack([np.rad2deg(known.gyro_b_radps), known.accel_b_mps2 / G])
@@ -102,7 +102,7 @@ def test_the_gyro_decides_which_way_a_quaternion_turns(known, tmp_path):
 # --- Movella
 
 
-def test_movella_dot_with_a_counter_that_wraps(known, tmp_path):
+def test_movella_dot_is_read_across_a_wrap_of_its_counter(known, tmp_path):
     t_us = (known.t_ns // 1000 + 2**32 - 3_000_000) % 2**32
     header = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,"
     header += ",".join(f"{what}_{a}" for what in ("Acc", "Gyr", "Mag") for a in "XYZ") + ",Status"
@@ -120,7 +120,7 @@ def test_movella_dot_with_a_counter_that_wraps(known, tmp_path):
     assert_device(imported, known, start_ns=int(recording.imu.t_ns[0]))
 
 
-def test_a_text_export_of_mt_manager_without_stamps(known, tmp_path):
+def test_a_text_export_of_mt_manager_without_stamps_is_read(known, tmp_path):
     header = "PacketCounter\tSampleTimeFine\t" + "\t".join(f"{w}_{a}" for w in ("Acc", "Gyr") for a in "XYZ")
     header += "\t" + "\t".join(f"Quat_q{k}" for k in range(4))
     body = np.column_stack([known.accel_b_mps2, known.gyro_b_radps, known.q_nb])
@@ -147,7 +147,7 @@ def test_movella_without_inertial_data_says_so(tmp_path):
 # --- SensorLog
 
 
-def test_sensorlog_with_repeated_rows_and_apples_sign(known, tmp_path):
+def test_sensorlog_drops_repeated_rows_and_turns_apples_sign(known, tmp_path):
     boot_s = 5000.0
     stamps = [f"{boot_s + t:.6f}" for t in known.t_s.tolist()]
     late = [f"{boot_s + t + 0.001:.6f}" for t in known.t_s.tolist()]
@@ -176,7 +176,7 @@ def test_sensorlog_with_repeated_rows_and_apples_sign(known, tmp_path):
 # --- KITTI
 
 
-def test_kitti_oxts(known, tmp_path):
+def test_kitti_oxts_is_read(known, tmp_path):
     folder = tmp_path / "drive_0001" / "oxts"
     (folder / "data").mkdir(parents=True)
     angles = rotation(known.q_nb).as_euler("ZYX")
@@ -207,7 +207,7 @@ def test_kitti_oxts(known, tmp_path):
 # --- PX4
 
 
-def test_a_log_of_px4(known, tmp_path):
+def test_a_log_of_px4_is_read(known, tmp_path):
     pytest.importorskip("pyulog")
     write_ulog(tmp_path / "flight.ulg", known)
     imported = read_one("ulog", tmp_path / "flight.ulg")

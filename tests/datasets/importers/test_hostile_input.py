@@ -133,7 +133,7 @@ FIELDS = {"imu_gyr": (50, 3), "imu_acc": (50, 3), "imu_mag": (50, 3), "opt_quat"
         ({"imu_acc": np.ones((3, 50))}, "imu_acc has the shape (3, 50)"),
     ],
 )
-def test_a_mat_file_of_other_things_than_real_numbers(tmp_path, changes, says):
+def test_a_mat_file_without_real_numbers_gives_one_line_error(tmp_path, changes, says):
     arrays = {name: np.ones(shape) for name, shape in FIELDS.items()}
     fields = {**arrays, "movement": np.ones(50), "sampling_rate": 100.0, **changes}
     scipy.io.savemat(tmp_path / "x.mat", fields)

@@ -39,7 +39,7 @@ LOCATION = (
 
 @pytest.mark.parametrize("logged", ["raw", "total", "parts"])
 @pytest.mark.parametrize(("platform", "standardised"), [("android", False), ("ios", False), ("ios", True)])
-def test_sensorlogger(known, tmp_path, platform, standardised, logged):
+def test_sensorlogger_is_read_from_each_platform(known, tmp_path, platform, standardised, logged):
     sign = -1.0 if platform == "ios" and not standardised else 1.0
     force = sign * known.accel_b_mps2
     gravity = sign * np.tile([0.1, -0.2, 9.7], (600, 1))
@@ -126,7 +126,7 @@ def axes(what: str, unit: str) -> tuple[str, str, str]:
 
 
 @pytest.mark.parametrize(("delimiter", "comma"), [(",", False), ("\t", False), (";", True), ("\t", True)])
-def test_phyphox_with_each_separator_and_decimal_sign(known, tmp_path, delimiter, comma):
+def test_phyphox_is_read_with_each_separator_and_decimal_sign(known, tmp_path, delimiter, comma):
     start = f'"event"{delimiter}"experiment time"{delimiter}"system time"{delimiter}"system time text"\n'
     stamp = "1700000000.123".replace(".", "," if comma else ".")
     start += delimiter.join(['"START"', "0", stamp, '"2023-11-14 22:13:20.123 UTC+00:00"'])
@@ -165,7 +165,7 @@ def test_phyphox_puts_the_pauses_back_into_the_time(known, tmp_path):
     assert t_ns[200] == 112_500_000_000
 
 
-def test_phyphox_location(known, tmp_path):
+def test_phyphox_locations_are_read(known, tmp_path):
     names = (*axes("Gyroscope", "rad/s"), *axes("Acceleration", "m/s^2"))
     values = np.column_stack([known.gyro_b_radps, known.accel_b_mps2])
     (tmp_path / "Raw Data.csv").write_text(phyphox_csv(known, names, values, ",", False))

@@ -30,7 +30,7 @@ def broad_fields(known: Known) -> dict:
 
 
 @pytest.mark.parametrize("variant", ["mat", "attribute", "dataset"])
-def test_broad_in_each_of_its_formats(known, tmp_path, variant):
+def test_broad_is_read_in_each_of_its_formats(known, tmp_path, variant):
     fields = broad_fields(known)
     if variant == "mat":
         file = tmp_path / "07_trial_B.mat"
@@ -95,7 +95,7 @@ def write_tyrex(root: Path, known: Known, ios: bool, late_s: float = -2.0) -> Pa
 
 
 @pytest.mark.parametrize("ios", [False, True])
-def test_tyrex(known, tmp_path, ios):
+def test_tyrex_is_read_from_each_system(known, tmp_path, ios):
     # The phone's clock starts 3 s before the motion, Qualisys' with it: aligned by -3 s.
     folder = write_tyrex(tmp_path, known, ios, late_s=-3.0)
     recording = only("tyrex", folder)
@@ -107,7 +107,7 @@ def test_tyrex(known, tmp_path, ios):
     assert (recording.truth.position_n_m == 1.5).all()
 
 
-def test_tyrex_with_the_field_that_the_phone_calibrated(known, tmp_path):
+def test_tyrex_is_read_with_the_field_that_the_phone_calibrated(known, tmp_path):
     folder = write_tyrex(tmp_path, known, ios=False)
     recording = only("tyrex", folder, TyrexOptions(mag="calibrated"))
     np.testing.assert_allclose(recording.mag.mag_b_ut, -known.mag_b_ut, atol=1e-9)

@@ -80,7 +80,7 @@ def mean_force_n(recording: Recording) -> np.ndarray:
     return rotation(truth.q_nb[near]).apply(imu.accel_b_mps2[at[near]]).mean(axis=0)
 
 
-def test_broad_all_trials(broad):
+def test_all_broad_trials_are_read(broad):
     assert len(broad) == 12
     for recording in broad:
         assert rate_hz(recording.imu.t_ns) == pytest.approx(2000 / 7, rel=1e-12)
@@ -106,7 +106,7 @@ def test_broad_rests_at_both_ends_and_the_size_of_gravity_there(broad):
         assert np.rad2deg(np.abs(recording.imu.gyro_b_radps[still].mean(axis=0))).max() < 0.6, recording.name
 
 
-def test_broad_physics_through_the_truth(broad):
+def test_broad_sensors_agree_with_the_truth(broad):
     """Gyro turns as the truth does, gravity leads up, the field leads to magnetic north and down."""
     for recording in broad:
         same, _ = gyro_against_truth(recording, late_s=0.0042)
@@ -119,7 +119,7 @@ def test_broad_physics_through_the_truth(broad):
         assert field[2] < -30, recording.name
 
 
-def test_tyrex_all_trials(tyrex):
+def test_all_tyrex_trials_are_read(tyrex):
     assert [r.name for r in tyrex] == sorted(TYREX_LATE_S)
     for recording in tyrex:
         model = recording.info.sensor
@@ -130,7 +130,7 @@ def test_tyrex_all_trials(tyrex):
         assert not any("calibrated" in name for name in recording.info.sha256)
 
 
-def test_tyrex_physics_through_the_truth(tyrex):
+def test_tyrex_sensors_agree_with_the_truth(tyrex):
     """On both systems, with the measured lag: gyro, gravity, and the field after its hard iron, 0-7 deg from true north
     (Grenoble's declination is 2 deg; trials with magnets are left out of that)."""
     for recording in tyrex:
@@ -184,7 +184,7 @@ def test_bench_keeps_the_flaws_of_the_log(data_dir):
     assert np.ptp(np.diff(still.imu.t_ns)) <= 1
 
 
-def test_disc_by_flags(data_dir):
+def test_flags_describe_the_log_of_a_disc(data_dir):
     file = next((data_dir / "disc").glob("*.csv"))
     options = CsvOptions(
         rate=100.0,

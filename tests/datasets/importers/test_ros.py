@@ -32,7 +32,7 @@ def ros_source(tmp_path: Path, variant: str, known: Known, truth: str) -> Path:
 
 
 @pytest.mark.parametrize("variant", ["ros1", "sqlite", "mcap bag", "mcap"])
-def test_ros_in_each_of_its_containers(known, tmp_path, variant):
+def test_ros_is_read_in_each_of_its_containers(known, tmp_path, variant):
     source = ros_source(tmp_path, variant, known, "geometry_msgs/msg/PoseStamped")
     recording = only("ros", source)
     assert_known(recording, known, start_ns=START_NS, near=1e-12)
@@ -42,7 +42,7 @@ def test_ros_in_each_of_its_containers(known, tmp_path, variant):
 
 
 @pytest.mark.parametrize("variant", ["ros1", "sqlite", "mcap"])
-def test_ros_truth_from_one_child_of_tf(known, tmp_path, variant):
+def test_ros_truth_comes_from_one_child_of_tf(known, tmp_path, variant):
     source = ros_source(tmp_path, variant, known, TF[0])
     recording = only("ros", source, RosOptions(truth_child="phone"))
     assert_known(recording, known, start_ns=START_NS, near=1e-12)

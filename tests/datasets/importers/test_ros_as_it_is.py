@@ -206,7 +206,7 @@ def test_a_chain_that_is_not_clear_or_not_there_is_refused_by_name(known, tmp_pa
     refuse(file, RosOptions(truth_parent="phone", truth_child="imu"), BadParameter, "every link to imu is fixed")
 
 
-def test_a_truth_in_north_east_down_and_inverted(known, tmp_path):
+def test_an_inverted_truth_in_north_east_down_is_converted(known, tmp_path):
     ros = Ros()
     for t, gyro, accel, q in samples(known):
         ros.imu("/imu", t, gyro, accel)
@@ -240,7 +240,7 @@ def test_static_transforms_turn_the_sensors_into_the_body(known, tmp_path):
 # --- what a message does not give
 
 
-def test_gyro_and_accelerometer_that_alternate_on_one_topic(known, tmp_path):
+def test_gyro_and_accelerometer_may_alternate_on_one_topic(known, tmp_path):
     ros = Ros()
     for t, gyro, accel, _ in samples(known):
         ros.imu("/imu", t, gyro, (0, 0, 0), given=(NOT_GIVEN, NINE, NOT_GIVEN))
@@ -349,7 +349,7 @@ def test_without_any_stamp_the_times_of_receipt_are_used(known, tmp_path):
 # --- containers
 
 
-def test_an_mcap_file_of_ros1_messages(known, tmp_path):
+def test_an_mcap_file_of_ros1_messages_is_read(known, tmp_path):
     ros = Ros(ROS1, ros1=True)
     for t, gyro, accel, q in samples(known):
         ros.imu("/imu", t, gyro, accel)
@@ -398,7 +398,7 @@ def test_a_cut_bag_gives_its_whole_chunks(known, tmp_path):
     assert any("cut short" in note for note in recording.info.notes)
 
 
-def test_a_folder_without_metadata(known, tmp_path):
+def test_a_folder_without_metadata_is_read(known, tmp_path):
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
 

@@ -49,7 +49,7 @@ def test_a_log_with_the_usual_columns_needs_no_flags(made, tmp_path):
     assert any("unwrapped over" in line for line in recording.info.conversions)
 
 
-def test_columns_units_signs_and_arms_by_flags(made, tmp_path):
+def test_flags_give_columns_units_signs_and_arms(made, tmp_path):
     """Raw counts of 3.90625 mg, the other way round and inverted; the encoder in turns; milliseconds."""
     log = bench_log(
         made,
@@ -97,7 +97,7 @@ def test_lost_values_stay_lost_and_are_counted(tmp_path):
     assert "1 rows lack some sensors" in notes
 
 
-def test_five_accelerometers_and_their_gyros(tmp_path):
+def test_five_accelerometers_and_their_gyros_are_read(tmp_path):
     made = simulate("spin-flight", 0, minutes=0.02)
     columns = {"t_s": lambda r: r.spin.t_ns / 1e9}
     columns |= {f"F{k + 1}_mps2": lambda r, k=k: r.spin.accel_mps2[:, k] for k in range(5)}
@@ -112,7 +112,7 @@ def test_five_accelerometers_and_their_gyros(tmp_path):
     )
 
 
-def test_a_geometry_of_ones_own_and_a_settings_file(made, tmp_path):
+def test_geometry_and_settings_come_from_files(made, tmp_path):
     geometry = tmp_path / "shaft.toml"
     geometry.write_text(
         "accel_r_m = [[0, 0, 0.1], [0, 0.5, 0]]\naccel_axis = [[0, 0, 2], [0, 0, 1]]\nrange_g = 16\nfixed_axis = true\n"
@@ -179,7 +179,7 @@ def test_the_command_imports_it(made, tmp_path, call, capsys):
     assert "spin, Hz" in capsys.readouterr().out
 
 
-def test_the_disc(data_dir, tmp_path, call, capsys):
+def test_a_throw_of_the_disc_is_imported_from_its_log(data_dir, tmp_path, call, capsys):
     """100 Hz, 3391 deg/s about the spin axis; the throw is at rows 1584 to 1874; nothing reaches +-16 g."""
     assert call("import", "flatball", data_dir / "disc", "-o", tmp_path) == 0
     recording = read(tmp_path / "2025-08-31-001-rb.mcap")

@@ -48,7 +48,7 @@ def test_tum_in_nanoseconds_says_so(known, tmp_path):
 
 
 @pytest.mark.parametrize("header", ["#timestamp, p_x, p_y, p_z, q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []", None])
-def test_euroc_with_and_without_a_header(known, tmp_path, header):
+def test_euroc_is_read_with_and_without_a_header(known, tmp_path, header):
     lines = ([header] if header else []) + rows(POSITION, known.q_nb, delimiter=",", stamps=unix(known))
     found = read_poses(write(tmp_path, "data.csv", known, lines))
     assert_same(found, known, START_NS)
@@ -84,7 +84,7 @@ def test_a_table_whose_header_names_time_and_quaternion(known, tmp_path, names, 
     assert_same(read_poses(write(tmp_path, "filter.csv", known, lines)), known)
 
 
-def test_a_table_by_named_columns_in_another_frame_and_inverted(known, tmp_path):
+def test_flags_name_columns_frame_and_inversion_of_a_table(known, tmp_path):
     inverse_ned = quaternion((local_from_enu("ned") * rotation(known.q_nb)).inv())
     lines = ["a,b,c,d,e", *rows(inverse_ned, delimiter=",", stamps=[repr(t) for t in known.t_s.tolist()])]
     file = write(tmp_path, "f.csv", known, lines)
@@ -94,7 +94,7 @@ def test_a_table_by_named_columns_in_another_frame_and_inverted(known, tmp_path)
         read_poses(file)
 
 
-def test_a_pose_topic_of_a_bag(known, tmp_path):
+def test_a_pose_topic_of_a_bag_is_read(known, tmp_path):
     write_pose_bag(tmp_path / "run.bag", known)
     found = read_poses(tmp_path / "run.bag")  # the pose topic, as TF holds whatever moves
     assert_same(found, known, START_NS)

@@ -119,7 +119,7 @@ def test_a_message_built_from_a_layout_is_that_of_rosbags_byte_for_byte(type_nam
         assert built.tobytes() == body
 
 
-def test_the_trap_type_of_the_specification_by_hand():
+def test_padding_of_a_layout_agrees_with_the_specification():
     """NavSatStatus: an int8, one byte of padding, a uint16; then the doubles at 8 from the body's start."""
     parsed = cdr.parse("a/msg/T", "ros2msg", "int8 s\nuint16 v\nfloat64 x\nuint8 c")
     body = b"\0\1\0\0" + b"\xff\0\x02\x01" + b"\0" * 4 + np.float64(1.5).tobytes() + b"\x07"

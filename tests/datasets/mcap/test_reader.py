@@ -64,7 +64,7 @@ OFFICIAL = {
 
 
 @pytest.mark.parametrize("kind", OFFICIAL)
-def test_files_of_the_official_writer(tmp_path, kind):
+def test_files_of_the_official_writer_are_read(tmp_path, kind):
     path, rows = tmp_path / f"{kind}.mcap", 900
     with path.open("wb") as file:
         writer = OfficialWriter(file, **OFFICIAL[kind])
@@ -73,7 +73,7 @@ def test_files_of_the_official_writer(tmp_path, kind):
     check_imu_and_field(path, rows)
 
 
-def test_files_of_mcap_ros2_support(tmp_path):
+def test_files_of_mcap_ros2_support_are_read(tmp_path):
     path = tmp_path / "x.mcap"
     with path.open("wb") as file:
         writer = Ros2Writer(file)
@@ -85,7 +85,7 @@ def test_files_of_mcap_ros2_support(tmp_path):
     check_imu_and_field(path, 300)
 
 
-def test_files_of_rosbags(tmp_path):
+def test_files_of_rosbags_are_read(tmp_path):
     with BagWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         imu = writer.add_connection("/imu", IMU, typestore=STORE)
         field = writer.add_connection("/field", VECTOR, typestore=STORE)
@@ -96,7 +96,7 @@ def test_files_of_rosbags(tmp_path):
     check_imu_and_field(path)
 
 
-def test_files_of_foxglove_sdk(tmp_path):
+def test_files_of_foxglove_sdk_are_read(tmp_path):
     path = tmp_path / "x.mcap"
     with foxglove.open_mcap(path):
         channels = {}
@@ -256,7 +256,7 @@ def test_messages_of_one_topic_on_two_channels_are_joined(tmp_path):
     np.testing.assert_array_equal(topic.vector("vector", XYZ), FIELD[:40])
 
 
-def test_topics_without_messages_and_files_without_topics(tmp_path):
+def test_empty_topics_and_empty_files_are_listed(tmp_path):
     write_mcap(tmp_path / "none.mcap", [], {}, {})
     assert read_log(tmp_path / "none.mcap").topics == {}
     empty = Stream("/x", VECTOR, T_NS[:0], {f"vector.{a}": FIELD[:0, 0] for a in XYZ})

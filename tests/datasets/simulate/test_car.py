@@ -27,7 +27,7 @@ def test_the_velocity_lies_along_the_body_x_axis(perfect):
     assert np.abs(speed_b[:, 1:]).max() < 0.05
 
 
-def test_it_stops_and_stands(perfect):
+def test_the_car_stops_and_stands(perfect):
     speed = np.linalg.norm(velocity_n_mps(perfect), axis=1)
     assert (speed < 1e-6).sum() > 5 * 50
 

@@ -53,7 +53,7 @@ def test_wandering_bias_is_stationary_from_its_first_sample():
     assert firsts.std() == pytest.approx(2.0, rel=0.1)
 
 
-def test_converter_steps_and_range():
+def test_converter_has_the_stated_steps_and_range():
     ideal = np.linspace(-3, 3, 9000).reshape(-1, 3)
     out, drawn = add_sensor_errors(ideal, replace(QUIET, limit=2.0, bits=8), 0.01, 0, "accel")
     step = 4.0 / 256
@@ -117,7 +117,7 @@ def test_a_lag_shifts_its_own_stream_only(part):
             np.testing.assert_array_equal(stream(late), stream(plain))
 
 
-def test_clock_rate_jitter_and_skew():
+def test_clock_has_the_stated_rate_jitter_and_skew():
     clock = ClockModel(rate_error=0.01, jitter_s=0.5e-3, skew_ppm=50.0)
     rates = []
     for seed in range(20):
@@ -152,7 +152,7 @@ def test_disturbances_pass_and_come_as_often_as_stated():
     assert 3 < size.max() < 25
 
 
-def test_range_is_said():
+def test_samples_at_the_range_are_noted():
     sensor = replace(PHONE, gyro=replace(PHONE.gyro, range_degps=250.0))
     recording = simulate("phone-3", 0, minutes=1.5, sensor=sensor)
     limit = np.deg2rad(250.0)

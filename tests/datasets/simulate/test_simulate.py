@@ -134,7 +134,7 @@ def test_the_moving_mask_is_the_time_outside_rests(kind, phones):
 
 
 @given(minutes=st.floats(0.6, 30.0), seed=st.integers(0, 10**6), initial_s=st.sampled_from([10.0, 60.0]))
-def test_protocol_of_the_paper(minutes, seed, initial_s):
+def test_rests_and_swings_follow_the_protocol_of_the_paper(minutes, seed, initial_s):
     if minutes * 60 < initial_s + 23:
         with pytest.raises(BadParameter, match="one swing"):
             plan_rests(initial_s, minutes * 60, seed, "phone-3")

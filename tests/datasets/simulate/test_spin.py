@@ -178,6 +178,6 @@ def test_every_kind_has_these_presets():
         (lambda: SpinSensor("bad", lost_share=1.0), "give a share below 1"),
     ],
 )
-def test_what_cannot_be_is_refused(make, said):
+def test_impossible_spins_are_refused(make, said):
     with pytest.raises(BadParameter, match=said):
         make()

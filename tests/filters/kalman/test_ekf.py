@@ -205,7 +205,7 @@ def test_a_wrong_attitude_is_never_locked_out(name: str, about: tuple[float, flo
 
 @pytest.mark.parametrize("name", KALMAN)
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 1, 0), (3, -1, 2)])
-def test_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) -> None:
+def test_the_estimate_follows_a_turn_at_2000_degrees_per_second(name: str, axis: tuple[float, float, float]) -> None:
     t_s = np.arange(0, 12, 0.005)
     spin = np.outer(np.deg2rad(2000.0) * t_s, np.array(axis) / np.linalg.norm(axis))
     true = Rotation.from_rotvec(spin) * Rotation.from_euler("ZYX", [20, 30, -40], degrees=True)

@@ -31,7 +31,7 @@ def rolled(angle_rad: Floats) -> Floats:
     return G * np.column_stack([np.zeros_like(angle_rad), np.sin(angle_rad), np.cos(angle_rad)])
 
 
-def test_two_steps_by_hand() -> None:
+def test_two_steps_agree_with_a_calculation_by_hand() -> None:
     """P starts as 1e-4 I; with dt = 1, R = 1e-4, Q = 0 both gains are (2/3, -1/3), as a sheet of paper shows.
 
     P- = [[2, -1], [-1, 1]], S = 3, P+ = [[2/3, -1/3], [-1/3, 2/3]]; then P- = [[2, -1], [-1, 2/3]], S = 3,
@@ -211,7 +211,7 @@ def test_at_rest_the_exact_form_gives_any_pose(pitch: float, roll: float, headin
 
 
 @pytest.mark.parametrize(("form", "roll_deg"), [("euler", 40.0), ("roots", 40.0), ("printed", 32.73)])
-def test_the_forms_of_14(form: str, roll_deg: float) -> None:
+def test_each_form_of_equation_14_gives_its_roll(form: str, roll_deg: float) -> None:
     """Without the roots, in g: arctan(sin 40 deg) = 32.73 deg, and 45 deg is the most it can say."""
     accel = np.tile(rolled(np.deg2rad([40.0])), (20_000, 1))
     found = estimate(
@@ -229,7 +229,7 @@ def test_two_axes_tilted_at_once_tell_the_form_with_roots_from_euler_angles() ->
     assert roots[:2] == pytest.approx([33.83, 30.0], abs=0.01)
 
 
-def test_the_coriolis_term_of_a_steady_circle() -> None:
+def test_the_speed_removes_the_acceleration_of_a_steady_circle() -> None:
     """20 m/s on a circle at 0.2 rad/s, level: 4 m/s^2 to the side, which look like 22 deg of roll."""
     n, turn_radps, speed_mps = 6000, 0.2, 20.0
     t_s = np.arange(n) / 100

@@ -45,7 +45,7 @@ def plain(f4, f5, mode=None, window=5, over=5, literal=False) -> tuple[list[floa
     return rates, variances
 
 
-def test_two_steps_of_the_ekf_by_hand():
+def test_two_steps_of_the_ekf_agree_with_a_calculation_by_hand():
     """F4 = -122.5, -124 and F5 = 1: x0 = 35, P0 = 80 / 70^2; x- = 35.008, P- = P0 + 8e-6; H = 70.016."""
     found = estimate(bench([-122.5, -124.0], [1.0, 0.0]), "roll-ekf", PAPER)
     p = 80 / 4900 + 8e-6

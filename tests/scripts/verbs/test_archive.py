@@ -132,7 +132,7 @@ def test_export_and_import_round_trip(lab, call, capsys, tmp_path):
     assert call("archive", "export", "all", "-o", tmp_path / "walks.zip") == 2
 
 
-def test_one_file_for_viewers(lab, call, tmp_path):
+def test_a_recording_and_its_results_are_published_as_one_file_for_viewers(lab, call, tmp_path):
     assert call("archive", "bundle", "walk.ekf.estimate.mcap", "-o", tmp_path / "one.mcap") == 0
     assert call("info", tmp_path / "one.mcap") == 0
     assert (tmp_path / "one.foxglove.json").is_file()

@@ -19,7 +19,7 @@ def file(tmp_path):
     return path
 
 
-def test_a_span_by_seconds_from_the_first_sample(call, file, capsys):
+def test_a_span_counts_seconds_from_the_first_sample(call, file, capsys):
     assert call("cut", file, "--from", "10", "--to", "20") == 0
     part = read_recording(file.with_name("run-cut.mcap"))
     assert (part.imu.t_ns[0], part.imu.t_ns[-1]) == (17_000_000_000, 27_000_000_000)

@@ -77,7 +77,7 @@ def test_one_file_per_recording_and_estimator_that_names_its_source(recordings: 
     assert rows[1]["params"]["omega0_radps"] == 0.3
 
 
-def test_single_precision_and_peers_by_the_command(recordings: Path, tmp_path: Path) -> None:
+def test_the_command_runs_single_precision_and_peers(recordings: Path, tmp_path: Path) -> None:
     estimate([recordings / "phone-1-seed0.mcap"], estimators="cf", out=tmp_path, precision="single")
     kept = read(tmp_path / "phone-1-seed0.cf.estimate.mcap")
     assert (kept.q_nb.astype(np.float32) == kept.q_nb).all()

@@ -99,7 +99,7 @@ def dipole_n_ut(place_m: np.ndarray, at_m: np.ndarray, direction: np.ndarray, la
     "name",
     ["04_undisturbed_slow_rotation_with_breaks_A", "10_undisturbed_slow_translation_A", "24_disturbed_tapping_A"],
 )
-def test_real_motion_between_magnets(data_dir, name):
+def test_a_reference_is_made_of_real_motion_between_magnets(data_dir, name):
     """Six magnets half a metre around the path that motion capture saw, 60 uT each. Such were refused once."""
     io = pytest.importorskip("scipy.io")
     path = data_dir / "broad" / f"{name}.mat"

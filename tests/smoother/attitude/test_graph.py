@@ -70,7 +70,7 @@ def test_recovered_calibration_is_the_drawn_one_within_its_sd():
         assert np.sqrt(np.mean(off_sd**2)) < 1.5, name
 
 
-def test_recovered_bias_and_hard_iron(recording, made):
+def test_the_graph_recovers_bias_and_hard_iron(recording, made):
     """The bias to what a phone's wanders by (10 deg/h) and its g-sensitivity adds (0.01 deg/s); the iron to 1 uT."""
     drawn = json.loads(recording.info.extra["sensor_drawn"])
     off_degps = np.rad2deg(made.gyro_bias_b_radps - drawn["gyro"]["bias"])
@@ -115,7 +115,7 @@ def test_turning_about_the_vertical_only_leaves_the_field_its_size():
     assert 35 < np.linalg.norm(field_n_ut) < 60
 
 
-def test_what_was_found_is_said(made):
+def test_diagnostics_report_what_was_found(made):
     said = made.diagnostics
     json.dumps(said)
     assert said["convention"] == CONVENTION

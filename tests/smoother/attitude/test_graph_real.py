@@ -27,7 +27,7 @@ def recordings(data_dir):
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_as_near_to_motion_capture_as_promised(recordings, name):
+def test_errors_against_motion_capture_stay_within_the_stated_limits(recordings, name):
     recording = recordings[name]
     made = reference(recording)
     found = score(made, recording.truth, "heading+mounting+time")

@@ -82,7 +82,7 @@ def test_no_rest_and_a_start_in_motion(swing):
     assert found.coverage95 > 0.9
 
 
-def test_upside_down_from_the_start(swing):
+def test_the_graph_starts_upside_down(swing):
     down = rotated_body(swing, Rotation.from_rotvec([np.pi, 0.0, 0.0]))
     assert score(reference(down), down.truth, "heading").total_rmse_deg < 2.0
 

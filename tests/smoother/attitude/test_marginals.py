@@ -54,7 +54,7 @@ def test_covariances_are_blocks_of_the_inverse(system, order):
         np.testing.assert_allclose(found, whole[where[key], where[key]], rtol=1e-8, atol=1e-12)
 
 
-def test_products_with_the_covariance(system):
+def test_products_with_the_covariance_equal_the_dense_ones(system):
     keys = sorted(SIZES)
     eliminated = eliminate(system, _ordering_of(keys), keys)
     whole, where = invert(system, keys)

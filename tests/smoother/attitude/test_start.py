@@ -46,7 +46,7 @@ def test_a_gyro_bias_of_a_phone_is_found_without_rest(swing, bias_degps):
 
 
 @pytest.mark.parametrize("turn_deg", [[180, 0, 0], [0, 180, 0], [0, 90, 0], [0, 0, 135]])
-def test_upside_down_and_on_its_side(swing, turn_deg):
+def test_the_start_is_found_upside_down_and_on_its_side(swing, turn_deg):
     turned = rotated_body(swing, Rotation.from_rotvec(turn_deg, degrees=True))
     assert np.percentile(error_deg(turned, start_of(turned)), 95) < 15.0
 

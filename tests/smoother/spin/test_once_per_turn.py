@@ -163,7 +163,7 @@ def test_in_flight_a_vibration_is_nothing_else():
     assert "gravity_mps2" not in made.diagnostics
 
 
-def test_judgement():
+def test_each_verdict_follows_from_the_stated_equations():
     """Each verdict from the numbers that the docstring's equations give."""
     ripple = 5e-4 * RATE * np.exp(0.7j)
     for phase in np.exp(1j * np.linspace(0, 6, 7)):

@@ -13,7 +13,7 @@ from stillpoint.studies.papers.phone.parameters import MEAN_S, PRINTED, SLOWER, 
 from stillpoint.studies.papers.spin import study as spin
 
 
-def test_tables_2_to_4_and_the_parameters_of_elmi_aziz_and_mohseni_araste():
+def test_tables_and_parameters_of_elmi_aziz_and_mohseni_araste_are_quoted_as_printed():
     printed = {name: dict(scenario.printed) for name, scenario in phone.EXPERIMENTS.items()}
     assert printed == {
         "phone-1": {
@@ -74,7 +74,7 @@ def test_with_q_as_printed_the_aekf_is_the_ekf():
     assert spin.count_wins([spin.Trial("x", 0, made)], "rate_rmse_degps", spin.OF_PAPER)["AEKF"] == 1
 
 
-def test_tables_1_and_2_of_zia():
+def test_tables_1_and_2_of_zia_are_quoted_as_printed():
     adaptive, kalman = (auv.PRINTED_FIGURES[name] for name in (auv.ADAPTIVE, auv.KALMAN))
     keys = ("roll_off_mean_deg", "roll_off_var_deg2", "pitch_off_mean_deg", "pitch_off_var_deg2")
     assert [adaptive[key] for key in keys] == [5.5062e-4, 0.0045, -1.213e-4, 4.203e-4]

@@ -14,7 +14,7 @@ from stillpoint.studies.rig.figures import draw_both, draw_radial, draw_tangenti
 PAPER = Rig()  # 2000 deg/s, reached in 0.2 s, +-16 g, D4 = 0.8, D5 = 0.12
 
 
-def test_the_papers_limits_and_its_choice():
+def test_the_design_finds_the_papers_limits_and_its_choice():
     """Section 3.2: F4 reads 16 g at 13 cm and sits at 10; F5 could sit at 0.9 m and has room for 0.5."""
     assert limits_m(PAPER) == (pytest.approx(0.13, abs=0.002), pytest.approx(0.90, abs=0.002))
     chosen = find_longest_arms(PAPER)
@@ -77,7 +77,7 @@ def test_the_filtered_error_is_that_of_the_ekf_on_white_noise():
         ({"room_m": 0.005}, "no room for it"),
     ],
 )
-def test_what_cannot_be_is_refused(change, said):
+def test_impossible_rigs_are_refused(change, said):
     with pytest.raises(BadParameter, match=said):
         find_longest_arms(replace(PAPER, **change))
 

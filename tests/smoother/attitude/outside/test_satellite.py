@@ -71,7 +71,7 @@ def test_a_body_under_way_does_not_rest() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["handheld", "vehicle"])
-def test_a_vehicle_that_sails_evenly_for_ten_minutes(preset: str) -> None:
+def test_even_sailing_is_not_taken_for_rest(preset: str) -> None:
     """In the mission of Zia (2022) 70 stretches look like rests; taken for rests they contradict the fixes by 2 km."""
     recording = simulate("auv-dolphin", seed=0)
     made = reference(recording, params=PRESETS[preset])
