@@ -72,6 +72,18 @@ class Evidence:
         keys = replace(self.keys, gyro_sampling_rad=RESTORED_SHARE * self.keys.gyro_sampling_rad)
         return replace(self, motion=motion, keys=keys, restored=True)
 
+    def with_returns(self, returns: Returns | None, params: GraphParams, tested: bool = False) -> "Evidence":
+        """Return the evidence with these returns, between which the magnetometer counts less.
+
+        It counts in full beside a lone return, unless the return has been ``tested`` by it.
+        """
+        changed = replace(self, returns=returns)
+        if self.measured is None:
+            return changed
+        base, others = changed.return_states()
+        rests = () if base is None or not (tested or len(others) > 1) else (base, *others)
+        return replace(changed, measured=self.measured.with_returns(rests, params.magnetic))
+
     def return_states(self) -> tuple[int | None, tuple[int, ...]]:
         """Return the states in the middle of the base rest and of each return in the window."""
         if self.base is None or self.returns is None:
@@ -157,7 +169,7 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
         field_start = start_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
     heading = _describe_heading(recording, base, measured, fixes)
     place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
-    return Evidence(
+    gathered = Evidence(
         motion,
         keys,
         start,
@@ -174,6 +186,7 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
         field_start,
         collect_added(keys, int(imu.t_ns[0]), recording, [*vehicle_generators(params), *generators]),
     )
+    return gathered.with_returns(returns, params)
 
 
 def _find_base_and_returns(

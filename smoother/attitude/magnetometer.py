@@ -7,7 +7,8 @@ Jacobian factors, with Geman-McClure weights whose scale shrinks to its final va
 the delay the body turns at the gyro's rate: R(t - d) = R(t) exp(-w d).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -36,13 +37,22 @@ class FieldMeasurements:
     state: NDArray[np.int64]  # (K,)
     field_b_ut: Floats  # (K, 3)
     gyro_b_radps: Floats  # (K, 3) mean over _LATE_S before the state
+    widening: Floats  # (K,) factor on the sd, 1 where nothing but the field holds the heading
 
     def at(self, states: range) -> "FieldMeasurements | None":
         """Return the measurements at some of the states, None where there are none."""
         there = (self.state >= states.start) & (self.state < states.stop)
         if not there.any():
             return None
-        return FieldMeasurements(self.state[there], self.field_b_ut[there], self.gyro_b_radps[there])
+        columns = self.field_b_ut[there], self.gyro_b_radps[there], self.widening[there]
+        return FieldMeasurements(self.state[there], *columns)
+
+    def with_returns(self, rest_states: Sequence[int], params: FieldParams) -> "FieldMeasurements":
+        """Return the measurements with wider sd between the rests in the base pose, which hold the heading better."""
+        held = np.zeros(len(self.state), dtype=np.bool_)
+        if len(rest_states) > 1:
+            held = (self.state >= min(rest_states)) & (self.state <= max(rest_states))
+        return replace(self, widening=np.where(held, params.widening_with_returns, 1.0))
 
 
 def select_measurements(
@@ -66,7 +76,7 @@ def select_measurements(
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(motion.gyro_b_radps, axis=0)])
     count = keys.row[state] + 1 - first
     rate = (turned[keys.row[state] + 1] - turned[first]) / count[:, None]
-    return FieldMeasurements(state.astype(np.int64), field, rate)
+    return FieldMeasurements(state.astype(np.int64), field, rate, np.ones(len(state)))
 
 
 def start_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
@@ -127,12 +137,13 @@ def linearise_measurements(
 ) -> list[gtsam.JacobianFactor]:
     """Return the measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
-    ``widening`` multiplies the sd, but leaves the robust weights as they are.
+    ``widening`` multiplies the sd, at least as much as that of each measurement, but leaves the robust weights as they
+    are.
     With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
     residual, seen = compute_residuals(measured, rotations, field), _predict_field(measured, rotations, field)
     matrix = field_matrix(field)
-    root = compute_weights(residual, scale_ut, params) / (scale_ut * widening)
+    root = compute_weights(residual, scale_ut, params) / (scale_ut * np.maximum(measured.widening, widening))
     back = _turn_back(measured, field[6])
     cross = np.zeros((len(seen), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]

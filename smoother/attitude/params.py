@@ -69,6 +69,7 @@ class FieldParams(Settings):
 
     use: bool = choice(True, "the magnetometer is used, where there is one")
     sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
+    widening_with_returns: float = number(2.0, 1.0, 100.0, "factor on that sd where returns hold the heading")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
     robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
     field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")

@@ -34,7 +34,7 @@ def attitude():
 @pytest.fixture
 def measured(attitude):
     """Taken by a body that turns, of the attitude 50 ms ago."""
-    return FieldMeasurements(np.arange(4), seen(attitude) + FIELD[3:6], RATE)
+    return FieldMeasurements(np.arange(4), seen(attitude) + FIELD[3:6], RATE, np.ones(4))
 
 
 def seen(attitude, rate=RATE):
@@ -96,7 +96,9 @@ def test_one_step_goes_to_the_truth(attitude, measured):
 def test_the_matrix_is_found_but_for_the_size_of_the_field():
     """From 60 known attitudes, in a few iterations; a common scale of all axes and the field's size are one thing."""
     attitudes = Rotation.random(60, rng=np.random.default_rng(5))
-    measured = FieldMeasurements(np.arange(60), seen(attitudes, 0.0 * RATE[:1]) + FIELD[3:6], np.zeros((60, 3)))
+    measured = FieldMeasurements(
+        np.arange(60), seen(attitudes, 0.0 * RATE[:1]) + FIELD[3:6], np.zeros((60, 3)), np.ones(60)
+    )
     field = start_field(measured, quaternion(attitudes), np.zeros(3))
     for _ in range(6):
         system = gtsam.GaussianFactorGraph()
@@ -128,9 +130,22 @@ def test_the_scale_shrinks_to_its_end_and_stays():
     assert scale == PARAMS.sd_ut
 
 
+def test_between_returns_a_measurement_counts_less_and_its_robust_weight_stays(attitude, measured):
+    """Two rests hold the heading between them: there the sd is wider by the setting, elsewhere as before."""
+    beside = measured.with_returns([1, 2], PARAMS)
+    np.testing.assert_allclose(beside.widening, [1, PARAMS.widening_with_returns, PARAMS.widening_with_returns, 1])
+    assert (measured.with_returns([1], PARAMS).widening == 1).all()
+    made, wide = (
+        linearise_measurements(some, attitude.as_matrix(), FIELD + 1.0, PARAMS.sd_ut, PARAMS)
+        for some in (measured, beside)
+    )
+    for factor, wider, widening in zip(made, wide, beside.widening, strict=True):
+        np.testing.assert_allclose(wider.getA(), factor.getA() / widening, rtol=1e-12)
+
+
 def test_the_start_is_the_median_field_without_the_iron(attitude):
     """With neither delay nor matrix: these are for the graph to find."""
-    at_rest = FieldMeasurements(np.arange(4), attitude.inv().apply(FIELD[:3]) + FIELD[3:6], 0 * RATE)
+    at_rest = FieldMeasurements(np.arange(4), attitude.inv().apply(FIELD[:3]) + FIELD[3:6], 0 * RATE, np.ones(4))
     found = start_field(at_rest, quaternion(attitude), FIELD[3:6])
     np.testing.assert_allclose(found, [*FIELD[:6], *np.zeros(10)], atol=1e-9)
 

@@ -69,4 +69,4 @@ def test_verdicts_state_the_heading_of_each_return(turn_deg, accepted):
     assert verdicts[1] == elsewhere
     lone = judge_returns_again(base, replace(returns, verdicts=(accepted_at_first,), spans=((60, 70),)), q_nb,
                                quaternion(POSE), PARAMS)  # fmt: skip
-    assert "cannot be tested" in lone[0].reason
+    assert "alone test its heading" in lone[0].reason
