@@ -46,7 +46,7 @@ from stillpoint.datasets.importers.series import (
     merge_imu,
     sort_by_time,
 )
-from stillpoint.datasets.recording import Imu, Recording
+from stillpoint.datasets.recording import Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Estimate
 
 IMU, MAG, GPS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/NavSatFix"
@@ -87,10 +87,8 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
     require_existing(source)
     bag = open_ros(source)
     log = Log(notes=list(bag.notes))
-    imu_topics = _choose_imu_topics(bag, options)
-    mag_topic = _choose_topic(bag, "mag", (MAG,), options.mag_topic)
-    gps_topic = _choose_topic(bag, "gps", (GPS,), options.gps_topic)
-    truth_topic = _choose_truth_topic(bag, options, log)
+    chosen = choose_topics(bag, options, log)
+    imu_topics, mag_topic, gps_topic, truth_topic = chosen.imu, chosen.mag, chosen.gps, chosen.truth
     static = STATIC if options.body_frame is not None else None
     poses = list_pose_topics(bag, truth_topic) if truth_topic is not None else []
     logs = bag.read([topic for topic in (*imu_topics, mag_topic, gps_topic, *poses, static) if topic])
@@ -99,13 +97,11 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
     if static is not None:
         mounting = StaticFrames.read(bag, collect_messages(static, _kind(bag, static), logs, TRANSFORM, TF_LIST))
     parts = [collect_messages(topic, IMU, logs, IMU_LEAVES) for topic in imu_topics]
-    imu, device = _read_imu(source, parts, options, mounting, log)
+    imu, device = read_imu(source, parts, options, mounting, log)
     mag, uncalibrated = None, options.mag_uncalibrated
     if mag_topic is not None:
         messages = collect_messages(mag_topic, MAG, logs, MAG_LEAVES)
-        series = _read_vectors(messages, "mag", np.ones(len(messages.stamps_ns), np.bool_), options, mounting, log)
-        log.converted("mag T -> uT")
-        mag, uncalibrated = make_mag(Series(series.t_ns, FIELD["T"] * series.values), uncalibrated, log)
+        mag, uncalibrated = read_mag(messages, options, mounting, log)
     gps = None
     if gps_topic is not None:
         gps = make_gps(_read_fixes(collect_messages(gps_topic, GPS, logs, GPS_LEAVES), log), log)
@@ -128,6 +124,26 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
         f"ROS bag {source.name}", options, imu.t_ns, sha256, log, **{"mag_uncalibrated": uncalibrated, **known}
     )
     return Imported(Recording(source.stem, imu=imu, mag=mag, gps=gps, truth=truth, info=info), estimates)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """The topics of a bag that are imported."""
+
+    imu: list[str]  # one, or one of the gyro and one of the accelerometer
+    mag: str | None
+    gps: str | None
+    truth: str | None
+
+
+def choose_topics(bag: RosFiles, options: RosOptions, log: Log) -> Topics:
+    """Return the topics that were named, or the only ones of their types; raises :class:`BadParameter`."""
+    return Topics(
+        _choose_imu_topics(bag, options),
+        _choose_topic(bag, "mag", (MAG,), options.mag_topic),
+        _choose_topic(bag, "gps", (GPS,), options.gps_topic),
+        _choose_truth_topic(bag, options, log),
+    )
 
 
 def _kind(bag: RosFiles, topic: str) -> str:
@@ -198,7 +214,7 @@ def _choose_truth_topic(bag: RosFiles, options: RosOptions, log: Log) -> str | N
     return None
 
 
-def _read_imu(
+def read_imu(
     source: Path, parts: list[Messages], options: RosOptions, mounting: StaticFrames, log: Log
 ) -> tuple[Imu, Series | None]:
     """Return gyro and accelerometer on one clock, and the device's own attitude (N, 4) wxyz where it gives one."""
@@ -228,6 +244,13 @@ def _read_imu(
         rotations = rotation(np.where(norm[:, None] > 0.5, series.values, [1.0, 0.0, 0.0, 0.0])) * turn.inv()
         device = Series(series.t_ns, np.where(norm[:, None] > 0.5, quaternion(rotations), 0.0))
     return merge_imu(gyro, accel, str(source), log), device
+
+
+def read_mag(messages: Messages, options: RosOptions, mounting: StaticFrames, log: Log) -> tuple[Mag | None, bool]:
+    """Return the magnetometer, and whether its size says nothing; see :func:`make_mag`."""
+    series = _read_vectors(messages, "mag", np.ones(len(messages.stamps_ns), np.bool_), options, mounting, log)
+    log.converted("mag T -> uT")
+    return make_mag(Series(series.t_ns, FIELD["T"] * series.values), options.mag_uncalibrated, log)
 
 
 def _find_given(messages: Messages, zero_gyro_counts: bool) -> dict[str, NDArray[np.bool_]]:

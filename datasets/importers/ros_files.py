@@ -26,7 +26,7 @@ from stillpoint.datasets.importers.files import reading
 from stillpoint.datasets.importers.series import Log as ImportLog
 from stillpoint.datasets.importers.series import Series
 from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD
-from stillpoint.datasets.mcap.reader import Container, Log, read_columns
+from stillpoint.datasets.mcap.reader import Container, Log, read_batches, read_columns
 from stillpoint.datasets.mcap.scan import Block, Scan, unpack
 
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
@@ -53,6 +53,14 @@ class RosFiles:
         """Return the topics of each file. Raises :class:`BadSource`."""
         try:
             return [read_columns(self.open(file), list(topics)) for file in self.files]
+        except BadFile as error:
+            raise BadSource(str(error)) from None
+
+    def read_batches(self, topics: Collection[str], most: int) -> Iterator[Log]:
+        """Yield the topics of all files in batches of about ``most`` messages. Raises :class:`BadSource`."""
+        try:
+            for file in self.files:
+                yield from read_batches(self.open(file), list(topics), most)
         except BadFile as error:
             raise BadSource(str(error)) from None
 

@@ -159,15 +159,7 @@ def read_pieces(
     gathers: dict[tuple[str, str], _Gather] = {}
     later_ns = np.minimum.accumulate(np.array(starts_ns, np.int64)[::-1])[::-1]  # of this block and all after it
     for number, block in enumerate(scan.blocks()):
-        for channel_id in block.offsets:
-            channel = scan.channels[channel_id]
-            if topics is not None and not (topics(channel.topic) if callable(topics) else channel.topic in topics):
-                continue
-            schema = scan.schemas.get(channel.schema_id)
-            key = (channel.topic, schema.name if schema else "")
-            if key not in gathers:
-                gathers[key] = _Gather(channel, schema, (columns or {}).get(channel.topic))
-            gathers[key].take(block, channel_id)
+        _gather_block(scan, block, topics, columns, gathers)
         if (
             most is not None
             and number + 1 < len(later_ns)
@@ -175,6 +167,38 @@ def read_pieces(
         ):
             yield _make_log(scan, gathers, int(later_ns[number + 1]))
     yield _make_log(scan, gathers, None)
+
+
+def read_batches(scan: Container, topics: Wanted, most: int) -> Iterator[Log]:
+    """Yield the topics that are wanted of a container, a batch whenever a topic has ``most`` messages or more waiting.
+
+    Within a batch the messages are ordered by their log times; a later batch may hold earlier ones.
+    """
+    gathers: dict[tuple[str, str], _Gather] = {}
+    for block in scan.blocks():
+        _gather_block(scan, block, topics, None, gathers)
+        if max((one.count for one in gathers.values()), default=0) >= most:
+            yield _make_log(scan, gathers, None)
+    yield _make_log(scan, gathers, None)
+
+
+def _gather_block(
+    scan: Container,
+    block: Block,
+    topics: Wanted,
+    columns: Mapping[str, Columns] | None,
+    gathers: dict[tuple[str, str], "_Gather"],
+) -> None:
+    """Take the messages of the wanted topics in one block."""
+    for channel_id in block.offsets:
+        channel = scan.channels[channel_id]
+        if topics is not None and not (topics(channel.topic) if callable(topics) else channel.topic in topics):
+            continue
+        schema = scan.schemas.get(channel.schema_id)
+        key = (channel.topic, schema.name if schema else "")
+        if key not in gathers:
+            gathers[key] = _Gather(channel, schema, (columns or {}).get(channel.topic))
+        gathers[key].take(block, channel_id)
 
 
 def _make_log(scan: Container, gathers: Mapping[tuple[str, str], "_Gather"], until_ns: int | None) -> Log:

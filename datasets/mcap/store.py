@@ -114,6 +114,22 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
             out.add(_streams("recording", piece)[0], last_ns + 1)
 
 
+def write_trajectory_pieces(path: Path | str, pieces: Callable[[], Iterator[Estimate]]) -> None:
+    """Write an estimate that comes in pieces, each with all facts, twice: the bytes are those of :func:`write`.
+
+    Raises :class:`BadFile` when the file cannot be written.
+    """
+    count = sum(len(piece.t_ns) for piece in pieces())
+    first = next(pieces())
+    streams, absent = _streams("estimate", first)
+    samples = {stream.topic: count for stream in streams}
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
+        out.declare(streams)
+        out.describe({RECORD: _record("estimate", facts_of(first), samples, absent)}, {})
+        for piece in pieces():
+            out.add(_streams("estimate", piece)[0], int(piece.t_ns[-1]) + 1)
+
+
 def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:
     """Return one message of each topic, in the order of the file, and which fields are None.
 

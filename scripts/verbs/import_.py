@@ -11,12 +11,15 @@ from cyclopts import App, Group, Parameter
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, BadSource, StillpointError, require_known
 from stillpoint.datasets.importers.csv_log import CsvOptions
-from stillpoint.datasets.importers.csv_pieces import LongRecording, read_csv_pieces
+from stillpoint.datasets.importers.csv_pieces import read_csv_pieces
 from stillpoint.datasets.importers.imported import Imported
+from stillpoint.datasets.importers.long_recording import LongRecording
 from stillpoint.datasets.importers.options import Options
+from stillpoint.datasets.importers.ros import RosOptions
+from stillpoint.datasets.importers.ros_pieces import read_ros_pieces
 from stillpoint.datasets.importers.table import IMPORTERS, Importer
 from stillpoint.datasets.mcap.parts import split_recording
-from stillpoint.datasets.mcap.store import sha256, write, write_pieces
+from stillpoint.datasets.mcap.store import sha256, write, write_pieces, write_trajectory_pieces
 from stillpoint.datasets.recording import Info, Recording, rate_hz
 from stillpoint.scripts.shared.flags import Jobs, OutDir, Workers, read_span
 from stillpoint.scripts.shared.inputs import output_dir
@@ -337,25 +340,38 @@ def _import_item(item: _Item) -> list[_Kept]:
 
 
 def _read_long(item: _Item) -> LongRecording | None:
-    """Return a long log in pieces, where its format allows that and it is written as it is."""
-    if item.repair or item.span_s is not None or not isinstance(item.options, CsvOptions):
+    """Return a long log or bag in pieces, where its format allows that and it is written as it is."""
+    if item.repair or item.span_s is not None or _measure_size(item.path) < LONG_BYTES:
         return None
-    if not item.path.is_file() or item.path.stat().st_size < LONG_BYTES:
-        return None
-    return read_csv_pieces(item.path, item.options)
+    if isinstance(item.options, CsvOptions):
+        return read_csv_pieces(item.path, item.options)
+    return read_ros_pieces(item.path, item.options) if isinstance(item.options, RosOptions) else None
+
+
+def _measure_size(path: Path) -> int:
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _write_long(item: _Item, long: LongRecording) -> _Kept:
-    file = item.out / f"{long.head.name}.mcap"
+    name = long.head.name
+    file = item.out / f"{name}.mcap"
     _claim(item, file)
     write_pieces(file, long.head, long.pieces)
-    clocks = long.clocks
+    beside = ()
+    if (pieces := long.estimates) is not None:
+        beside = (file.with_name(f"{name}.{next(pieces()).name}.estimate.mcap"),)
+        made = {file.name: sha256(file)}
+        write_trajectory_pieces(
+            beside[0], lambda: (replace(piece, made_from={**piece.made_from, **made}) for piece in pieces())
+        )
+    clocks = long.clocks.values()
     streams = {
         name: {"samples": one.samples, "rate_hz": 1e9 / one.step_ns if one.step_ns else 0.0}
-        for name, one in clocks.items()
+        for name, one in long.clocks.items()
     }
-    last_ns, first_ns = max(one.last_ns for one in clocks.values()), min(one.first_ns for one in clocks.values())
-    return _Kept(item.source, file, long.head.name, (last_ns - first_ns) / 1e9, streams, long.head.info, ())
+    duration_s = (max(one.last_ns for one in clocks) - min(one.first_ns for one in clocks)) / 1e9
+    return _Kept(item.source, file, name, duration_s, streams, long.head.info, beside)
 
 
 def _read(item: _Item) -> Imported:

@@ -185,3 +185,24 @@ def test_a_source_that_cannot_be_read_costs_no_other(call, tmp_path, capsys):
     assert "b.csv: no column 'gy'" in printed.err
     assert "nothing: there is no such file" in printed.err
     assert "2 not imported" in printed.out
+
+
+def test_a_long_log_that_is_read_in_pieces_is_imported_as_any_other(call, tmp_path, capsys, monkeypatch):
+    rng, n = np.random.default_rng(2), 800
+    rows = [
+        ",".join(f"{value:.6f}" for value in (k / 100, *rng.normal(size=3), *rng.normal([0, 0, 9.81], 0.02)))
+        for k in range(n)
+    ]
+    log = tmp_path / "walk.csv"
+    log.write_text("t,gx,gy,gz,ax,ay,az\n" + "\n".join(rows) + "\n")
+    words = ["--time", "t:s", "--gyro", "gx,gy,gz:deg/s", "--accel", "ax,ay,az:m/s2"]
+    said = []
+    for name, least_bytes in (("whole", 1 << 30), ("pieces", 0)):
+        monkeypatch.setattr("stillpoint.scripts.verbs.import_.LONG_BYTES", least_bytes)
+        monkeypatch.setattr("stillpoint.datasets.importers.csv_pieces.PIECE_BYTES", 5000)
+        assert call("import", "csv", log, "-o", tmp_path / name, *words, "--json", tmp_path / f"{name}.json") == 0
+        said.append(capsys.readouterr().out.replace(str(tmp_path / name), ""))
+    assert said[0] == said[1]
+    assert (tmp_path / "whole/walk.mcap").read_bytes() == (tmp_path / "pieces/walk.mcap").read_bytes()
+    facts = [json.loads((tmp_path / f"{name}.json").read_text())["rows"][0] for name in ("whole", "pieces")]
+    assert {**facts[0], "file": ""} == {**facts[1], "file": ""}
