@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import feed, record, regular, resting, turning
 from numpy.typing import NDArray
+from quick import mark_slow_except
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, Imu, Info, Mag, Recording
@@ -105,7 +106,7 @@ def run_undisturbed(name: str) -> NDArray[np.float64]:
     return run(Stream(name, ranges=RANGES), record(gentle, regular(END_S)), lambda shot: [shot])
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 @pytest.mark.parametrize("fault", FAULTS)
 def test_half_a_second_of_a_fault_is_counted_and_overcome(name: str, fault: str) -> None:
     recording = record(gentle, regular(END_S))
@@ -122,7 +123,7 @@ def test_half_a_second_of_a_fault_is_counted_and_overcome(name: str, fault: str)
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 def test_a_recording_with_such_samples_gives_what_a_stream_gives(name: str, precision: Precision) -> None:
     """Of those that a recording can hold: saturated, absurd, repeated, zero, free fall, and gaps."""
     clean = record(gentle, np.concatenate([regular(10.0), regular(5.0) + 12.5]))
@@ -212,7 +213,7 @@ def test_the_estimate_follows_a_turn_at_2000_degrees_per_second(name: str, axis:
     assert np.rad2deg(off.magnitude()).max() < 1.2 * 1.5
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 def test_the_estimate_survives_hours_of_rest(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [-170, 40, 5], degrees=True))
     t_s = regular(4 * 3600.0, 10.0)
@@ -281,7 +282,7 @@ def test_time_that_does_not_rise_changes_nothing(name: str) -> None:
     assert to_plain(after.front.heading) == to_plain(before.front.heading)
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 @pytest.mark.parametrize("step_ns", [10**18, -500 * 10**9], ids=["one stamp in the future", "clock set back"])
 def test_a_clock_that_is_set_does_not_freeze_a_stream(name: str, step_ns: int) -> None:
     recording = record(gentle, regular(60.0))

@@ -72,6 +72,7 @@ NWU_TO_ENU = Rotation.from_euler("Z", 90, degrees=True)
 NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
 
+@pytest.mark.slow
 def test_madgwick_is_its_package_seen_from_enu() -> None:
     gyro, accel, mag = arrays(moving())
     for settings, magnetic in (({}, True), ({"gain_marg_radps": 0.2}, True), ({"magnetometer": False}, False)):
@@ -92,6 +93,7 @@ def test_mahony_is_its_package_bit_for_bit() -> None:
     ).all()
 
 
+@pytest.mark.slow
 def test_ahrs_ekf_is_its_package_seen_from_enu() -> None:
     gyro, accel, mag = arrays(moving())
     own = ahrs.filters.EKF(gyro, -accel, mag, frame="NED").Q

@@ -111,7 +111,7 @@ def test_two_recordings_of_one_name_are_not_written_over_each_other(call, odditi
     assert list((oddities / "out").iterdir()) == []
 
 
-@pytest.mark.parametrize("verb", ["info", "doctor"])
+@pytest.mark.parametrize("verb", ["info", pytest.param("doctor", marks=pytest.mark.slow)])
 def test_the_readable_files_are_shown_and_the_others_named(call, oddities, capsys, verb: str) -> None:
     write(oddities / "full" / "good.mcap", simulate("phone-1", minutes=0.6))
     assert call(verb, "full") == 2
@@ -214,6 +214,7 @@ def small(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_standard_output_gives_one_line_error_and_no_success(small: Path) -> None:
     with open("/dev/full", "w") as full:

@@ -25,6 +25,7 @@ def fail_by(how: str) -> str:
     return how
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_and_errors_keep_the_order_of_the_inputs(jobs):
     outcomes = run_jobs(decimal_year, ["2020-01-01", "yesterday", "2022-01-01"], Workers(jobs), "years")

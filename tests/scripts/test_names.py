@@ -19,7 +19,7 @@ def recording(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-@pytest.mark.parametrize("verb", ["info", "doctor"])
+@pytest.mark.parametrize("verb", ["info", pytest.param("doctor", marks=pytest.mark.slow)])
 def test_a_hostile_name_is_shown_escaped(call, recording, tmp_path, capsys, verb, name):
     path = tmp_path / f"{name}.mcap"
     shutil.copy(recording, path)

@@ -259,6 +259,7 @@ def _add_all(archive_dir, files, results):
         results.put([one.status for one in archive.add(files)])
 
 
+@pytest.mark.slow
 def test_two_adders_at_once_keep_everything_once(archive, tmp_path):
     files = [write_recording(tmp_path / f"r{seed:02d}.mcap", seed, n=50) for seed in range(30)]
     context = multiprocessing.get_context("spawn")

@@ -204,6 +204,7 @@ def test_a_server_that_never_answers_whole_gives_one_line_error(s3, relay, tmp_p
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_commands_take_urls(s3, call, tmp_path, capsys):
     for file in write_family(tmp_path, "walk", 1):
         s3.put_file(str(file), f"lab/walks/{file.name}")

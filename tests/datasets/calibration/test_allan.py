@@ -70,6 +70,7 @@ def resting(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_fills_the_settings(call, tmp_path, resting, capsys):
     out, plot = tmp_path / "rest.allan.toml", tmp_path / "rest.png"
     assert call("allan", resting, "-o", out, "--plot", plot, "--json", "-") == 0

@@ -23,6 +23,7 @@ def mission(request) -> Recording:
     return simulate("auv-dolphin", seed=request.param)
 
 
+@pytest.mark.slow
 def test_slow_waves_do_not_fix_a_lag(mission):
     """Where a quarter of a second turns a body by a degree, noise decides where the loss is least: the sd says so."""
     lag = ask_mag(mission.require_imu(), mission.mag).lag

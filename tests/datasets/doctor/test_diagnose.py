@@ -54,6 +54,7 @@ def test_axes_that_are_not_turned_are_said_to_be_untested():
     assert diagnosis.codes().count("axes-not-tested") == 2
 
 
+@pytest.mark.slow
 def test_a_field_that_points_up_is_inverted_gravity_or_the_south():
     """Without truth, place or base pose nothing else tells the sign of gravity; the place decides."""
     recording = replace(simulate("phone-3", seed=1, minutes=1.6), truth=None, base_pose=None)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from quick import mark_slow_except
 from resting import cut
 
 from stillpoint.datasets import Imu, Mag, Recording, Truth
@@ -305,7 +306,19 @@ def test_a_clean_recording_has_no_findings(phone: Recording) -> None:
     assert examine(replace(phone, truth=None, base_pose=None)).clean
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+QUICK = (  # one of each kind: axes, units, stamps, range, offset, noise
+    "gyro x flipped",
+    "magnetometer in gauss",
+    "stamps in bursts",
+    "gyro clipped",
+    "hard iron of 60 uT",
+    "noisy gyro",
+)
+
+
+@pytest.mark.parametrize(
+    "fault", mark_slow_except(FAULTS, *QUICK, name=lambda fault: fault.name), ids=lambda fault: fault.name
+)
 def test_a_planted_fault_is_named_and_mended(phone: Recording, fault: Fault) -> None:
     """By the physics of the sensors alone, unless the fault shows against the truth only."""
     planted = fault.plant(phone if fault.needs_truth else replace(phone, truth=None))

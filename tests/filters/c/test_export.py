@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from c_filters import ATTITUDE_LOOP, SPIN_LOOP, compile_filter, run_attitude, run_spin
 from numpy.testing import assert_array_equal
+from quick import mark_slow_except
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.table import IMPORTERS
@@ -73,7 +74,7 @@ CASES = [(name, kind, {}) for name in ATTITUDES for kind in ("clean", "spoilt")]
 ]
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("compiler", mark_slow_except(COMPILERS, *COMPILERS[:1]))
 @pytest.mark.parametrize(("name", "kind", "params"), CASES)
 def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, logs, tmp_path):
     made = export_filter(name, params, declination_rad=0.05)
@@ -107,7 +108,7 @@ def turn_deg(p, q):
     return np.rad2deg(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("compiler", mark_slow_except(COMPILERS, *COMPILERS[:1]))
 @pytest.mark.parametrize(
     ("name", "params"),
     [

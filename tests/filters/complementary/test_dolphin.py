@@ -13,6 +13,9 @@ SEEDS = range(5)
 START_NS = 1_660_032_000_000_000_000
 
 
+pytestmark = pytest.mark.slow  # missions of ten minutes
+
+
 @pytest.fixture(scope="module")
 def missions():
     """In waves."""

@@ -184,6 +184,7 @@ def test_the_bias_is_taken_off_for_an_estimator_that_has_no_state_for_it() -> No
     assert drift_deg("remove") < 0.5
 
 
+@pytest.mark.slow
 def test_single_precision_is_single_throughout_and_near_double() -> None:
     recording = sail(circling)
     sources = find_sources(recording, "gps-course", None, None)

@@ -149,6 +149,7 @@ def long_log(hours: float, rate_hz: float = 20.0) -> Log:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", KALMAN)
 def test_the_covariance_stays_symmetric_and_positive_definite_for_hours(name: str, precision: Precision) -> None:

@@ -170,6 +170,7 @@ def steady_p(p: Params) -> tuple[float, float]:
     return float(P[0, 0]), float(P[1, 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_p_stays_positive_over_hours(precision: str) -> None:
     n = 3 * 360_000

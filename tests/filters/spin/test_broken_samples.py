@@ -53,6 +53,7 @@ def broken(draw) -> Recording:
     return Recording("broken", spin=Spin(t_ns, accel, gyro, geometry))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize(("name", "params"), HARSH)
 @given(broken())

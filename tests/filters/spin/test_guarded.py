@@ -249,6 +249,7 @@ def test_over_a_gap_the_sd_grows_and_the_rate_is_found_again():
     assert np.mean(np.abs(c.angle_error_rad[2990:]) < 3 * c.angle_sd_rad[2990:]) > 0.99
 
 
+@pytest.mark.slow
 def test_white_noise_costs_the_guarded_angle_next_to_nothing():
     """The angle as a state is as good as the integral of the observation: within 1.05 of it, over 30 trials."""
     squares = {"roll-obs": 0.0, "roll-guarded": 0.0, "roll-aekf": 0.0}

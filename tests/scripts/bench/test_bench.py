@@ -38,6 +38,7 @@ def test_what_handles_no_samples_says_no_time_per_sample():
     assert bench_module._cells(row)[3:5] == ["", ""]
 
 
+@pytest.mark.slow
 def test_bench_mcap_times_both_ways_and_measures_memory(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(bench_mcap, "HOUR", 500)
     bench("mcap", runs=2, json=str(tmp_path / "b.json"))
@@ -60,6 +61,7 @@ def test_the_peer_writes_and_reads_the_same_numbers(tmp_path):
     assert bench_mcap._count_bytes(recording) == 50 * 8 * (1 + 6 + 1 + 3 + 1 + 4 + 3) + 50
 
 
+@pytest.mark.slow
 def test_the_measured_process_reads_what_was_written(tmp_path):
     bench_mcap.write(tmp_path / "x.mcap", bench_mcap.make_phone(100_000))
     measured = bench_mcap._measure(tmp_path / "x.mcap")

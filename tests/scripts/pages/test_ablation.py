@@ -32,6 +32,7 @@ def test_without_returns_the_heading_is_known_less(recording):
     assert len(whole.diagnostics["closing_squares"]) > len(without.diagnostics["closing_squares"]) == 0
 
 
+@pytest.mark.slow
 def test_start_value_is_an_estimate_of_every_sample(recording):
     begun = solve_variant(recording, BY_NAME["the start value alone"])
     assert isinstance(begun, Estimate)

@@ -15,6 +15,7 @@ from stillpoint.scripts.pages.microcontroller_page import PAGE, make_logs
 missing = list_missing_tools()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(missing), reason=f"not installed: {', '.join(missing)}")
 @pytest.mark.parametrize("name", EXPORTED)
 def test_a_cortex_m4_ends_where_this_computer_ends_in_single_precision(name: str, tmp_path: Path) -> None:

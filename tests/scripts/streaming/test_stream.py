@@ -16,6 +16,7 @@ from typing import TextIO
 import numpy as np
 import pytest
 from motions import untidy
+from quick import mark_slow_except
 
 from stillpoint.datasets import BadParameter, Recording, write
 from stillpoint.datasets.simulate import simulate
@@ -133,7 +134,7 @@ def test_a_time_that_is_no_whole_number_of_ns_is_malformed(value: str) -> None:
         lines.read(f'{{"t_ns":{value},"gx":0,"gy":0,"gz":0,"ax":0,"ay":0,"az":9.8}}'.encode())
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_a_state_kept_as_text_goes_on_bit_for_bit(name: str, precision: str) -> None:
     rows = as_text(untidy(), "csv").splitlines(keepends=True)[:600]
@@ -265,6 +266,7 @@ def test_each_estimate_is_there_at_once_and_a_signal_ends_it(number: signal.Sign
     assert json.loads(state.read_text())["states"]["cf"]["front"]["guard"]["t_ns"] == 20_000_000
 
 
+@pytest.mark.slow
 def test_a_closed_output_ends_it() -> None:
     with begun("-e", "acc") as process:
         process.stdout.close()
@@ -277,6 +279,7 @@ def test_a_closed_output_ends_it() -> None:
     assert "Exception ignored" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no disk that is always full")
 def test_a_full_disk_gives_one_line_error_and_the_state_is_kept(tmp_path: Path) -> None:
     state = tmp_path / "state.json"

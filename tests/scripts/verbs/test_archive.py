@@ -116,6 +116,7 @@ def test_remove_and_gc_say_what_they_do(lab, call, capsys):
     assert call("archive", "verify") == 0
 
 
+@pytest.mark.slow
 def test_export_and_import_round_trip(lab, call, capsys, tmp_path):
     pytest.importorskip("rocrate")
     pytest.importorskip("mlcroissant")

@@ -28,6 +28,7 @@ def call(*arguments):
     return ended.value.code
 
 
+@pytest.mark.slow
 def test_the_verb_reports_and_strict_sets_the_exit_code(files, capsys):
     assert call(files / "clean.mcap", "--strict", "--json", "-") == 0
     assert {row["severity"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"fact"}
@@ -46,6 +47,7 @@ def test_the_verb_applies_remedies_and_records_them(files, tmp_path, capsys):
     assert (files / "flipped.mcap").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_remedy_can_be_left_out(files, tmp_path, capsys):
     assert call(files / "flipped.mcap", "--apply", "-o", tmp_path, "--skip", "gyro-axes") == 0
     assert "0 of 1 remedies applied" in capsys.readouterr().out

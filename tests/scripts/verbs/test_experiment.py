@@ -94,6 +94,7 @@ def test_the_order_and_the_wins_are_counted():
     assert find_worst([Trial("glitch", 0, {}, {"smoother": "needs gtsam"})], "smoother", "angle_max_deg") is None
 
 
+@pytest.mark.slow
 def test_as_printed_the_ekf_of_the_variable_scenario_is_the_observation():
     """K H = 0.999: one reading of Q does not fit both scenarios."""
     made = run_trial(VARIABLE, "white", 0, online=True, reading="printed").scores

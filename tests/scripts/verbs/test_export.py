@@ -71,6 +71,7 @@ def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, text, says):
         read_poses(path)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(recordings() | references() | estimates())
 def test_every_number_of_a_table_is_read_back_as_the_same(thing):
@@ -92,6 +93,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_verb_writes_a_file_per_clock(call, folder, tmp_path, capsys):
     assert call("export", folder, "-o", tmp_path) == 0
     written = {path.name for path in tmp_path.iterdir()}
@@ -147,6 +149,7 @@ def test_what_has_no_poses_is_said(call, tmp_path, capsys):
     assert "has no truth" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "heading"), [("phone-1", "mag"), ("auv-dolphin", "mag"), ("auv-dolphin", "gps-course")]
 )

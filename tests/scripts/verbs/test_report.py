@@ -35,6 +35,7 @@ def test_a_report_can_go_to_another_folder_or_file(call, folder, tmp_path) -> No
     assert (tmp_path / "mine.html").is_file()
 
 
+@pytest.mark.slow
 def test_one_recording_without_estimates_costs_no_other(call, folder, tmp_path, capsys) -> None:
     write(folder / "alone.mcap", simulate("phone-1", minutes=0.6))
     assert call("report", folder, "-o", tmp_path) == 2

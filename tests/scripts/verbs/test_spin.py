@@ -93,6 +93,7 @@ def test_rates_are_drawn_at_the_stamps_that_all_share(material):
         np.testing.assert_allclose(series.rate_radps[one.name], rates, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_report_writes_the_page_and_leaves_attitudes_out(call, folder, tmp_path, capsys):
     assert call("report", folder / f"{NAME}.mcap", "-o", tmp_path) == 0
     page = (tmp_path / f"{NAME}.report.html").read_text(encoding="utf-8")
@@ -109,6 +110,7 @@ def test_report_without_anything_beside_says_what_to_make(call, tmp_path, capsys
     assert "stillpoint reference" in one_line(capsys)
 
 
+@pytest.mark.slow
 def test_validate_scores_reference_and_estimators_by_angle_and_rate(call, folder, tmp_path, capsys):
     facts = tmp_path / "facts.json"
     words = (folder / f"{NAME}.mcap", "--jobs", "1")

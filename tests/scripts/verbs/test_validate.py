@@ -100,6 +100,7 @@ def test_methods_and_alignment_are_the_users(call, folder, capsys):
     assert rows[0]["found"] == {"heading_deg": 0.0, "mounting_deg": 0.0, "time_s": 0.0}
 
 
+@pytest.mark.slow
 def test_two_processes_give_what_one_gives(call, folder, capsys):
     figures = []
     for jobs in (1, 2):
