@@ -57,7 +57,7 @@ def _show(node: ast.expr) -> str:
         return _show(node.left) + _show(node.right)
     value = node.value if isinstance(node, ast.FormattedValue) else node
     if isinstance(value, ast.Attribute):
-        return f"{{{value.attr.lstrip('_')}}}"
+        return "{type}" if value.attr == "__name__" else f"{{{value.attr.strip('_')}}}"
     return f"{{{value.id.lstrip('_')}}}" if isinstance(value, ast.Name) else "…"
 
 

@@ -31,6 +31,12 @@ update used. Instructions are counted by the emulator, to 40; they are not cycle
 for the flash take more.
 [How to use the filters](how-to/run-a-filter-on-a-microcontroller.md).
 
+What `export-c` does not write: the guard in front of every filter (`filters/front/guard.py`: samples that are
+saturated, not a number, or out of order), the heading by satellites, and the step from accelerometers to angular
+acceleration and squared rate in front of `roll-ekf` and `roll-aekf` (`filters/spin/front.py`). Ranges, gaps and
+geometry differ from device to device, and most firmware tests its readings already. So a device gives the filter the
+samples that passed; in double precision the bits are then those of `stream`.
+
 | filter | code, bytes | state, bytes | stack, bytes | instructions per update, mean | most |
 |---|---|---|---|---|---|
 """
