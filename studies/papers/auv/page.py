@@ -29,7 +29,7 @@ from stillpoint.studies.papers.auv.study import (
 _COLOUR = {ADAPTIVE: 1, PRINTED: 3, FIXED: 2, KALMAN: 0, RAW: 4, GYRO: 5, SURE: 6}  # places in COLOURS
 _TITLES = {"waves": "In waves", "calm": "In a calm sea", RECORDED: "As recorded"}
 # Of a simulated mission the hull's iron and the gyro's bias are inputs, and with them these figures.
-_INPUTS = {(RAW, "heading_after_deg"), (GYRO, "heading_after_deg"), (GYRO, "heading_drift_deg")}
+INPUTS = {(RAW, "heading_after_deg"), (GYRO, "heading_after_deg"), (GYRO, "heading_drift_deg")}
 
 
 class _Column(NamedTuple):
@@ -114,7 +114,7 @@ def _rows(trials: Mapping[str, Sequence[Trial]]) -> list[dict[str, Any]]:
         for place, method in enumerate(METHODS):
             cells = [
                 f"{summarise_trials(some, method.name, c.key):.2g}"
-                + (" (input)" if sea_kind != RECORDED and (method.name, c.key) in _INPUTS else "")
+                + (" (input)" if sea_kind != RECORDED and (method.name, c.key) in INPUTS else "")
                 for c in COLUMNS
             ]
             rows.append(

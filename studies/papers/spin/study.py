@@ -25,8 +25,8 @@ from stillpoint.smoother import reference
 NoiseKind = Literal["white", "vibration", "vibration-f4", "glitch", "replica"]
 NOISES: tuple[NoiseKind, ...] = get_args(NoiseKind)
 Reading = Literal["default", "printed"]
-_LITERAL = ("vibration-f4", "replica")  # hypotheses that belong with the paper's equations as printed
-_EQUAL = 1e-6  # figures this close, relatively, are a tie: with Q as printed the AEKF is the EKF
+LITERAL = ("vibration-f4", "replica")  # hypotheses that belong with the paper's equations as printed
+EQUAL = 1e-6  # figures this close, relatively, are a tie: with Q as printed the AEKF is the EKF
 METRICS = ("angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps")
 OF_PAPER = ("observation", "EKF", "AEKF")
 SMOOTHER = "smoother"
@@ -76,7 +76,7 @@ def run_trial(
     ``reading`` of the paper's equations: None takes them as printed for the noises LITERAL and ours elsewhere.
     """
     recording = simulate(scenario.name, seed=seed, sensor=noise)
-    printed = reading == "printed" or (reading is None and noise in _LITERAL)
+    printed = reading == "printed" or (reading is None and noise in LITERAL)
     return score_trial(recording, scenario, noise, seed, online, printed)
 
 
@@ -130,7 +130,7 @@ def count_wins(trials: Sequence[Trial], metric: str, methods: Sequence[str]) -> 
     for one in trials:
         figures = {method: getattr(one.scores[method], metric) for method in methods if method in one.scores}
         for method, figure in figures.items():
-            counted[method] += figure <= min(figures.values()) * (1 + _EQUAL)
+            counted[method] += figure <= min(figures.values()) * (1 + EQUAL)
     return counted
 
 
