@@ -68,7 +68,7 @@ format: .venv/.dev
 docs: .venv/.docs
 	rm -rf build/package
 	$(INSTALL) --no-deps --target build/package .
-	$(BIN)/python -m stillpoint.scripts.pages.commands_page
+	$(BIN)/python -m stillpoint.scripts.pages.site.commands_page
 	$(BIN)/zensical build --strict --clean
 
 # The types of the package as users get it: a wheel, unpacked, seen from outside the checkout.

@@ -1,4 +1,4 @@
-"""Write docs/commands.md, every command with its options: ``python -m stillpoint.scripts.pages.commands_page``.
+"""Write docs/commands.md, every command with its options: ``python -m stillpoint.scripts.pages.site.commands_page``.
 
 ``make docs`` runs it first, so that the site says what ``stillpoint VERB --help`` says.
 """
@@ -8,12 +8,12 @@ from pathlib import Path
 
 from stillpoint.scripts.main import app
 
-PAGE = Path(__file__).parents[2] / "docs" / "commands.md"
+PAGE = Path(__file__).parents[3] / "docs" / "commands.md"
 HEAD = """# Commands
 
 Every command with its arguments and options, as `stillpoint VERB --help` prints them. Every command also takes
 `--debug` (show the traceback of an error) and `--large` (read inputs above the size limits). A mistake is one line
-with exit code 2. Made by `python -m stillpoint.scripts.pages.commands_page`.
+with exit code 2. Made by `python -m stillpoint.scripts.pages.site.commands_page`.
 """
 # What the generator writes before the list of commands: a title, the usage and a table of contents.
 BEFORE_LIST = re.compile(r"\A.*?(?=\*\*Commands\*\*:)", re.DOTALL)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from stillpoint.scripts.main import VERBS
-from stillpoint.scripts.pages.commands_page import PAGE, make_page
+from stillpoint.scripts.pages.site.commands_page import PAGE, make_page
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from pathlib import Path
 import markdown
 import pytest
 
-from stillpoint.scripts.pages.site_math import FENCE, INLINE, TAG, BadFormula, MathExtension, convert_formula
+from stillpoint.scripts.pages.site.formulas import FENCE, INLINE, TAG, BadFormula, MathExtension, convert_formula
 
-PAGES = sorted((Path(__file__).parents[3] / "docs").glob("*.md"))
+PAGES = sorted((Path(__file__).parents[4] / "docs").glob("*.md"))
 
 
 def test_a_formula_in_a_line_and_one_that_stands_alone():
