@@ -13,6 +13,8 @@ from stillpoint.datasets.plausible import FIELD_RANGE_UT
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
 from stillpoint.datasets.trajectory import Calibration, Reference
 
+_DEVICE_MCAP = ".calibration.mcap"
+
 
 @dataclass(frozen=True, eq=False)
 class SensorCalibration:
@@ -40,7 +42,7 @@ def calibration_of(reference: Reference) -> SensorCalibration:
 
 
 def load_calibration(path: Path) -> SensorCalibration:
-    """Read the calibration in ``NAME.reference.mcap`` or ``NAME.calibration.toml``.
+    """Read the calibration in ``NAME.reference.mcap``, ``NAME.calibration.toml`` or ``NAME.calibration.mcap``.
 
     Raises :class:`BadParameter` when there is none, :class:`BadFile` for a file that is damaged.
     """
@@ -49,7 +51,7 @@ def load_calibration(path: Path) -> SensorCalibration:
             f"{path}: there is no such file; name a reference of the same sensor (NAME.reference.mcap), or a "
             "calibration of the device (NAME.calibration.toml)"
         )
-    if path.suffix == ".toml":
+    if path.name.endswith((".toml", _DEVICE_MCAP)):
         device = read_device(path)
         return SensorCalibration(device.calibration, None, path.name, sha256(path), device.made_from)
     return replace(calibration_of(read_reference(path)), name=path.name, sha256=sha256(path))

@@ -1,4 +1,4 @@
-"""The calibration of a device as a file, ``NAME.calibration.toml``: readable, and exact."""
+"""The calibration of a device as a file: ``NAME.calibration.toml``, readable and exact, and the same inside an MCAP."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -10,11 +10,14 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadFile, BadParameter
 from stillpoint.datasets.files.atomic import write_atomically
+from stillpoint.datasets.mcap.reader import survey
+from stillpoint.datasets.mcap.writer import write_mcap
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.trajectory import Calibration
 
 SUFFIX = ".calibration.toml"
 _KIND = "device calibration"
+_RECORD = "stillpoint-calibration"  # name of the metadata record
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +52,27 @@ class DeviceFile:
 
 
 def write_device(path: Path, device: DeviceFile) -> None:
-    """Write a calibration file, whole or not at all; raises :class:`BadFile`."""
+    """Write a calibration file, whole or not at all, and the same as an MCAP file beside it; raises :class:`BadFile`.
+
+    The MCAP file holds the text as its attachment, and the matrices in a metadata record, which any MCAP tool shows.
+    """
+    text = _write_text(device)
+    with write_atomically(path) as file:
+        file.write(text)
+    shown = {
+        "kind": _KIND,
+        "sensor": device.sensor,
+        "gyro_matrix": _rows(device.gyro_matrix),
+        "gyro_matrix_sd": _rows(device.gyro_matrix_sd),
+        "accel_matrix": _rows(device.accel_matrix),
+        "accel_matrix_sd": _rows(device.accel_matrix_sd),
+        "accel_bias_b_mps2": _rows(device.accel_bias_b_mps2),
+        "accel_bias_sd_mps2": _rows(device.accel_bias_sd_mps2),
+    }
+    write_mcap(path.with_suffix(".mcap"), [], {_RECORD: shown}, {path.name: text})
+
+
+def _write_text(device: DeviceFile) -> bytes:
     known = [date for date in device.dates if date]
     warm = [value for value in device.temperature_degc if np.isfinite(value)]
     lines = [
@@ -76,14 +99,13 @@ def write_device(path: Path, device: DeviceFile) -> None:
     ]
     for one in device.drift:
         lines += ["", "[[recording]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
-    with write_atomically(path) as file:
-        file.write(("\n".join(lines) + "\n").encode())
+    return ("\n".join(lines) + "\n").encode()
 
 
 def read_device(path: Path) -> DeviceFile:
-    """Return what a calibration file holds; raises :class:`BadFile` for any other file."""
+    """Return what a calibration file holds, TOML or MCAP; raises :class:`BadFile` for any other file."""
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        given = tomllib.loads(_read_text(path))
         if given.get("kind") != _KIND:
             raise ValueError(f"its kind is {given.get('kind')!r}, not {_KIND!r}")
         gyro, accel = given["gyro"], given["accel"]
@@ -104,6 +126,16 @@ def read_device(path: Path) -> DeviceFile:
         raise BadParameter(f"{path}: cannot be opened ({error.strerror}); check the name") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadFile(f"{path}: is no calibration of a device ({error}); make it by stillpoint calibrate") from error
+
+
+def _read_text(path: Path) -> str:
+    """Return the text of a calibration file, or of the one that is attached to an MCAP file."""
+    if path.suffix != ".mcap":
+        return path.read_text(encoding="utf-8")
+    attached = [data for name, data in survey(path).attachments.items() if name.endswith(SUFFIX)]
+    if not attached:
+        raise ValueError("nothing that ends in .calibration.toml is attached to it")
+    return attached[0].decode()
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Floats:

@@ -1,6 +1,7 @@
 """Files, folders and globs on the command line become lists of MCAP files of one kind.
 
-The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, any other ``NAME.mcap`` is a recording.
+The kind stands in the name: ``NAME.reference.mcap``, ``NAME.estimate.mcap``, ``NAME.calibration.mcap``; any other
+``NAME.mcap`` is a recording.
 """
 
 import glob
@@ -16,15 +17,20 @@ from stillpoint.datasets.mcap.summary import summarise
 from stillpoint.scripts.shared.output import print_line
 
 SUFFIX = ".mcap"
-KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap"}
+KINDS = {"reference": ".reference.mcap", "estimate": ".estimate.mcap", "calibration": ".calibration.mcap"}
 RECORDING = "recording"
-_A = {RECORDING: "a recording", "reference": "a reference", "estimate": "an estimate"}
+_A = {
+    RECORDING: "a recording",
+    "reference": "a reference",
+    "estimate": "an estimate",
+    "calibration": "a calibration of a device",
+}
 
 Thing = TypeVar("Thing")
 
 
 def kind_of(path: Path) -> str:
-    """Return ``"recording"``, ``"reference"`` or ``"estimate"``, by the name of an MCAP file."""
+    """Return ``"recording"``, ``"reference"``, ``"estimate"`` or ``"calibration"``, by the name of an MCAP file."""
     return next((kind for kind, suffix in KINDS.items() if path.name.endswith(suffix)), RECORDING)
 
 

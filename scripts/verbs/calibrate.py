@@ -45,7 +45,7 @@ def calibrate(
     paths
         Recordings of one device, or references of them (NAME.reference.mcap): files, folders or globs.
     out
-        The calibration file, NAME.calibration.toml.
+        The calibration file, NAME.calibration.toml; the same goes into NAME.calibration.mcap beside it.
     plot
         Draw the parameters of each recording with their sd into this file: .png, .svg or .pdf.
     jobs
@@ -55,7 +55,7 @@ def calibrate(
     """
     if not out.name.endswith(".toml"):
         raise BadParameter(f"--out {out}: give a name that ends in {SUFFIX}")
-    files = inputs.mcap_files(paths)
+    files = [file for file in inputs.mcap_files(paths) if inputs.kind_of(file) != "calibration"]
     outcomes = run_jobs(_reference_of, files, Workers(jobs), "calibrate")
     refused = [(outcome.error, file.name) for file, outcome in zip(files, outcomes, strict=True) if outcome.error]
     made = [outcome.value for outcome in outcomes if outcome.value is not None]

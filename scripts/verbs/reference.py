@@ -109,8 +109,8 @@ def reference(
         A setting of the method, NAME=VALUE, for example returns.tilt_gate_rad=0.02, on top of the preset;
         docs/reference-settings.md lists them.
     calibration
-        A reference of the same sensor, NAME.reference.mcap, or a calibration of the device, NAME.calibration.toml:
-        readings are corrected first by the calibration in it.
+        A reference of the same sensor, NAME.reference.mcap, or a calibration of the device, NAME.calibration.toml or
+        NAME.calibration.mcap: readings are corrected first by the calibration in it.
     columns
         Columns of the table to show: names with commas between, or all. By default those that fit the terminal.
     json

@@ -18,7 +18,6 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import require_distinct
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
 from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
-from stillpoint.scripts.shared.inputs import KINDS
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import open_recording
@@ -91,7 +90,7 @@ def gather_material(path: Path) -> Material | SpinMaterial:
     hashes = {path.name: sha256(path)}
     made: list[Reference | SpinReference | Estimate] = []
     around = neighbours(path)
-    for file in (one for kind in KINDS for one in files_of(recording_name(path), kind, around)):
+    for file in (one for kind in ("reference", "estimate") for one in files_of(recording_name(path), kind, around)):
         thing = read(file)
         if not isinstance(thing, Reference | SpinReference | Estimate):
             raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillpoint.datasets import BadFile, BadParameter, Calibration, write
+from stillpoint.datasets import BadFile, BadParameter, Calibration, Imu, read, write
 from stillpoint.datasets.calibration.apply import load_calibration
 from stillpoint.datasets.calibration.device import DeviceFile, read_device, write_device
+from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
+from stillpoint.scoring import score
 from stillpoint.smoother.device import BIAS_SD_MPS2, PAIRS, calibrate_device
 
 PRIOR_SD = 0.005
@@ -127,6 +129,37 @@ def test_the_command_writes_a_file_that_is_read_back_exactly(call, tmp_path, cal
     known = load_calibration(out)
     assert np.array_equal(known.calibration.accel_matrix, found.accel_matrix)
     assert known.gyro_bias_b_radps is None
+    again = load_calibration(out.with_suffix(".mcap"))
+    assert np.array_equal(again.calibration.accel_matrix, found.accel_matrix)
+    assert again.made_from == known.made_from
+
+
+@pytest.mark.slow
+def test_a_device_is_calibrated_on_some_recordings_and_used_on_another(call, tmp_path):
+    """Gyro scales 1.5 % off: the pooled matrix is the inverse within 3 sd, a good sensor's prior fits the rest."""
+    scales = np.array([1.015, 0.985, 1.01])
+    for seed in range(4):
+        recording = simulate("phone-3", seed=40 + seed, minutes=1.6)
+        imu = recording.imu
+        raw = replace(recording, imu=Imu(imu.t_ns, imu.gyro_b_radps * scales, imu.accel_b_mps2))
+        write(tmp_path / f"run{seed}.mcap", raw)
+    files, out = sorted(tmp_path.glob("run*.mcap")), tmp_path / "phone.calibration.toml"
+    assert call("calibrate", *files[:3], "-o", out, "--jobs", "1") == 0
+    found = load_calibration(out).calibration
+    off = np.abs(np.diagonal(found.gyro_matrix) - 1 / scales)
+    assert (off < 3 * np.diagonal(found.gyro_matrix_sd)).all()
+    assert off.max() < 0.008  # half of what it was
+    known = read_reference_with(call, files[3], tmp_path / "known", ("--calibration", out.with_suffix(".mcap")))
+    assert known.diagnostics["gyro_matrix_prior_sd"] == 0.005
+    scored = score(known, read(files[3]).truth, "heading")
+    assert scored.total_rmse_deg < 0.6
+    assert scored.coverage95 > 0.85
+    assert np.abs(np.diagonal(known.calibration.gyro_matrix) - 1 / scales).max() < 0.008
+
+
+def read_reference_with(call, file, folder, options):
+    assert call("reference", file, *options, "-o", folder) == 0
+    return read(folder / f"{file.stem}.reference.mcap")
 
 
 def test_names_are_data(tmp_path):
