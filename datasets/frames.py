@@ -87,9 +87,12 @@ def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> 
     right = np.clip(np.searchsorted(t_ns, at_ns, side="right"), 1, len(t_ns) - 1)
     left = right - 1
     share = (at_ns - t_ns[left]) / (t_ns[right] - t_ns[left])
-    first = rotation(q_wxyz[left])
-    step = first.inv() * rotation(q_wxyz[right])
-    return quaternion(first * Rotation.from_rotvec(step.as_rotvec() * share[:, None]))
+    found = q_wxyz[np.where(share < 1, left, right)]
+    between = np.flatnonzero((share > 0) & (share < 1))  # elsewhere a sample is hit: nothing to interpolate
+    first = rotation(found[between])
+    step = first.inv() * rotation(q_wxyz[right[between]])
+    found[between] = quaternion(first * Rotation.from_rotvec(step.as_rotvec() * share[between, None]))
+    return quaternion(rotation(found))
 
 
 def heading_rotation(angle_rad: float) -> Rotation:

@@ -25,7 +25,7 @@ from stillpoint.datasets.recording import Floats
 from stillpoint.scoring.blocks import split_rows, sum_blocks
 from stillpoint.scoring.clock import find_clock_offset_ns
 from stillpoint.scoring.errors import heading_offset
-from stillpoint.scoring.match import Mask, Track, match, pair_up, require_some
+from stillpoint.scoring.match import Mask, Pairs, Track, match, pair_up, require_some
 
 AlignKind = Literal["none", "heading", "heading+mounting", "heading+mounting+time"]
 ALIGN_KINDS: tuple[AlignKind, ...] = get_args(AlignKind)
@@ -74,8 +74,8 @@ class Alignment:
         return turn @ cov_b_rad2 @ turn.T
 
 
-def find_alignment(estimated: Track, truth: Track, moving: Mask, kind: AlignKind) -> Alignment:
-    """Find the alignment of this kind with the smallest error over the moving samples of the truth.
+def pair_and_align(estimated: Track, truth: Track, moving: Mask, kind: AlignKind) -> tuple[Pairs, Alignment]:
+    """Return both trajectories in pairs, and the alignment of this kind with the smallest error over the moving ones.
 
     ``moving`` (N,) belongs to the truth's samples. ``heading`` is the circular mean of the heading error.
     Raises :class:`BadParameter` for another kind, :class:`Unobservable` when no moving sample has an estimate, or when
@@ -88,7 +88,7 @@ def find_alignment(estimated: Track, truth: Track, moving: Mask, kind: AlignKind
     if not pairs.moving.any():
         require_some(estimated, match(estimated, truth.t_ns[moving] + offset_ns))
         raise Unobservable(f"{estimated.label}: none of its poses lies in a moving stretch of the truth")
-    return align_pairs(pairs.q_est[pairs.moving], pairs.q_true[pairs.moving], kind, offset_ns / 1e9)
+    return pairs, align_pairs(pairs.q_est[pairs.moving], pairs.q_true[pairs.moving], kind, offset_ns / 1e9)
 
 
 def align_pairs(q_est: Floats, q_true: Floats, kind: AlignKind, time_offset_s: float = 0.0) -> Alignment:

@@ -9,8 +9,8 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Times, Truth
 from stillpoint.datasets.times import is_inside
 from stillpoint.datasets.trajectory import Estimate, Reference
-from stillpoint.scoring.align import AlignKind, Alignment, find_alignment
-from stillpoint.scoring.match import Mask, match, pair_up, track
+from stillpoint.scoring.align import AlignKind, Alignment, pair_and_align
+from stillpoint.scoring.match import Mask, match, track
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,7 @@ def compare(
     source, judge, counted = track(estimated), track(truth), moving_samples(truth, moving)
     if not counted.any():
         raise Unobservable(f"{name_of(truth)}: no sample of it moves, so there is nothing to score")
-    alignment = find_alignment(source, judge, counted, align)
-    pairs = pair_up(source, judge, counted, alignment.time_offset_ns)
+    pairs, alignment = pair_and_align(source, judge, counted, align)
     cov = pairs.cov_b_rad2
     if cov is not None and isinstance(estimated, Reference):
         cov = cov + _shared_covariance(estimated, pairs.q_est, align)

@@ -66,10 +66,9 @@ def make_sentence(found: Mapping[str, Any]) -> str:
     share = _format_share(ours["relative_rmse_median"])
     told = f"**{verdicts} of {ours['verdicts']} verdicts is contradicted by the truth**"
     lines = [
-        f"On {found['recordings']} recordings with optical truth (BROAD), {_count(count)} estimators were ranked by the",
-        f"optical truth and by our reference: Kendall's τ is {ours['tau_pooled']:.3f}, RMSE differs by {share} (median),",
-        f"and {told} ({_format_share(other)} with the truth of the other",
-        "half of the recordings).",
+        f"On {found['recordings']} recordings with optical truth (BROAD), {_count(count)} estimators were ranked by",
+        f"the optical truth and by our reference: Kendall's τ is {ours['tau_pooled']:.3f}, RMSE differs by {share}",
+        f"(median), and {told} ({_format_share(other)} with the truth of the other half).",
     ]
     return "\n".join(lines) + "\n"
 
