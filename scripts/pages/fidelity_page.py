@@ -30,8 +30,11 @@ def main(out: Path, page: Path = _PAGE, readme: Path = _README, figure: Path = _
 
 
 def make_table(found: Mapping[str, Any]) -> str:
-    """Return a row for each judge."""
+    """Return the names of the estimators, and a row for each judge."""
+    names = ", ".join(f"`{name}`" for name in dict.fromkeys(row["estimator"] for row in found["rows"]))
     lines = [
+        f"Estimators: {names}.",
+        "",
         "| judge | tau pooled | median | worst | RMSE off, median | 95 % | wrong | on the other half |",
         "|---|---|---|---|---|---|---|---|",
     ]
