@@ -96,6 +96,7 @@ def test_a_clipped_axis_may_have_turned_farther_the_others_not():
     assert costs["cut", 2] > 0.2 * costs["free", 2]
 
 
+@pytest.mark.slow
 def test_a_gyro_that_reads_one_per_cent_too_much_has_m_plus_one_per_cent():
     """corrected = gyro_matrix (measured - bias) with gyro_matrix = 1 - M: too much is less than 1."""
     motion, keys, attitude = turning(RATE)

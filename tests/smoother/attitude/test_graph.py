@@ -128,6 +128,7 @@ def test_diagnostics_report_what_was_found(made):
     assert [each.accepted for each in made.returns] == [True] * len(made.returns) != []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["phone-1", "phone-2", "phone-3"])
 def test_the_covariance_is_neither_boast_nor_excuse(kind):
     """Mean NEES/3 of two seeds; over 30 seeds it is 0.96, 0.96 and 0.92, single seeds lie between 0.1 and 3."""

@@ -207,6 +207,7 @@ def test_too_short_is_refused_and_no_file_is_written(call, tmp_path, capsys, han
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
+@pytest.mark.slow
 def test_a_refused_contradiction_leaves_no_file(call, tmp_path, capsys, hand):
     write(tmp_path / "swapped.mcap", SPOILED["gyro x and y swapped"](hand))
     assert call("reference", tmp_path / "swapped.mcap", "-o", tmp_path / "out") == 2
@@ -222,6 +223,7 @@ def test_a_base_pose_that_was_not_met_gives_no_heading(hand):
     assert made.diagnostics["heading"].startswith("relative to the first attitude")
 
 
+@pytest.mark.slow
 def test_an_accelerometer_that_reads_zeros_for_a_while_is_refused_in_words(hand):
     t_s = (hand.imu.t_ns - hand.imu.t_ns[0]) / 1e9
     dead = np.where(((t_s > 62) & (t_s < 87))[:, None], 0.0, hand.imu.accel_b_mps2)

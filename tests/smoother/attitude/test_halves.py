@@ -14,6 +14,7 @@ from stillpoint.smoother import reference
 pytest.importorskip("gtsam")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed"), [("phone-2", 1), ("phone-3", 2)])
 def test_halves_cut_at_a_rest_are_the_whole_within_their_sd(kind, seed):
     """The whole knows all that a half knows: they differ by less than the half's sd, sample by sample, and so do their

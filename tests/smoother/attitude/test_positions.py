@@ -103,6 +103,7 @@ def test_late_fixes_are_found_and_corrected():
     assert np.sqrt((position_error_m(made, late) ** 2).mean(axis=0)).max() < 3.0
 
 
+@pytest.mark.slow
 def test_the_antenna_lever_arm_is_taken_off():
     far = drive(antenna_x_m=-6.0, antenna_z_m=2.0)
     told = make(far, **{"gps.lever_x_m": -6.0, "gps.lever_z_m": 2.0})

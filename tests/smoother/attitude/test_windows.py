@@ -52,6 +52,7 @@ def build(recording: Recording, window: Evidence, past: Past | None) -> tuple[gt
     return graph, start_window(window, past, HANDHELD)
 
 
+@pytest.mark.slow
 def test_past_handed_over_holds_all_information_of_its_factors(recording: Recording, evidence: Evidence) -> None:
     """At the optimum of the whole graph, the later half with the reduced past has the same covariances and step."""
     n = len(evidence.keys.t_s)

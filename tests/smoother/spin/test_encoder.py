@@ -10,6 +10,7 @@ from stillpoint.smoother import reference
 from stillpoint.smoother.spin.encoder import find_resolution_rad
 
 
+@pytest.mark.slow
 def test_an_encoder_fixes_angle_arm_and_latency():
     """It is used only when asked for; its steps, its delay and its zero are found."""
     recording = simulate("spin-variable", seed=3, sensor="white")

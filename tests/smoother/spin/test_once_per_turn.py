@@ -75,6 +75,7 @@ def test_vibration_of_one_accelerometer_is_not_taken_for_gravity(scenario):
     assert 0.4 < nees < 1.2  # the true ripple is 1 deg/s; the default's sd of both its parts together 1.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radial", "tangential"), [(1.0, 0.0), (0.0, 0.1), (3.0, 0.3)])
 def test_vibration_of_any_size_does_not_pull_the_rate(radial, tangential):
     """The rate is as good as without the line: all that is lost is the true ripple, an RMS of 0.71 deg/s."""
@@ -87,6 +88,7 @@ def test_vibration_of_any_size_does_not_pull_the_rate(radial, tangential):
         assert nees < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [0.0, 3.0, 12.0, 30.0, 90.0])
 def test_gravity_is_believed_from_the_tilt_that_shows_against_a_ripple(tilt_deg):
     """A ripple of 1 deg/s is 0.33 m/s^2 between both channels, a fifth of gravity at 10 deg of tilt."""
@@ -99,6 +101,7 @@ def test_gravity_is_believed_from_the_tilt_that_shows_against_a_ripple(tilt_deg)
         assert amplitude == pytest.approx(9.80665 * np.sin(np.deg2rad(tilt_deg)), abs=4 * sd)
 
 
+@pytest.mark.slow
 def test_scales_of_a_part_as_it_comes_count_in_the_angle():
     """Each accelerometer sees gravity by its own scale, off by 0.5 %: one draw per trial, chi-squared of eight.
 

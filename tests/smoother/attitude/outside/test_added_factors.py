@@ -159,6 +159,7 @@ def test_long_recordings_count_each_factor_once(blind):
     assert tilt[0] == pytest.approx(tilt[1], abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", ["nonholonomic", "stops"])
 def test_the_options_for_vehicles_agree_with_the_drive(option):
     """That the car moves along its axis tells its heading: 0.2 instead of 0.7 deg here. Stops tell little."""
