@@ -5,7 +5,7 @@ rows, each block is summed by numpy, and the blocks are added up from the first 
 are found digit by digit of the numbers' bits, in passes that hold one block and a few histograms.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -78,11 +78,11 @@ def find_quantiles(blocks: Iterable[NDArray[Any]], count: int, shares: Sequence[
 def _find_ranks(blocks: Iterable[NDArray[Any]], ranks: Sequence[int]) -> list[float]:
     """Return the numbers at these places of the sorted column."""
     begins = {rank: (0, rank) for rank in ranks}  # rank -> the leading bits of its number, and its place among theirs
-    kind: Callable[[np.uint64], Any] = float
+    kind = np.dtype(np.float64)
     for shift in range(64 - _DIGIT_BITS, -1, -_DIGIT_BITS):
         counts = {leading: np.zeros(_DIGITS, np.int64) for leading, _ in begins.values()}
         for block in blocks:
-            kind = block.dtype.type
+            kind = block.dtype
             bits = np.ascontiguousarray(block).view(np.uint64)
             digits = bits >> np.uint64(shift)
             leads = digits >> np.uint64(_DIGIT_BITS)

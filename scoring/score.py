@@ -239,7 +239,12 @@ def score_blocks(
         nees_per_dof=nees,
         coverage95=coverage,
         conversion=sampled.find_conversion(alignment) if parts["total"].rmse_deg > ABSURD_DEG else None,
-        **parts,
+        total=parts["total"],
+        heading=parts["heading"],
+        inclination=parts["inclination"],
+        roll=parts["roll"],
+        pitch=parts["pitch"],
+        yaw=parts["yaw"],
     )
 
 

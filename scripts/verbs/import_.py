@@ -358,7 +358,7 @@ def _write_long(item: _Item, long: LongRecording) -> _Kept:
     file = item.out / f"{name}.mcap"
     _claim(item, file)
     write_pieces(file, long.head, long.pieces)
-    beside = ()
+    beside: tuple[Path, ...] = ()
     if (pieces := long.estimates) is not None:
         beside = (file.with_name(f"{name}.{next(pieces()).name}.estimate.mcap"),)
         made = {file.name: sha256(file)}
