@@ -46,6 +46,7 @@ def test_how_wrong_a_bridge_may_be_is_read_off_the_motion(length_s):
     assert wrong.max() == pytest.approx((np.sin(x) / x - np.cos(x)) / np.sqrt(2), rel=0.1, abs=0.015)
 
 
+@pytest.mark.slow
 def test_covariance_of_a_violent_hand_with_a_short_gap_is_consistent():
     """Over four hands, in the band that is asked of each kind of recording; no single one is below 0.75."""
     scores = []
@@ -57,6 +58,7 @@ def test_covariance_of_a_violent_hand_with_a_short_gap_is_consistent():
     assert min(one.coverage95 for one in scores) > 0.75
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length_s", [0.1, 0.2, 0.4])
 @pytest.mark.parametrize("start_s", [66.0, 70.0])
 def test_a_short_gap_in_a_violent_hand_costs_tenths_of_a_degree(start_s, length_s):

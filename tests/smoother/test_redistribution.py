@@ -250,6 +250,7 @@ def test_a_base_pose_that_contradicts_gravity_is_refused():
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_covariance_covers_on_simulated_phones():
     """Eight seeded runs in the hand: the stated 95 % ellipsoid holds at least that share, and is not boundless."""
     scores = []

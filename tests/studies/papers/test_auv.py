@@ -78,6 +78,7 @@ def test_measured_angles_are_the_true_ones_of_a_level_unaccelerated_body():
     assert np.sqrt((off**2).mean(axis=0)).max() < 0.2  # turning at 1.5-2.5 m/s accelerates a little
 
 
+@pytest.mark.slow
 def test_signs_do_not_cancel_over_trials(calm):
     one = calm.figures[RAW].heading_after_deg
     assert summarise_trials([calm, calm], RAW, "heading_after_deg") == pytest.approx(abs(one))

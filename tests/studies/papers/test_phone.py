@@ -34,6 +34,7 @@ def tripod():
     return run_trial(EXPERIMENTS["phone-2"], "tripod", 0)
 
 
+@pytest.mark.slow
 def test_every_method_meets_every_judge_and_the_references_each_other(tripod):
     pairs = {(method, judge) for method in METHODS for judge in JUDGES}
     pairs |= {("benchmark", "truth"), ("graph", "truth"), ("benchmark", "graph"), ("graph", "benchmark")}
@@ -41,6 +42,7 @@ def test_every_method_meets_every_judge_and_the_references_each_other(tripod):
     assert all(score.alignment.kind == "none" for score in tripod.scores.values())
 
 
+@pytest.mark.slow
 def test_the_graph_is_nearer_to_the_truth_than_the_benchmark(tripod):
     """The benchmark takes its heading from an uncalibrated magnetometer: degrees that CF shares."""
     benchmark, graph = (tripod.scores[name, "truth"] for name in REFERENCES)
@@ -88,6 +90,7 @@ def test_a_shake_up_and_down_leaves_a_slow_error_that_one_to_the_sides_does_not(
     assert tilt_deg["phone-3-level", "cf"] < 0.75 * tilt_deg["phone-3-shaken", "cf"]
 
 
+@pytest.mark.slow
 def test_errors_of_yaw_fold_at_45_deg(tripod):
     """CF is never off by so much, so nothing folds; Acc_MA is, by more than a right angle."""
     cf, mean = tripod.scores[CF, "benchmark"], tripod.folded_yaw[ACC_MA]

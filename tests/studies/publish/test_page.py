@@ -211,6 +211,7 @@ def test_the_page_fits_its_window_and_follows_the_colour_scheme(shown, width_px:
     assert shown.complaints == []
 
 
+@pytest.mark.slow
 def test_a_board_without_curves_has_no_plots_over_time(board) -> None:
     text = make_page_html(board)
     assert 'id="time-plots"' not in text

@@ -110,6 +110,7 @@ def test_a_paper_gets_tables_and_figures_at_column_width(board, tmp_path) -> Non
     assert (tmp_path / "ranking.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_the_same_board_gives_the_same_figures(board, tmp_path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

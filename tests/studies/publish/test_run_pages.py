@@ -70,6 +70,7 @@ def test_a_page_whose_results_are_gone_is_missing_and_says_why(made):
     write_run_pages(out, board)
 
 
+@pytest.mark.slow
 def test_the_map_opens_the_estimator_on_the_page_of_its_recording(made, tmp_path):
     out, board, pages = made
     (out / "index.html").write_text(make_page_html(board, run_pages=pages.links), encoding="utf-8")
