@@ -38,6 +38,7 @@ def test_alignment_finds_what_was_planted(differences):
     assert found.total_max_deg < 0.02
 
 
+@pytest.mark.slow
 @given(st.floats(-3.14, 3.14), attitudes)
 def test_any_mounting_at_all_is_found(heading, mounting):
     """The optimum is global: a sensor mounted upside down is no harder than one mounted straight."""
@@ -47,6 +48,7 @@ def test_any_mounting_at_all_is_found(heading, mounting):
     assert found.total_max_deg < 1e-5
 
 
+@pytest.mark.slow
 @given(planted)
 @settings(max_examples=10)
 def test_score_does_not_change_under_the_group_that_is_aligned(differences):
@@ -63,6 +65,7 @@ def test_score_does_not_change_under_the_group_that_is_aligned(differences):
             assert getattr(moved, name) == pytest.approx(getattr(plain, name), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_does_not_draw_the_clock_to_half_a_sample():
     """Interpolation averages noise, so the smallest misfit lies 5 ms aside; the offset must not."""
     t_ns, q_true = swing(6000)
@@ -72,6 +75,7 @@ def test_noise_does_not_draw_the_clock_to_half_a_sample():
     assert abs(found.alignment.time_offset_s) < 1e-3
 
 
+@pytest.mark.slow
 def test_drift_does_not_pull_the_clock():
     """A heading that runs away by 5 deg/s hides every attitude, but not when the sensor turned."""
     t_ns, q_true = swing(6000)
@@ -83,6 +87,7 @@ def test_drift_does_not_pull_the_clock():
     assert found.total_rmse_deg > 50
 
 
+@pytest.mark.slow
 def test_gaps_in_the_truth_do_not_pull_the_clock():
     t_ns, q_true = swing(6000)
     _, q_late = swing(6000, late_s=-0.0083)
@@ -93,6 +98,7 @@ def test_gaps_in_the_truth_do_not_pull_the_clock():
     assert found.alignment.time_offset_s == pytest.approx(-0.0083, abs=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.7, -3.0, 12.0])
 def test_an_offset_beyond_half_a_second_is_found(late_s):
     """No local minimum within half a second stands for it: the turns agree at one offset of the whole overlap."""
@@ -103,6 +109,7 @@ def test_an_offset_beyond_half_a_second_is_found(late_s):
     assert found.total_max_deg < 0.1
 
 
+@pytest.mark.slow
 def test_clocks_with_different_zeros_are_aligned():
     """A trajectory that counts from 1970 against one that counts from its first sample."""
     t_ns, q_true = swing(4000)
@@ -112,6 +119,7 @@ def test_clocks_with_different_zeros_are_aligned():
     assert found.samples > 3900
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [7, 8])
 def test_two_motions_that_have_nothing_in_common_have_no_offset(other):
     """Random turns of two seeds: some offset always fits best, none fits well, and none is returned."""

@@ -124,6 +124,7 @@ def test_the_readable_files_are_shown_and_the_others_named(call, oddities, capsy
     assert any("text.mcap" in str(row.get("error") or row.get("message")) for row in rows)
 
 
+@pytest.mark.slow
 def test_the_installed_command_ends_with_these_codes() -> None:
     command_file = Path(sys.executable).with_name("stillpoint")
     result = subprocess.run([command_file, "info", "no-such-file.mcap"], capture_output=True, text=True)

@@ -146,6 +146,7 @@ def test_pictures_of_pages_hold_the_name_as_text(board):
     assert "<b>" not in picture.wide
 
 
+@pytest.mark.slow
 def test_allan_deviations_are_drawn_under_the_name(tmp_path):
     t_ns = np.arange(7000, dtype=np.int64) * 10_000_000
     noise = np.random.default_rng(0).normal(size=(7000, 3))

@@ -57,6 +57,7 @@ def test_what_is_found_is_of_the_raw_readings(hand):
     np.testing.assert_allclose(made.gyro_matrix, tame.gyro_matrix @ GYRO, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_calibration_found_once_serves_again(hand, call, tmp_path, capsys):
     """On the command line; and a file without one is refused in one line."""
     write(tmp_path / "hand.mcap", hand)

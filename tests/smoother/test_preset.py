@@ -43,6 +43,7 @@ def test_a_car_without_satellites_is_known_by_its_accelerations(car):
     assert "deg/s only, but accelerates by" in choice.reason
 
 
+@pytest.mark.slow
 def test_the_choice_is_used_and_stated(car):
     made = reference(replace(car, mag=None))
     assert made.diagnostics["preset"] == "vehicle"

@@ -29,6 +29,7 @@ def folder(tmp_path, recording):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_says_which_it_is_and_with_what_settings(recording, method):
     made = reference(recording, method)

@@ -40,6 +40,7 @@ def delay_last(recording, by_s):
     return replace(recording, imu=Imu(t_ns, imu.gyro_b_radps, imu.accel_b_mps2))
 
 
+@pytest.mark.slow
 def test_a_late_last_sample_is_left_out_and_reported(hand):
     late = delay_last(hand, 0.6)
     made = reference(late)

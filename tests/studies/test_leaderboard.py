@@ -161,6 +161,7 @@ def test_second_run_computes_nothing(folder, files, tmp_path):
     assert asked == []
 
 
+@pytest.mark.slow
 def test_only_what_changed_is_computed(folder, files, tmp_path):
     asked = []
 
@@ -205,6 +206,7 @@ def test_instance_is_refused_because_its_state_would_be_kept(files):
         leaderboard(files[1:2], [Keeps()])
 
 
+@pytest.mark.slow
 def test_example_of_the_page_runs_and_holds_tilt(files, tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "leaderboard.md").read_text(encoding="utf-8")
     example = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class Mine" in block)
@@ -236,6 +238,7 @@ def test_uncalibrated_magnetometer_ranks_by_inclination(files, tmp_path):
     assert "left out for 1 of 1 rows on 1 of 1 recordings" in table.conclusion
 
 
+@pytest.mark.slow
 def test_rows_without_a_magnetometer_are_ranked_apart_by_inclination(files, tmp_path):
     """With calibrated input the heading says something, so these rows keep the total error."""
     made = simulate("phone-3", seed=7, minutes=1.5)
@@ -295,6 +298,7 @@ def test_changed_recording_does_not_pass_for_the_one_of_the_study(folder, files,
         run_study(study, tmp_path)
 
 
+@pytest.mark.slow
 def test_verb_writes_leaderboard_and_study_that_repeats_it(call, capsys, folder, files, tmp_path):
     out, again = tmp_path / "out", tmp_path / "again"
     given = f"{folder}/own.py:truth"

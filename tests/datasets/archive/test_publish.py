@@ -47,6 +47,7 @@ def test_a_bundle_holds_what_belongs_together(archive):
     assert {item.licences for item in select_items(archive, "tag:fast")} == {("CC BY 4.0",)}
 
 
+@pytest.mark.slow
 def test_every_file_has_the_hash_that_is_said_of_it(archive, tmp_path):
     target = tmp_path / "folder"
     write_bundle(bundle_files(select_items(archive, "all"), ABOUT, {}), target)

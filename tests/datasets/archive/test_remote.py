@@ -163,6 +163,7 @@ def write_phone(path, minutes=10):
     return path
 
 
+@pytest.mark.slow
 def test_one_topic_of_a_file_on_s3_costs_less_than_a_fifth_of_it(s3, relay, tmp_path):
     """A magnetometer is a tenth of a phone's file. A range whose connection drops in the middle is asked for again."""
     path = write_phone(tmp_path / "phone.mcap")

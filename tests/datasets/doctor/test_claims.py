@@ -101,6 +101,7 @@ def cut(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_doctor_warns_of_a_file_that_was_cut(call, cut, capsys):
     assert call("doctor", cut, "--strict") == 2
     assert "warning file-cut" in capsys.readouterr().out

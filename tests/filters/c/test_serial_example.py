@@ -29,6 +29,7 @@ int main() { setup(); loop(); return 0; }
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
 def test_the_sketch_gives_what_stream_gives(tmp_path: Path) -> None:
     """To the nine digits that it prints; broken lines, and those out of order, are left out."""

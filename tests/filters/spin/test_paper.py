@@ -13,6 +13,7 @@ from stillpoint.filters.table import ROLLS
 from stillpoint.scoring.spin import compare_spin, score_roll
 
 
+@pytest.mark.slow
 def test_white_noise_gives_the_rate_errors_of_the_paper():
     """R / (2 omega) alone gives 7.25 and 5.84 deg/s; the Riccati equation 1.08 and 2.09 for the EKF."""
     for kind, settings, ekf, raw in (("spin-constant", CONSTANT, 1.06, 7.25), ("spin-variable", VARIABLE, 2.08, 5.84)):

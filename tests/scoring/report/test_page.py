@@ -77,6 +77,7 @@ def test_page_says_how_it_came_about(page):
     assert "Only independent truth shows accuracy" in page
 
 
+@pytest.mark.slow
 def test_page_says_what_the_reference_found_and_which_returns_it_used(material):
     backs = (
         BasePoseReturn(int(8e9), int(9e9), 0.01, True, "gravity fits"),
@@ -119,6 +120,7 @@ def test_names_are_escaped(page):
     assert "run &amp; 7" in page
 
 
+@pytest.mark.slow
 def test_same_material_same_bytes(material, page):
     assert make_report_html(material, judge(material)) == page
 

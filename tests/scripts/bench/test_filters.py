@@ -19,6 +19,7 @@ def test_every_estimator_of_ours_has_its_kind_in_ahrs():
     assert sorted(bench_filters.KINDS) == sorted(OURS)
 
 
+@pytest.mark.slow
 def test_the_rows_set_an_estimator_beside_vqf_and_its_kind(monkeypatch):
     """Two estimators stand for all: the rows of the others are made by the same loop."""
     kept = {name: entry for name, entry in ESTIMATORS.items() if name in ("cf", "gyro") or entry.is_peer}

@@ -177,6 +177,7 @@ def test_a_row_without_a_time_names_the_columns_that_it_is_missing_in(header: st
         lines.read(("," * header.count(",") + ",0,0,0,0,0,9.8").encode())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("course", ["", "0.1,2"])
 def test_a_heading_that_nothing_holds_is_said_once(course: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With the magnetometer as source a course does not help."""
@@ -245,6 +246,7 @@ def begun(*options: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_each_estimate_is_there_at_once_and_a_signal_ends_it(number: signal.Signals, tmp_path: Path) -> None:
     state = tmp_path / "state.json"

@@ -73,6 +73,7 @@ def test_a_wrong_number_gives_one_line_error(call, capsys):
     assert "give 1 trial or more" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_online_is_single_precision_and_nearly_the_same():
     """The paper's microcontroller computes in float32, which is 0.01 deg of 2 after 30 s."""
     offline, online = (run_glitch_trial(0, online) for online in (False, True))

@@ -30,6 +30,7 @@ def trajectories(draw):
     return t, draw(quaternions(len(t)))
 
 
+@pytest.mark.slow
 @given(trajectories())
 def test_a_tum_trajectory_is_read_back_with_its_stamps_and_attitudes(tmp_path_factory, poses):
     t_ns, q_nb = poses

@@ -28,6 +28,7 @@ def test_a_report_lands_beside_its_recording(call, folder, monkeypatch, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_report_can_go_to_another_folder_or_file(call, folder, tmp_path) -> None:
     assert call("report", folder / "run0.mcap", "-o", tmp_path / "pages") == 0
     assert (tmp_path / "pages" / "run0.report.html").is_file()

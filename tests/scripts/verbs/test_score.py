@@ -67,6 +67,7 @@ def test_score_takes_the_truth_where_there_is_no_reference(call, folder, capsys)
     assert (code, rows[0]["against"], rows[0]["reference_sd_deg"]) == (0, "truth", None)
 
 
+@pytest.mark.slow
 def test_against_both_scores_by_truth_and_by_the_reference(call, made, capsys):
     _, rows = rows_of(call, capsys, made, "--against", "both")
     judges = {}
@@ -96,6 +97,7 @@ def test_table_has_a_row_per_estimate(call, made, capsys):
     assert "the reference's own sd is" in out
 
 
+@pytest.mark.slow
 def test_turns_are_compared_over_the_times_asked_for(call, made, capsys):
     assert call("score", made, "--over", "1,10", "--json", "-") == 0
     for row in json.loads(capsys.readouterr().out)["rows"]:

@@ -53,6 +53,7 @@ def test_a_rest_on_the_same_table_but_turned_is_no_return(table):
     assert all("turned against the base" in each.reason for each in later)
 
 
+@pytest.mark.slow
 def test_a_knocked_base_pose_is_believed_less_and_said_so(table):
     """3 deg is within the gate of the gyro, so only the solution can tell: the error stays below half of it."""
     knocked = turned_at_rest(table, float(rests_of(table)[-1].mean()), np.deg2rad(3), 0.3)

@@ -67,6 +67,7 @@ def test_the_heading_is_true_north_without_any_alignment(plain, made):
     assert found.coverage95 > 0.9
 
 
+@pytest.mark.slow
 def test_a_perfect_sensor_gives_the_drive():
     """Its stops are rests, and its accelerations must not be taken for turns."""
     drive = replace(simulate("car", seed=1, minutes=2.5, rate_hz=50, sensor="perfect"), mag=None)
@@ -96,6 +97,7 @@ def test_a_tunnel_widens_the_covariance_and_is_reported(made):
     assert (error / np.sqrt(np.diagonal(dark.position_cov_n_m2, axis1=1, axis2=2))).max() < 3.0
 
 
+@pytest.mark.slow
 def test_late_fixes_are_found_and_corrected():
     late = drive(late_s=0.5)
     made = make(late)

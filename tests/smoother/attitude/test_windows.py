@@ -71,6 +71,7 @@ def test_past_handed_over_holds_all_information_of_its_factors(recording: Record
         assert np.abs((step.at(key) - wanted.at(key)) / sd).max() < 0.02
 
 
+@pytest.mark.slow
 def test_windows_agree_with_the_whole_recording(recording: Recording, evidence: Evidence) -> None:
     """Windows of 80 s see less of the future than one graph does: on average they agree within its sd."""
     whole, parts = (reference_from_evidence(recording, evidence, params) for params in (HANDHELD, WINDOWED))

@@ -119,6 +119,7 @@ def test_scales_of_a_part_as_it_comes_count_in_the_angle():
     assert chi2.ppf(0.005, 8) < np.sum(squares) < chi2.ppf(0.999, 8)
 
 
+@pytest.mark.slow
 def test_a_tilt_that_is_known_can_be_told():
     """Small tilts are not believed by themselves; told so, the angle is absolute again."""
     recording = shaken(1, tilt_deg=4.0)
@@ -141,6 +142,7 @@ def test_a_vibration_that_mimics_gravity_in_both_cannot_be_told():
     assert found["gravity_mps2"][0] == pytest.approx(3.35, abs=0.1)
 
 
+@pytest.mark.slow
 def test_where_one_channel_feels_gravity_it_is_not_tested():
     """Two opposite tangential accelerometers take gravity out of the acceleration: nothing to compare."""
     y, z = np.eye(3)[1:]

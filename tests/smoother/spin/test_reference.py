@@ -87,6 +87,7 @@ def test_in_flight_there_is_no_harmonic_to_find():
     assert np.abs(error).max() < 5 * np.rad2deg(np.median(made.rate_sd_radps))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [0, 90])
 def test_a_spin_the_other_way_is_the_mirror_image(tilt_deg):
     """Of body and motion in the x-z plane: lever arms and axes change sides, the angle its sign, the forces nothing."""

@@ -104,6 +104,7 @@ def test_online_is_fed_sample_by_sample_to_the_bits_of_a_batch_run_in_single_pre
     assert streamed.diagnostics["fed"] == "sample by sample"
 
 
+@pytest.mark.slow
 def test_online_differs_by_single_precision_only(calm):
     single = run_trial("calm", 0, online=True, methods=METHODS[:1])
     assert METHODS[0].name == ADAPTIVE

@@ -166,6 +166,7 @@ def test_an_estimator_can_be_taken_out_of_the_plots(shown) -> None:
     shown.evaluate(f"{box}.click()")
 
 
+@pytest.mark.slow
 def test_many_estimators_begin_with_the_best_six(tmp_path) -> None:
     """All of 9 lines at once would be unreadable; a button shows them."""
     board = make_board(recordings=3, estimators=9)

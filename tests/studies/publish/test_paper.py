@@ -98,6 +98,7 @@ def test_rows_that_failed_keep_their_row(board) -> None:
     assert rows[-1]["rank_best"] is None
 
 
+@pytest.mark.slow
 def test_a_paper_gets_tables_and_figures_at_column_width(board, tmp_path) -> None:
     names = {path.name for path in write_paper(tmp_path, board)}
     assert names == {"table.tex", "table.csv", "table.md", "ranking.pdf", "ranking.svg", "map.pdf", "map.svg"}

@@ -44,6 +44,7 @@ def test_every_recording_has_a_page_with_the_figures_of_the_leaderboard(made):
             assert f">{run.total_rmse_deg:.2f}</td><td>{run.heading_rmse_deg:.2f}</td>" in text, run.label
 
 
+@pytest.mark.slow
 def test_a_second_time_nothing_is_made_and_a_changed_run_makes_its_page_anew(made):
     out, board, _ = made
     asked = []
@@ -60,6 +61,7 @@ def test_a_second_time_nothing_is_made_and_a_changed_run_makes_its_page_anew(mad
     assert asked == [("pages of runs", 1)]
 
 
+@pytest.mark.slow
 def test_a_page_whose_results_are_gone_is_missing_and_says_why(made):
     out, board, _ = made
     gone = replace(board, runs=tuple(replace(run, estimate_key="0" * 64) for run in board.runs))

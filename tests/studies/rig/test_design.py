@@ -82,6 +82,7 @@ def test_impossible_rigs_are_refused(change, said):
         find_longest_arms(replace(PAPER, **change))
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
     assert call("spin", "design", "-o", tmp_path / "out", "--json", tmp_path / "rows.json") == 0
     text = capsys.readouterr().out
@@ -95,6 +96,7 @@ def test_the_command_writes_a_picture_and_the_rows(call, tmp_path, capsys):
     assert "larger range" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room_m", [0.01, 0.03, 0.5])
 def test_the_placement_lies_on_its_curves_and_within_its_map(room_m):
     rig = replace(PAPER, room_m=room_m)

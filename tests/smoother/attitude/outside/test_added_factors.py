@@ -69,6 +69,7 @@ def test_a_car_that_stands_is_at_rest():
     np.testing.assert_array_equal(not_in_curves(rests_ns, imu, HANDHELD.rest.bias_change_radps), rests_ns)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_runs_from_a_file(tmp_path, monkeypatch, blind, capsys):
     write(tmp_path / "drive.mcap", blind)
     monkeypatch.chdir(tmp_path)
@@ -87,6 +88,7 @@ def test_a_wheel_speed_in_wrong_units_is_named():
         reference(wrong, factors=[example()])
 
 
+@pytest.mark.slow
 def test_added_factors_that_contradict_a_little_are_named_in_the_residuals(blind):
     """A place at which the car never was, held so loosely that the reference is made all the same."""
 
