@@ -73,15 +73,15 @@ class Evidence:
         return replace(self, motion=motion, keys=keys, restored=True)
 
     def with_returns(self, returns: Returns | None, params: GraphParams, tested: bool = False) -> "Evidence":
-        """Return the evidence with these returns, between which the magnetometer counts less.
+        """Return the evidence with these returns; beside one that is ``tested``, the magnetometer counts less.
 
-        It counts in full beside a lone return, unless the return has been ``tested`` by it.
+        Several returns test each other, and need the magnetometer in full to tell which of them is turned.
         """
         changed = replace(self, returns=returns)
         if self.measured is None:
             return changed
         base, others = changed.return_states()
-        rests = () if base is None or not (tested or len(others) > 1) else (base, *others)
+        rests = (base, *others) if tested and base is not None else ()
         return replace(changed, measured=self.measured.with_returns(rests, params.magnetic))
 
     def return_states(self) -> tuple[int | None, tuple[int, ...]]:

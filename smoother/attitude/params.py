@@ -69,7 +69,7 @@ class FieldParams(Settings):
 
     use: bool = choice(True, "the magnetometer is used, where there is one")
     sd_ut: float = number(6.0, 0.05, 100.0, "of one measurement, with the disturbances of ordinary rooms")
-    widening_with_returns: float = number(2.0, 1.0, 100.0, "factor on that sd where returns hold the heading")
+    widening_with_returns: float = number(2.0, 1.0, 100.0, "factor on that sd up to a lone return that stood its test")
     step_s: float = number(0.5, 0.05, 60.0, "between the measurements that are used")
     robust: float = number(2.0, 0.5, 10.0, "residuals above this many sd lose their weight (Geman-McClure)")
     field_sd_ut: float = number(30.0, 1.0, 200.0, "of the local field around its start value")
@@ -105,7 +105,7 @@ class GraphParams(Settings):
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
     variance_factor: float = number(1.0, 0.01, 100.0, "on the variances of tilt and mean heading")
     rest_variance_factor: float = number(0.4, 0.01, 100.0, "on that of the tilt where there is a rest")
-    heading_variance_factor: float = number(0.45, 0.01, 100.0, "on that of the heading around its mean")
+    heading_variance_factor: float = number(0.3, 0.01, 100.0, "on that of the heading around its mean")
     prior_returns: float = number(12.0, 0.01, 100.0, "how many returns' worth of trust that factor deserves")
     iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 
