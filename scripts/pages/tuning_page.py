@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.tuning_page FOLDER OUT``: tune ours and theirs alike, and quote on others.
+"""``python -m stillpoint.scripts.pages.tuning_page FOLDER OUT [JOBS]``: tune ours and theirs, quote on others.
 
 Recordings with truth are split by every second name of each source: half A is tuned on, half B is quoted. Two kinds of
 input: corrected by the reference, of all recordings, and as recorded, of those whose magnetometer is calibrated. Trials
@@ -181,4 +181,4 @@ def _replace_table(text: str, kind: str, table: str) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:4]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3]) if len(sys.argv) > 3 else 1)
