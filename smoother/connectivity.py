@@ -7,6 +7,7 @@ else they end in a segmentation fault, an abort or a hang, none of which Python 
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -16,7 +17,8 @@ _NAMED = 3  # unknowns that a message names
 
 
 def require_connected(
-    factor_keys: Sequence[Sequence[int]],
+    factor_keys: NDArray[np.int64],
+    lengths: NDArray[np.int64],
     variables: Sequence[int],
     describe: Callable[[int], str],
     name: str,
@@ -24,21 +26,21 @@ def require_connected(
 ) -> bool:
     """Raise :class:`Unobservable` unless the factors tie all variables together.
 
-    ``factor_keys`` are the variables of each factor, ``variables`` all that the solution must contain. ``describe``
-    says in words what a variable is; ``name`` is the recording's. Variables of ``may_stand_alone`` have a prior of
-    their own; returns whether one of them is indeed tied to nothing else.
+    ``factor_keys`` are the variables of each factor, one factor after the other, and ``lengths`` how many it has;
+    ``variables`` are all that the solution must contain. ``describe`` says in words what a variable is; ``name`` is the
+    recording's. Variables of ``may_stand_alone`` have a prior of their own; returns whether one of them is indeed tied
+    to nothing else.
     """
-    lengths = [len(keys) for keys in factor_keys]
-    of_factor = np.repeat(np.arange(len(factor_keys)), lengths)
-    known, number = np.unique([key for keys in factor_keys for key in keys], return_inverse=True)
+    of_factor = np.repeat(np.arange(len(lengths)), lengths)
+    known, number = np.unique(factor_keys, return_inverse=True)
     lost = np.setdiff1d(np.asarray(variables), known)
     if len(lost):
         raise Unobservable(f"{name}: nothing is measured of {_names(lost.tolist(), describe)}; {_ADVICE}")
-    size = len(factor_keys) + len(known)
-    edges = coo_array((np.ones(len(number)), (of_factor, len(factor_keys) + number)), shape=(size, size))
+    size = len(lengths) + len(known)
+    edges = coo_array((np.ones(len(number)), (of_factor, len(lengths) + number)), shape=(size, size))
     parts, label = connected_components(edges, directed=False)
-    sizes = np.bincount(label[len(factor_keys) :], minlength=parts)
-    of_variable = label[len(factor_keys) :]
+    of_variable = label[len(lengths) :]
+    sizes = np.bincount(of_variable, minlength=parts)
     alone = np.isin(known, may_stand_alone) & (sizes[of_variable] == 1)
     cut_off = (of_variable != sizes.argmax()) & ~alone
     if cut_off.any():

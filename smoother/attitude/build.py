@@ -1,6 +1,7 @@
 """The graph of a stretch of a recording, and the values that the optimiser starts from."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from itertools import chain
 
 import gtsam
@@ -11,7 +12,9 @@ from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.smoother.attitude import factors
+from stillpoint.smoother.attitude.chain import Chain, build_chain
 from stillpoint.smoother.attitude.evidence import Evidence, gravity_mps2, has_known_base_pose
+from stillpoint.smoother.attitude.linear.inherited import Inherited
 from stillpoint.smoother.attitude.magnetometer import field_prior
 from stillpoint.smoother.attitude.outside.satellite import fix_factors, lone_stretch_factors
 from stillpoint.smoother.attitude.params import GraphParams
@@ -20,9 +23,16 @@ _UNKNOWN_RAD = 2.0  # sd of an angle about which nothing is known
 _DEFINED_RAD = 1e-3  # sd of a heading that the first attitude defines
 
 
-def build_graph(
-    recording: Recording, evidence: Evidence, bias_b_radps: Floats, params: GraphParams
-) -> gtsam.NonlinearFactorGraph:
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """All factors but those of the magnetometer: those of the chain of states as arrays, the others as gtsam's."""
+
+    chain: Chain
+    others: gtsam.NonlinearFactorGraph
+    inherited: Inherited | None = None  # from the windows before
+
+
+def build_graph(recording: Recording, evidence: Evidence, bias_b_radps: Floats, params: GraphParams) -> Graph:
     """Return all factors on the states of ``evidence`` but those of the magnetometer and of the returns' votes.
 
     Two disjoint stretches of states have no factor in common. ``bias_b_radps`` (3,) is the gyro bias about which the
@@ -30,30 +40,33 @@ def build_graph(
     """
     keys = evidence.keys
     everything: Iterable[gtsam.NonlinearFactor] = chain(
-        factors.imu_factors(evidence.motion, keys, bias_b_radps, gravity_mps2(recording.info), params),
-        factors.calibration_factors(keys, params),
         factors.bias_factors(keys, bias_b_radps, params),
-        factors.motion_factors(keys, evidence.fixes is not None, params),
         () if evidence.fixes is None else fix_factors(evidence.fixes, params.gps),
         () if evidence.fixes is None else lone_stretch_factors(keys, evidence.fixes, params.motion),
         factors.rest_factors(keys, params),
         factors.gap_factors(keys, params),
         factors.anchor_factors(_find_anchors(recording, evidence, params), params),
     )
-    graph = gtsam.NonlinearFactorGraph()
+    others = gtsam.NonlinearFactorGraph()
     for factor in everything:
-        graph.push_back(factor)
+        others.push_back(factor)
     if evidence.field_start is not None and keys.first == 0:
         azimuth, _ = local_declination(recording.info)
         azimuth_known = not has_known_base_pose(recording, evidence)
-        graph.push_back(field_prior(evidence.field_start, azimuth, azimuth_known, params.magnetic))
-    return graph
+        others.push_back(field_prior(evidence.field_start, azimuth, azimuth_known, params.magnetic))
+    g_mps2, bounded = gravity_mps2(recording.info), evidence.fixes is None
+    return Graph(build_chain(evidence.motion, keys, bias_b_radps, g_mps2, bounded, params), others)
 
 
-def build_start_values(evidence: Evidence, q_nb: Floats, bias_b_radps: Floats, params: GraphParams) -> gtsam.Values:
-    """Return start values of all unknowns of a window, with attitudes ``q_nb`` (n, 4) and gyro bias (3,)."""
+def build_start_values(
+    evidence: Evidence, q_nb: Floats, bias_b_radps: Floats, effective: Collection[int], params: GraphParams
+) -> gtsam.Values:
+    """Return start values of all unknowns of a window, with attitudes ``q_nb`` (n, 4) and gyro bias (3,).
+
+    Of the effective biases only those of the intervals ``effective`` are among them.
+    """
     values = factors.start_values(
-        evidence.keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias_b_radps, params
+        evidence.keys, q_nb, evidence.place_n_m, evidence.velocity_n_mps, bias_b_radps, effective, params
     )
     if evidence.field_start is not None:
         values.insert(H(0), evidence.field_start)

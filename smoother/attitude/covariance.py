@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.attitude.marginals import compute_covariances, eliminate, multiply_covariance
+from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate, multiply_covariance
+from stillpoint.smoother.attitude.linear.inverse import compute_covariances
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.returns import closing_error, closing_square
 from stillpoint.smoother.attitude.solve import Solution, make_unobservable, rotations_of
@@ -52,38 +53,38 @@ def compute_accuracy(
     shared = _shared_errors(rotations_of(values, counted))  # (K, 3, 4)
     poses = [X(int(i)) for i in states]
     velocities = [V(int(i)) for i in states] if with_velocity else []
-    others = [M(0), *(L(0) for _ in returns[:1]), *(X(int(i)) for i in (*counted, *returns))]
+    with_common = [(X(i), L(0)) for i in returns]
+    pairs = [(key, key) for key in (*poses, *velocities, M(0), *(X(i) for i in returns), *(L(0) for _ in returns[:1]))]
     try:
-        eliminated = eliminate(solution.system, solution.ordering, [*poses, *velocities, *others])
-    except RuntimeError as error:
+        eliminated = eliminate(solution.structure, solution.rows)
+    except SingularSystem as error:
         raise make_unobservable(name) from error
-    *found, calibration = compute_covariances(eliminated, [*poses, *velocities, M(0)])
-    pose = np.array(found[: len(states)])
+    covariances = compute_covariances(eliminated, [*pairs, *with_common])
+    of_pair = dict(zip([*pairs, *with_common], covariances, strict=True))
+    calibration = of_pair[M(0), M(0)]
+    pose = np.array([of_pair[key, key] for key in poses])
     attitude = pose[:, :3, :3]
     if not (np.diagonal(attitude, axis1=1, axis2=2) > 0).all():
         raise make_unobservable(name)
 
     def turns(which: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the scalars (n, 3) of the turns of states."""
-        return eliminated.first[[eliminated.number[X(int(i))] for i in which]][:, None] + np.arange(3)
+        return eliminated.structure.scalars([X(int(i)) for i in which], 3)
 
-    # The product of the covariance with a column b is the covariance with b' d: first with the means of A' d, then with
-    # the headings of the returns against the common pose.
-    columns = np.zeros((eliminated.first[-1], shared.shape[2] + len(returns)))
-    columns[turns(counted), : shared.shape[2]] = shared / len(counted)
-    errors_rad = []
-    for column, state in enumerate(returns, start=shared.shape[2]):
-        error_rad, up_b = closing_error(values, state)
-        columns[turns([state])[0], column] = up_b
-        columns[eliminated.first[eliminated.number[L(0)]] + np.arange(3), column] = -up_b
-        errors_rad.append(error_rad)
+    # The product of the covariance with a column b is the covariance with b' d: here with the means of A' d.
+    columns = np.zeros((len(eliminated.right), shared.shape[2]))
+    columns[turns(counted)] = shared / len(counted)
     products = multiply_covariance(eliminated, columns)
-    variances = (columns * products).sum(axis=0)[shared.shape[2] :].tolist()
-    closing = [closing_square(*pair, params) for pair in zip(errors_rad, variances, strict=True)]
+    closing = []
+    for state in returns:
+        error_rad, up_b = closing_error(values, state)
+        cross = of_pair[X(state), L(0)]
+        apart = of_pair[X(state), X(state)] - cross - cross.T + of_pair[L(0), L(0)]
+        closing.append(closing_square(error_rad, float(up_b @ apart[:3, :3] @ up_b), params))
 
     def covariance_with_means(which: NDArray[np.int64]) -> Floats:
         """Return cov(d, mean of A' d), (n, 3, 4)."""
-        return np.asarray(products[turns(which), : shared.shape[2]])
+        return np.asarray(products[turns(which)])
 
     of_means = np.mean(shared.transpose(0, 2, 1) @ covariance_with_means(counted), axis=0)  # cov of the means, (4, 4)
     with_means, here = covariance_with_means(states), _shared_errors(rotations_of(values, states))
@@ -95,7 +96,7 @@ def compute_accuracy(
     turn = rotations_of(values, states)
     position = turn @ pose[:, 3:, 3:] @ turn.transpose(0, 2, 1)
     heading_rad2 = float(of_means[0, 0])
-    velocity = np.array(found[len(states) :]) if with_velocity else None
+    velocity = np.array([of_pair[key, key] for key in velocities]) if with_velocity else None
     return Accuracy(relative, heading_rad2, mounting, calibration, position, velocity, tuple(closing))
 
 

@@ -11,10 +11,11 @@
         bounded     at rest:    X0 = L = X2 at a return to the base pose
         motion      V = 0, X1 = X2
 
-All factors are gtsam's own. The calibration enters the preintegrated IMU factor through its bias.
+The factors here are gtsam's own. IMU, calibration and bounds of the motion, of which each tenth of a second has one,
+stand as arrays in chain.py. The calibration enters the preintegrated IMU factor through its bias.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import gtsam
@@ -23,15 +24,12 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
-from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.samples.compound import compound_samples
 
 CALIBRATION = 19  # unknowns: 9 of the accelerometer matrix, 9 of the gyro matrix, 1 delay of the accelerometer
-_EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
 _FREE = gtsam.imuBias.ConstantBias()
 
-_isotropic = gtsam.noiseModel.Isotropic.Sigma
 _diagonal = gtsam.noiseModel.Diagonal.Sigmas
 
 
@@ -51,73 +49,6 @@ def bias_steps(keys: Keys, params: GraphParams) -> np.ndarray:
     return ((keys.t_s - keys.t_s[0]) / params.inertial.bias_step_s).astype(np.int64)
 
 
-def imu_factors(motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float, params: GraphParams) -> Iterator:
-    """Tie neighbouring states by what gyro and accelerometer measured between them, less the bias C."""
-    start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
-    p, eye = params.inertial, np.eye(3)
-    sizes = {
-        "moving": (p.gyro_radps_rthz, p.accel_mps2_rthz),
-        "rest": (p.gyro_rest_radps_rthz, p.accel_rest_mps2_rthz),
-    }
-    summed = {
-        kind: gtsam.PreintegratedImuMeasurements(_noise(gyro**2 * eye, accel**2 * eye, g_mps2, params), start)
-        for kind, (gyro, accel) in sizes.items()
-    }
-    intervals = keys.intervals(~keys.gap)
-    measured = compound_samples(motion, keys.row, intervals, bias_b_radps)
-    own_noise = keys.clipped | (keys.gyro_sampling_rad > 0).any(axis=1)
-    parts = list(zip(measured.accel_b_mps2, measured.gyro_b_radps, measured.length_s.tolist(), strict=True))
-    for i, (accel, gyro, length_s) in zip(intervals.tolist(), parts, strict=True):
-        if own_noise[i]:
-            between = gtsam.PreintegratedImuMeasurements(_interval_noise(keys, i, g_mps2, params), start)
-        else:
-            between = summed["rest" if keys.at_rest[i] else "moving"]
-        between.resetIntegration()
-        for part, seconds in enumerate(length_s):
-            if seconds > 0:
-                between.integrateMeasurement(accel[part], gyro[part], seconds)
-        yield gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
-
-
-def _noise(gyro_rad2ps: Floats, accel_m2ps3: Floats, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
-    """Return gtsam's parameters for the squared noise densities (3, 3) of both sensors."""
-    noise = gtsam.PreintegrationParams.MakeSharedU(g_mps2)
-    noise.setGyroscopeCovariance(gyro_rad2ps)
-    noise.setAccelerometerCovariance(accel_m2ps3)
-    noise.setIntegrationCovariance(params.motion.integration_sd_m_rts**2 * np.eye(3))
-    return noise
-
-
-def _interval_noise(keys: Keys, i: int, g_mps2: float, params: GraphParams) -> gtsam.PreintegrationParams:
-    """Return the noise of an interval with readings that are replaced, wrong by a share of their excess, or slow."""
-    p, seconds = params.inertial, keys.t_s[i + 1] - keys.t_s[i]
-    gyro_rad2 = (p.gyro_beyond * keys.gyro_clipped_rad[i]) ** 2 + keys.gyro_sampling_rad[i] ** 2
-    gyro = p.gyro_radps_rthz**2 + gyro_rad2 / seconds
-    accel = p.accel_mps2_rthz**2 + (p.accel_beyond * keys.accel_clipped_mps[i]) ** 2 / seconds
-    return _noise(np.diag(gyro), np.diag(accel), g_mps2, params)
-
-
-def calibration_factors(keys: Keys, params: GraphParams) -> Iterator:
-    """Tie the effective bias of an interval to bias and calibration: C = B + M [mean force, mean rate, jerk]."""
-    noise, eye, step = _diagonal(_EFFECTIVE_BIAS_SD), np.eye(6), bias_steps(keys, params)
-    # Without a linearisation point gtsam applies the factors to changes, and never sees a violation. The unknowns are
-    # renamed afterwards: to make a ConstantBias for each takes longer than all else here.
-    origin = gtsam.Values()
-    origin.insert(C(0), _FREE)
-    origin.insert(B(0), _FREE)
-    origin.insert(M(0), np.zeros(CALIBRATION))
-    intervals = keys.intervals(~keys.gap)
-    by_matrix = np.zeros((len(intervals), 6, CALIBRATION))
-    for axis in range(3):
-        by_matrix[:, axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[intervals]
-        by_matrix[:, 3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[intervals]
-    by_matrix[:, :3, 18] = -keys.jerk_b_mps3[intervals]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
-    nothing, calibration = np.zeros(6), M(0)
-    for i, k, each in zip(intervals.tolist(), step[intervals].tolist(), -by_matrix, strict=True):
-        linear = gtsam.JacobianFactor(C(0), eye, B(0), -eye, calibration, each, nothing, noise)
-        yield gtsam.LinearContainerFactor(linear, origin).rekey([C(i), B(k), calibration])
-
-
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:
     """Keep the first bias near its start value, let it walk, and keep the calibration near identity."""
     p, step = params.inertial, bias_steps(keys, params)
@@ -131,24 +62,6 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
     yield gtsam.PriorFactorConstantBias(B(0), start, _diagonal(spread))
     sizes = [np.full(9, p.accel_matrix_sd), np.full(9, p.gyro_matrix_sd), np.full(1, p.accel_late_sd_s)]
     yield gtsam.PriorFactorVector(M(0), np.zeros(CALIBRATION), _diagonal(np.concatenate(sizes)))
-
-
-def motion_factors(keys: Keys, placed: bool, params: GraphParams) -> Iterator:
-    """Bound place and speed, as those of a hand, a table or a vehicle are; at rest the speed is zero.
-
-    Where satellites show the place (``placed``), only rests are bounded.
-    """
-    p, zero = params.motion, np.zeros(3)
-    span_s = np.append(keys.span_s, keys.span_s[-1])
-    resting = np.concatenate([[False], keys.at_rest]) | np.concatenate([keys.at_rest, [False]])
-    for i in keys.states:
-        share = 1 / np.sqrt(min(span_s[i], 1.0))
-        if resting[i]:
-            yield gtsam.PriorFactorVector(V(i), zero, _isotropic(3, p.rest_velocity_sd_mps))
-        elif not placed:
-            yield gtsam.PriorFactorVector(V(i), zero, _isotropic(3, p.velocity_sd_mps * share))
-        if not placed:
-            yield gtsam.GPSFactor(X(i), zero, _isotropic(3, p.position_sd_m * share))
 
 
 def rest_factors(keys: Keys, params: GraphParams) -> Iterator:
@@ -181,19 +94,29 @@ def anchor_factors(anchors: Anchors, params: GraphParams) -> Iterator:
 
 
 def start_values(
-    keys: Keys, q_nb: Floats, place_n_m: Floats, velocity_n_mps: Floats, bias_b_radps: Floats, params: GraphParams
+    keys: Keys,
+    q_nb: Floats,
+    place_n_m: Floats,
+    velocity_n_mps: Floats,
+    bias_b_radps: Floats,
+    effective: Collection[int],
+    params: GraphParams,
 ) -> gtsam.Values:
-    """Return start values of a window's unknowns from attitudes (n, 4), places and velocities (n, 3)."""
+    """Return start values of a window's unknowns from attitudes (n, 4), places and velocities (n, 3).
+
+    Of the effective biases only those of the intervals ``effective`` are among them: those that gtsam's factors need.
+    """
     values = gtsam.Values()
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
     step = bias_steps(keys, params)
+    # By the names of its arguments gtsam finds the kind of a value at once; without, it tries to convert it to each.
     for i, matrix in zip(keys.held, rotation(q_nb[keys.held]).as_matrix(), strict=True):
-        values.insert(X(i), gtsam.Pose3(gtsam.Rot3(matrix), place_n_m[i]))
+        values.insert(j=X(i), pose3=gtsam.Pose3(gtsam.Rot3(matrix), place_n_m[i]))
         values.insert(V(i), velocity_n_mps[i])
-    for i in keys.intervals(~keys.gap):
-        values.insert(C(i), bias)
+    for i in effective:
+        values.insert(j=C(i), constant_bias=bias)
     for k in range(step[keys.first], step[keys.held[-1]] + 1):
-        values.insert(B(k), bias)
+        values.insert(j=B(k), constant_bias=bias)
     values.insert(M(0), np.zeros(CALIBRATION))
     return values
 

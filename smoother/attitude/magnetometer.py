@@ -2,9 +2,9 @@
 
 The local field m, the hard iron h, the delay d and the matrix S (scale, axes, soft iron) are unknown: H, 16 numbers.
 
-gtsam has no factor with these unknowns. The equation is linearised here in every iteration and given to gtsam as
-Jacobian factors, with Geman-McClure weights whose scale shrinks to its final value (graduated non-convexity). During
-the delay the body turns at the gyro's rate: R(t - d) = R(t) exp(-w d).
+gtsam has no factor with these unknowns. The equation is linearised here in every iteration, with Geman-McClure weights
+whose scale shrinks to its final value (graduated non-convexity). During the delay the body turns at the gyro's rate:
+R(t - d) = R(t) exp(-w d).
 """
 
 from collections.abc import Sequence
@@ -19,11 +19,12 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats, Mag
 from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.linear.rows import Rows
 from stillpoint.smoother.attitude.params import FieldParams
 
 FIRST_SCALE = 4.0  # times sd_ut, in the first iteration
 _SHRINK = 0.6  # from iteration to iteration
-_UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
+UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the matrix
 _HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
 _LONGEST_S = 10.0  # over which errors of the field are compared with each other
 _LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
@@ -82,7 +83,7 @@ def select_measurements(
 def start_field(measured: FieldMeasurements, q_nb: Floats, iron_b_ut: Floats) -> Floats:
     """Return the start value of H (16,): the median field in n at attitudes ``q_nb`` (K, 4), and the hard iron (3,)."""
     field_n = rotation(q_nb).apply(measured.field_b_ut - iron_b_ut)
-    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(_UNKNOWNS - 6)])
+    return np.concatenate([np.median(field_n, axis=0), iron_b_ut, np.zeros(UNKNOWNS - 6)])
 
 
 def field_prior(start: Floats, azimuth_rad: float, azimuth_known: bool, params: FieldParams) -> gtsam.PriorFactorVector:
@@ -134,7 +135,7 @@ def linearise_measurements(
     scale_ut: float,
     params: FieldParams,
     widening: float = 1.0,
-) -> list[gtsam.JacobianFactor]:
+) -> Rows:
     """Return the measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
     ``widening`` multiplies the sd, at least as much as that of each measurement, but leaves the robust weights as they
@@ -156,12 +157,16 @@ def linearise_measurements(
     by_place = matrix @ (rotations @ back).transpose(0, 2, 1)
     by_field = np.concatenate([by_place, identity, by_late[:, :, None], by_matrix], axis=2)
     by_pose, by_field = by_pose * root[:, None, None], by_field * root[:, None, None]
-    unit = gtsam.noiseModel.Unit.Create(3)
     target = -residual * root[:, None]
-    return [
-        gtsam.JacobianFactor(X(int(state)), by_pose[k], H(0), by_field[k], target[k], unit)
-        for k, state in enumerate(measured.state)
-    ]
+    count = len(measured.state)
+    keys = np.stack([X(0) + measured.state, np.full(count, H(0))], axis=1)
+    columns = np.concatenate([by_pose, by_field, target[:, :, None]], axis=2)
+    return Rows(
+        keys=keys.ravel(),
+        key_first=2 * np.arange(count + 1),
+        count=np.full(count, 3),
+        data=columns.transpose(0, 2, 1).ravel(),
+    )
 
 
 def measure_widening(rotations: Floats, residual_ut: Floats, scale_ut: float, params: FieldParams) -> float:

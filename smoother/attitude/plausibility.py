@@ -25,6 +25,8 @@ from stillpoint.datasets.earth import local_field_n_ut
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Info, Recording
 from stillpoint.datasets.trajectory import Calibration
+from stillpoint.smoother.attitude.build import Graph
+from stillpoint.smoother.attitude.chain import split_squares
 from stillpoint.smoother.attitude.evidence import Evidence, with_free_priors
 from stillpoint.smoother.attitude.keys import Keys
 from stillpoint.smoother.attitude.magnetometer import compute_weights
@@ -96,30 +98,19 @@ def priors_to_try(params: GraphParams, evidence: Evidence) -> list[SensorPriors]
     return [SensorPriors(each, _SURPRISE_LIMIT_SD) for each in (params, *wider)]
 
 
-def measure_fit(
-    graph: gtsam.NonlinearFactorGraph, inherited: int, solution: Solution, keys: Keys, params: GraphParams
-) -> Fit:
+def measure_fit(graph: Graph, added: int, solution: Solution, keys: Keys, params: GraphParams) -> Fit:
     """Return the residuals of a solution by kind of factor; "imu" is in motion and not clipped.
 
-    The last ``inherited`` factors stand for the window's past: their residuals belong to the windows before.
+    The last ``added`` factors are those that users added, which have kinds of their own.
     """
     alike: dict[tuple[str, int], gtsam.NonlinearFactorGraph] = {}  # by kind and degrees of freedom
-    at_rest, clipped = keys.at_rest, keys.clipped
-    intervals = iter(keys.intervals(~keys.gap).tolist())
-    for i in range(graph.size() - inherited):
-        factor = graph.at(i)
-        if isinstance(factor, gtsam.LinearContainerFactor):
-            continue  # without a linearisation point its error is always zero
-        if isinstance(factor, gtsam.ImuFactor):
-            k = next(intervals)  # they come in the order of the intervals
-            kind = "imu at rest" if at_rest[k] else "imu clipped" if clipped[k] else "imu"
-            degrees = 9  # gtsam counts only its first part
-        else:
-            kind, degrees = _KINDS.get(type(factor), "anchors"), factor.dim()
+    for i in range(graph.others.size() - added):
+        factor = graph.others.at(i)
+        kind, degrees = _KINDS.get(type(factor), "anchors"), factor.dim()
         if (kind, degrees) not in alike:
             alike[kind, degrees] = gtsam.NonlinearFactorGraph()
         alike[kind, degrees].push_back(factor)
-    total: dict[str, tuple[float, int]] = {}  # sum and count
+    total = _sum_chain(graph, solution, keys)
     for (kind, degrees), some in alike.items():
         square, count = total.get(kind, (0.0, 0))
         total[kind] = (square + 2 * some.error(solution.values) / degrees, count + some.size())
@@ -129,6 +120,20 @@ def measure_fit(
         return Fit(squares, None, None)
     inlier = compute_weights(residual, params.magnetic.sd_ut, params.magnetic) > 0.5
     return Fit(squares, float(inlier.mean()), float(np.median(np.linalg.norm(residual, axis=1))))
+
+
+def _sum_chain(graph: Graph, solution: Solution, keys: Keys) -> dict[str, tuple[float, int]]:
+    """Return sum and number of the squared residuals per degree of freedom of the chain, by kind."""
+    found, interval = split_squares(graph.chain, solution.rows.data), graph.chain.interval
+    at_rest, clipped = keys.at_rest[interval], keys.clipped[interval]
+    parts = {
+        "imu at rest": found.imu[at_rest] / 9,
+        "imu clipped": found.imu[clipped & ~at_rest] / 9,
+        "imu": found.imu[~clipped & ~at_rest] / 9,
+        "velocity and calibration": found.speed / 3,
+        "position": found.place / 3,
+    }
+    return {kind: (float(part.sum()), len(part)) for kind, part in parts.items() if len(part)}
 
 
 def average_fits(fits: Sequence[Fit]) -> Fit:

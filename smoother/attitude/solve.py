@@ -1,17 +1,24 @@
 """The optimum of the graph by Gauss-Newton, with the magnetometer linearised anew in every iteration."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import H, L, X
+from gtsam.symbol_shorthand import C, H, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.build import Graph
+from stillpoint.smoother.attitude.chain import linearise_chain, poses_of, read_place, split_squares
+from stillpoint.smoother.attitude.factors import CALIBRATION
+from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate, optimise
+from stillpoint.smoother.attitude.linear.rows import Rows, flatten
+from stillpoint.smoother.attitude.linear.structure import Structure, find_structure
 from stillpoint.smoother.attitude.magnetometer import (
     FIRST_SCALE,
+    UNKNOWNS,
     FieldMeasurements,
     compute_residuals,
     linearise_measurements,
@@ -30,6 +37,8 @@ _UNKNOWNS_IN_WORDS = {
     "h": "the magnetic field",
     "l": "the common rest pose",
 }
+# Scalars of each kind of unknown, by the letter of its symbol.
+SIZES = {ord("x"): 6, ord("v"): 3, ord("c"): 6, ord("b"): 6, ord("m"): CALIBRATION, ord("h"): UNKNOWNS, ord("l"): 6}
 _STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
 _REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
 _ALIKE, _SLOWEST = (
@@ -44,16 +53,17 @@ class NoOptimum(Unobservable):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The optimum: values of all unknowns, and the linear system there, whose covariance is that of the optimum."""
+    """The optimum: values of all unknowns, and the linear factors there, whose covariance is that of the optimum."""
 
-    values: gtsam.Values
-    system: gtsam.GaussianFactorGraph
-    ordering: gtsam.Ordering  # elimination order of its unknowns
+    values: gtsam.Values  # of all unknowns but the effective biases
+    effective: Floats  # (m, 6) effective bias of each interval of the chain
+    rows: Rows
+    structure: Structure
     field_scale_ut: float  # scale of the magnetometer's robust weights
-    field_widening: float  # factor on its sd in ``system``: its errors last from reading to reading
+    field_widening: float  # factor on its sd in ``rows``: its errors last from reading to reading
     q_steps_rad: tuple[float, ...]  # largest turn of a state in each iteration
     field_residual_ut: Floats | None  # (K, 3)
-    cost: float  # of gtsam's own factors
+    cost: float  # of all factors but those of magnetometer and calibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +71,22 @@ class Approach:
     """Where the iterations have come to."""
 
     values: gtsam.Values
-    ordering: gtsam.Ordering | None  # elimination order of the unknowns, None before the first iteration
+    effective: Floats  # (m, 6)
+    structure: Structure | None  # of the linear factors; None before the first iteration
     field_scale_ut: float  # scale of the magnetometer's robust weights
     q_steps_rad: tuple[float, ...] = ()  # largest turn of a state in each iteration
 
 
-def begin(values: gtsam.Values, params: GraphParams) -> Approach:
-    """Return the beginning of the iterations: start values, and FIRST_SCALE times the magnetometer's sd as scale."""
-    return Approach(values, None, FIRST_SCALE * params.magnetic.sd_ut)
+def begin(values: gtsam.Values, effective: Floats, params: GraphParams) -> Approach:
+    """Return the beginning of the iterations at start values with effective biases (m, 6).
+
+    The scale of the magnetometer is FIRST_SCALE times its sd.
+    """
+    return Approach(values, effective, None, FIRST_SCALE * params.magnetic.sd_ut)
 
 
 def iterate(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: Graph,
     approach: Approach,
     states: range,
     measured: FieldMeasurements | None,
@@ -85,15 +99,16 @@ def iterate(
 
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
-    values, scale_ut, ordering = approach.values, approach.field_scale_ut, approach.ordering
+    values, effective, scale_ut = approach.values, approach.effective, approach.field_scale_ut
+    structure = approach.structure
     steps: list[float] = []
     final = measured is None
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
-        system, residual = linearise(graph, values, measured, scale_ut, params)
-        ordering = ordering or _order_unknowns(system, states, name)
-        step = _solve_linear(system, ordering, name)
-        turns = _turns_of(step, len(states))
+        rows, residual = linearise(graph, values, effective, states, measured, scale_ut, params)
+        structure = structure or _find_structure(rows, states, name)
+        step = _solve_linear(rows, structure, name)
+        turns = step[structure.scalars([X(i) for i in states], 3)]
         turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise make_unobservable(name)
@@ -101,14 +116,16 @@ def iterate(
         before = turns if longer == 1.0 else None  # after a longer step the next one does not show the rate of decay
         if turn * longer > _STEP_LIMIT_RAD:
             longer = _STEP_LIMIT_RAD / turn
-        values = values.retract(step if longer == 1.0 else step.scale(longer))
+        step = step if longer == 1.0 else longer * step
+        values = values.retract(_as_vectors(step, structure, values))
+        effective = effective + step[structure.scalars([C(int(i)) for i in graph.chain.interval], 6)]
         rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and (turn < params.turn_limit_rad or rest < _REST_SHARE * params.turn_limit_rad):
-            return Approach(values, ordering, scale_ut, tuple(steps))
+            return Approach(values, effective, structure, scale_ut, tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -116,7 +133,7 @@ def iterate(
 
 
 def solve(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: Graph,
     approach: Approach,
     states: range,
     measured: FieldMeasurements | None,
@@ -125,56 +142,50 @@ def solve(
 ) -> Solution:
     """Return the optimum of the graph and the magnetometer's measurements; raises errors as :func:`iterate`."""
     there = iterate(graph, approach, states, measured, name, params)
-    assert there.ordering is not None
-    values, scale_ut, widening = there.values, there.field_scale_ut, 1.0
+    assert there.structure is not None
+    values, effective, scale_ut, widening = there.values, there.effective, there.field_scale_ut, 1.0
     residual: Floats | None = None
     if measured is not None:
         rotations = rotations_of(values, measured.state)
         residual = compute_residuals(measured, rotations, values.atVector(H(0)))
         widening = measure_widening(rotations, residual, scale_ut, params.magnetic)
-    system, _ = linearise(graph, values, measured, scale_ut, params, widening)
-    cost = float(graph.error(values))
-    return Solution(values, system, there.ordering, scale_ut, widening, there.q_steps_rad, residual, cost)
+    rows, _ = linearise(graph, values, effective, states, measured, scale_ut, params, widening)
+    squares = split_squares(graph.chain, rows.data)
+    of_chain = sum(float(part.sum()) for part in (squares.imu, squares.speed, squares.place))
+    cost = float(graph.others.error(values)) + of_chain / 2
+    return Solution(values, effective, rows, there.structure, scale_ut, widening, there.q_steps_rad, residual, cost)
 
 
 def linearise(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: Graph,
     values: gtsam.Values,
+    effective: Floats,
+    states: range,
     measured: FieldMeasurements | None,
     scale_ut: float,
     params: GraphParams,
     widening: float = 1.0,
-) -> tuple[gtsam.GaussianFactorGraph, Floats | None]:
-    """Return the linear system at ``values``, and the residuals of the magnetometer (K, 3).
+) -> tuple[Rows, Floats | None]:
+    """Return the linear factors, those of the chain first, and the residuals of the magnetometer (K, 3).
 
+    They are linearised at ``values`` of the ``states`` and what is common to them, and ``effective`` biases (m, 6).
     ``widening`` is a factor on the magnetometer's sd beside that of its robust weights.
     """
-    system = graph.linearize(values)
+    of_chain = linearise_chain(graph.chain, read_place(graph.chain, values, effective, states))
+    rows = replace(graph.chain.keys(), data=of_chain).and_also(flatten(graph.others.linearize(values)))
+    if graph.inherited is not None:
+        rows = rows.and_also(graph.inherited.at(values))
     if measured is None:
-        return system, None
+        return rows, None
     rotations = rotations_of(values, measured.state)
     field = values.atVector(H(0))
-    for factor in linearise_measurements(measured, rotations, field, scale_ut, params.magnetic, widening):
-        system.push_back(factor)
-    return system, compute_residuals(measured, rotations, field)
+    of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic, widening)
+    return rows.and_also(of_field), compute_residuals(measured, rotations, field)
 
 
 def rotations_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
     """Return the rotation matrices (K, 3, 3) of states."""
     return poses_of(values, states)[:, :9].reshape(-1, 3, 3)
-
-
-def poses_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
-    """Return the poses (K, 12) of states: rotation matrix by rows, and place."""
-    poses = gtsam.utilities.extractPose3(values)  # in the order of their keys: a common pose L comes before all X
-    count = len(poses) - values.exists(L(0))
-    last = gtsam.Symbol(values.keys()[-1]).index()  # the states follow each other, and no letter comes after X
-    return np.asarray(poses[len(poses) - count :][np.asarray(states) - (last - count + 1)])
-
-
-def _turns_of(step: gtsam.VectorValues, count: int) -> Floats:
-    """Return the turns (count, 3) of the states in a step, whose vectors stand last."""
-    return np.asarray(step.vector()[-6 * count :].reshape(count, 6)[:, :3])
 
 
 def make_unobservable(name: str) -> Unobservable:
@@ -185,18 +196,30 @@ def make_unobservable(name: str) -> Unobservable:
     )
 
 
-def _solve_linear(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, name: str) -> gtsam.VectorValues:
+def _solve_linear(rows: Rows, structure: Structure, name: str) -> Floats:
+    """Return the step (D,) that solves the linear factors in the least-squares sense."""
     try:
-        return system.eliminateSequential(ordering).optimize()
-    except RuntimeError as error:
+        return optimise(eliminate(structure, rows))
+    except SingularSystem as error:
         raise make_unobservable(name) from error
 
 
-def _order_unknowns(system: gtsam.GaussianFactorGraph, states: range, name: str) -> gtsam.Ordering:
-    """Return the order of elimination; raises :class:`Unobservable` where nothing ties a state to the others."""
-    keys = [system.at(i).keys() for i in range(system.size())]
-    require_connected(keys, [X(i) for i in states], _describe_unknown, name, may_stand_alone=(H(0),))
-    return gtsam.Ordering.ColamdGaussianFactorGraph(system)
+def _as_vectors(step: Floats, structure: Structure, values: gtsam.Values) -> gtsam.VectorValues:
+    """Return a step (D,) in the form in which gtsam adds it to values."""
+    vectors = gtsam.VectorValues()
+    keys = [key for key in values.keys() if key in structure.key_number]  # noqa: SIM118 - not a dict
+    numbers = [structure.key_number[key] for key in keys]
+    begins, sizes = structure.key_begin[numbers], structure.key_size[numbers]
+    for key, begin, end in zip(keys, begins.tolist(), (begins + sizes).tolist(), strict=True):
+        vectors.insert(key, step[begin:end])
+    return vectors
+
+
+def _find_structure(rows: Rows, states: range, name: str) -> Structure:
+    """Return the structure of the system; raises :class:`Unobservable` where nothing ties a state to the others."""
+    wanted = [X(i) for i in states]
+    require_connected(rows.keys, np.diff(rows.key_first), wanted, _describe_unknown, name, may_stand_alone=(H(0),))
+    return find_structure(rows, SIZES)
 
 
 def _describe_unknown(key: int) -> str:

@@ -16,16 +16,21 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, H, L, M, V, X
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.earth import local_declination
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
-from stillpoint.smoother.attitude.build import build_graph, build_start_values
+from stillpoint.smoother.attitude.build import Graph, build_graph, build_start_values
+from stillpoint.smoother.attitude.chain import join_chains
 from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
 from stillpoint.smoother.attitude.factors import bias_steps
 from stillpoint.smoother.attitude.keys import Keys
-from stillpoint.smoother.attitude.outside.added import Added, measure_added, select_added
+from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate
+from stillpoint.smoother.attitude.linear.inherited import Inherited, remaining_rows
+from stillpoint.smoother.attitude.linear.structure import find_structure
+from stillpoint.smoother.attitude.outside.added import Added, find_effective, measure_added, select_added
 from stillpoint.smoother.attitude.outside.satellite import believed
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
 from stillpoint.smoother.attitude.plausibility import (
@@ -38,7 +43,7 @@ from stillpoint.smoother.attitude.plausibility import (
 )
 from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
 from stillpoint.smoother.attitude.samples.every_sample import Piece, sample_solution
-from stillpoint.smoother.attitude.solve import Solution, begin, iterate, linearise, solve
+from stillpoint.smoother.attitude.solve import SIZES, Solution, begin, iterate, linearise, make_unobservable, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +63,10 @@ _LEAST_OVERLAP = 2  # states
 class Past:
     """The information that a window hands over to the next one."""
 
-    factors: tuple[gtsam.LinearContainerFactor, ...]  # on the unknowns that both share
-    values: gtsam.Values  # of all unknowns of the window
+    inherited: Inherited  # factors on the unknowns that both share
+    values: gtsam.Values  # of all unknowns of the window but the effective biases
+    interval: NDArray[np.int64]  # (m,) its intervals
+    effective: Floats  # (m, 6) and their effective biases
     held: range  # its states in the overlap
     gyro_bias_b_radps: Floats  # (3,) at the first state of the next window
 
@@ -97,17 +104,16 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
         if until < end:
             parts.append(build_graph(recording, evidence.within(until, end), bias, params))
         added = select_added(evidence.added, window.keys.states, window.keys.held)
-        values, votes = start_window(window, past, params), window.find_votes()
+        votes = window.find_votes()
         problem = window.keys.held, window.measured, recording.name
-        approach = begin(values, params)
+        approach = begin(*start_window(window, past, added, params), params)
         if votes is not None:
             wide = with_wide_votes(params)
             graph = _push_added(join_graphs(parts, votes, past, wide), added)
             approach = iterate(graph, approach, *problem, wide)
         graph = _push_added(join_graphs(parts, votes, past, params), added)
         solution = solve(graph, approach, *problem, params)
-        inherited = len(added) + (0 if past is None else len(past.factors))
-        fit = measure_fit(graph, inherited, solution, window.keys, params)
+        fit = measure_fit(graph, len(added), solution, window.keys, params)
         fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
         refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
         if window.fixes is not None:
@@ -118,7 +124,8 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
         if until < end:
             closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
             graph = _push_added(join_graphs([before], closed.find_votes(), past, params), closing)
-            past = hand_over(graph, closed, window.keys, solution, params)
+            interval = join_chains([part.chain for part in parts]).interval
+            past = hand_over(graph, closed, window.keys.held, interval, solution, recording.name, params)
     return Solved(pieces, average_fits(fits), params, n_doubtful_fixes)
 
 
@@ -140,54 +147,76 @@ def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in windows]
 
 
-def _push_added(graph: gtsam.NonlinearFactorGraph, added: list[Added]) -> gtsam.NonlinearFactorGraph:
+def _push_added(graph: Graph, added: list[Added]) -> Graph:
     """Return the graph with the added factors at its end."""
     for one in added:
-        graph.push_back(one.factor)
+        graph.others.push_back(one.factor)
     return graph
 
 
-def join_graphs(
-    parts: Sequence[gtsam.NonlinearFactorGraph], votes: Votes | None, past: Past | None, params: GraphParams
-) -> gtsam.NonlinearFactorGraph:
-    """Return one graph of stretches of states, the votes of their returns and, last, the factors of the past."""
-    graph = gtsam.NonlinearFactorGraph()
+def join_graphs(parts: Sequence[Graph], votes: Votes | None, past: Past | None, params: GraphParams) -> Graph:
+    """Return one graph of stretches of states, the votes of their returns, and what the past leaves."""
+    others = gtsam.NonlinearFactorGraph()
     for part in parts:
-        graph.push_back(part)
+        others.push_back(part.others)
     for vote in () if votes is None else vote_factors(votes, params):
-        graph.push_back(vote)
-    for factor in () if past is None else past.factors:
-        graph.push_back(factor)
-    return graph
+        others.push_back(vote)
+    return Graph(join_chains([part.chain for part in parts]), others, None if past is None else past.inherited)
 
 
-def start_window(window: Evidence, past: Past | None, params: GraphParams) -> gtsam.Values:
-    """Return the start values of a window: those of the evidence, overwritten by the past where the two overlap."""
-    if past is None:
-        return build_start_values(window, window.q_nb, window.start.gyro_bias_b_radps, params)
-    values = build_start_values(window, _continue_attitudes(past, window), past.gyro_bias_b_radps, params)
-    _resume(values, past, window.keys, params)
-    return values
+def start_window(
+    window: Evidence, past: Past | None, added: Sequence[Added], params: GraphParams
+) -> tuple[gtsam.Values, Floats]:
+    """Return the start values of a window and its effective biases (m, 6).
+
+    They are those of the evidence, overwritten by the past where the two overlap.
+    """
+    q_nb = window.q_nb if past is None else _continue_attitudes(past, window)
+    bias = window.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
+    of_added = find_effective(added)
+    values = build_start_values(window, q_nb, bias, of_added, params)
+    intervals = window.keys.intervals(~window.keys.gap)
+    effective = np.tile(np.concatenate([np.zeros(3), bias]), (len(intervals), 1))
+    if past is not None:
+        _resume(values, past, window.keys, params)
+        _, here, before = np.intersect1d(intervals, past.interval, assume_unique=True, return_indices=True)
+        effective[here] = past.effective[before]
+    for i, each in zip(of_added, effective[np.searchsorted(intervals, of_added)], strict=True):
+        values.update(C(i), gtsam.imuBias.ConstantBias(each[:3], each[3:]))
+    return values, effective
 
 
 def hand_over(
-    graph: gtsam.NonlinearFactorGraph, closed: Evidence, window: Keys, solution: Solution, params: GraphParams
+    graph: Graph,
+    closed: Evidence,
+    held: range,
+    interval: NDArray[np.int64],
+    solution: Solution,
+    name: str,
+    params: GraphParams,
 ) -> Past:
     """Reduce the factors of a window's past to the unknowns that it shares with the next window.
 
-    ``graph`` holds the factors of ``closed``, the part of the window before the next one.
+    ``graph`` holds the factors of ``closed``, the part of the window before the next one; ``held`` are all states
+    and ``interval`` (m,) all intervals of the window.
     """
     keys, values = closed.keys, solution.values
     until = keys.states.stop
-    system, _ = linearise(graph, values, closed.measured, solution.field_scale_ut, params, solution.field_widening)
+    effective = solution.effective[np.isin(interval, graph.chain.interval)]
+    field = closed.measured, solution.field_scale_ut
+    rows, _ = linearise(graph, values, effective, held, *field, params, solution.field_widening)
     step = int(bias_steps(keys, params)[until])
-    common = [X(until), V(until), B(step), M(0)]
-    common += [key for key in (H(0), L(0)) if values.exists(key) and key in system.keyVector()]
-    _, rest = system.eliminatePartialSequential(_order_without(solution.ordering, system, common))
+    common = [X(until), V(until), B(step), M(0), H(0), L(0)]
+    try:
+        rest = remaining_rows(eliminate(find_structure(rows, SIZES, last=common), rows), common)
+    except SingularSystem as error:
+        raise make_unobservable(name) from error
     return Past(
-        factors=tuple(gtsam.LinearContainerFactor(rest.at(k), values) for k in range(rest.size())),
+        inherited=Inherited(rest, values),
         values=values,
-        held=range(until, window.held.stop),
+        interval=interval,
+        effective=solution.effective,
+        held=range(until, held.stop),
         gyro_bias_b_radps=values.atConstantBias(B(step)).gyroscope(),
     )
 
@@ -199,16 +228,6 @@ def _field_points_north(pieces: list[Piece], recording: Recording, evidence: Evi
         return True
     azimuth, _ = local_declination(recording.info)
     return bool(field_n_ut[0] * np.sin(azimuth) + field_n_ut[1] * np.cos(azimuth) > 0)
-
-
-def _order_without(ordering: gtsam.Ordering, system: gtsam.GaussianFactorGraph, kept: list[int]) -> gtsam.Ordering:
-    """Return the unknowns of a system except those kept, in the order of the whole window."""
-    wanted = set(system.keyVector()).difference(kept)
-    shorter = gtsam.Ordering()
-    for k in range(ordering.size()):
-        if ordering.at(k) in wanted:
-            shorter.push_back(ordering.at(k))
-    return shorter
 
 
 def _continue_attitudes(past: Past, window: Evidence) -> Floats:
@@ -228,8 +247,6 @@ def _resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) -
     for i in past.held:
         values.update(X(i), before.atPose3(X(i)))
         values.update(V(i), before.atVector(V(i)))
-        if before.exists(C(i)) and values.exists(C(i)):
-            values.update(C(i), before.atConstantBias(C(i)))
     step = bias_steps(keys, params)[past.held]
     for k in range(step[0], step[-1] + 1):
         values.update(B(k), before.atConstantBias(B(k)))

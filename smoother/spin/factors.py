@@ -164,7 +164,9 @@ def require_connected_chain(chain: Chain, steps: int, name: str) -> None:
     links = [[K(i), K(i + 1), C(int(c))] for i, c in enumerate(chain.constants_of)]
     links += [[C(s), C(s + 1)] for s in range(steps - 1)]
     wanted = [key for block in links[: chain.blocks] for key in block]
-    require_connected(links, wanted, lambda key: f"the {gtsam.Symbol(key).string()} of the spin", name)
+    keys = np.array([key for link in links for key in link], dtype=np.int64)
+    lengths = np.array([len(link) for link in links])
+    require_connected(keys, lengths, wanted, lambda key: f"the {gtsam.Symbol(key).string()} of the spin", name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Graphs that would end in native code are found before: a variable without a factor, parts that nothing ties."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +10,8 @@ from stillpoint.smoother.connectivity import require_connected
 
 
 def check(factors, variables, alone=()):
-    return require_connected(factors, variables, lambda key: f"state {key}", "run", may_stand_alone=alone)
+    keys, lengths = np.array([key for each in factors for key in each]), np.array([len(each) for each in factors])
+    return require_connected(keys, lengths, variables, lambda key: f"state {key}", "run", may_stand_alone=alone)
 
 
 @given(st.permutations(range(12)))

@@ -113,6 +113,12 @@ def select_added(added: Sequence[Added], states: range, held: range) -> list[Add
     return chosen
 
 
+def find_effective(added: Sequence[Added]) -> list[int]:
+    """Return the intervals whose effective bias C is in one of the factors."""
+    symbols = {gtsam.Symbol(key) for one in added for key in list(one.factor.keys())}
+    return sorted({symbol.index() for symbol in symbols if symbol.chr() == ord("c")})
+
+
 def measure_added(added: Sequence[Added], values: gtsam.Values) -> dict[str, float]:
     """Return the mean square of normalised residuals per degree of freedom, by generator ("added NAME")."""
     squares: dict[str, list[float]] = {}

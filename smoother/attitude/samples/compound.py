@@ -42,7 +42,8 @@ def compound_samples(
     ``bias_b_radps`` (3,) is the gyro's bias about which gtsam preintegrates.
     """
     columns = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
-    return Measurements(*_compound(rows, intervals, *columns, np.asarray(bias_b_radps, dtype=np.float64)))
+    # A copy: gtsam's arrays are of another kind, for which the code would be compiled once more.
+    return Measurements(*_compound(rows, intervals, *columns, np.array(bias_b_radps, dtype=np.float64)))
 
 
 @compiled

@@ -9,9 +9,10 @@ from gtsam.symbol_shorthand import B, C, M, V, X
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Imu
-from stillpoint.smoother.attitude import factors
+from stillpoint.smoother.attitude import chain, factors
 from stillpoint.smoother.attitude.keys import choose_keys, prepare_motion
 from stillpoint.smoother.attitude.params import GraphParams, InertialNoise, KeyParams
+from stillpoint.smoother.attitude.samples.compound import compound_samples
 
 G = 9.80665
 PARAMS = GraphParams(inertial=InertialNoise(accel_mps2_rthz=0.2))  # the bounds below are errors over this noise
@@ -46,13 +47,12 @@ def values_of(keys, attitude, tilt=None):
     return values
 
 
-def miss_of(factor, values):
-    """The error of a linear factor at absolute values: gtsam itself gives nought without a point of linearisation."""
-    at = gtsam.VectorValues()
-    for key in factor.keys():  # noqa: SIM118 - not a dict
-        kind = chr(gtsam.Symbol(key).chr())
-        at.insert(key, values.atVector(key) if kind == "m" else values.atConstantBias(key).vector())
-    return factor.factor().error(at)
+def squares_of(motion, keys, values, params=PARAMS, effective=None):
+    """Return the squared residuals of the chain at values, with effective biases (m, 6) that are 0 by default."""
+    made = chain.build_chain(motion, keys, np.zeros(3), G, True, params)
+    effective = np.zeros((len(made.interval), 6)) if effective is None else effective
+    place = chain.read_place(made, values, effective, range(len(keys.t_s)))
+    return chain.split_squares(made, chain.linearise_chain(made, place))
 
 
 RATE = np.array([0.3, -0.5, 0.4])
@@ -60,11 +60,11 @@ RATE = np.array([0.3, -0.5, 0.4])
 
 def test_imu_factors_are_nought_at_the_truth_and_grow_with_tilt():
     motion, keys, attitude = turning(RATE)
-    made = list(factors.imu_factors(motion, keys, np.zeros(3), G, PARAMS))
-    assert len(made) == len(keys.t_s) - 1
     true, tilted = values_of(keys, attitude), values_of(keys, attitude, Rotation.from_rotvec([0.02, 0.0, 0.0]))
-    assert max(factor.error(true) for factor in made) < 1e-3
-    assert made[0].error(tilted) > 1.0
+    squares = squares_of(motion, keys, true).imu
+    assert len(squares) == len(keys.t_s) - 1
+    assert squares.max() < 2e-3
+    assert squares_of(motion, keys, tilted).imu[0] > 2.0
 
 
 def test_a_gyro_sample_describes_the_interval_that_ends_at_it():
@@ -76,8 +76,7 @@ def test_a_gyro_sample_describes_the_interval_that_ends_at_it():
     motion = prepare_motion(Imu((t_s * 1e9).astype(np.int64), gyro, np.tile([0.0, 0.0, G], (41, 1))), NO_RESTS)
     keys = choose_keys(motion, KeyParams(moving_s=0.1))
     attitude = Rotation.from_rotvec(np.outer(turned[keys.row], [0, 0, 1]))
-    made = list(factors.imu_factors(motion, keys, np.zeros(3), G, PARAMS))
-    assert max(factor.error(values_of(keys, attitude)) for factor in made) < 1e-6
+    assert squares_of(motion, keys, values_of(keys, attitude)).imu.max() < 2e-6
 
 
 def test_a_clipped_axis_may_have_turned_farther_the_others_not():
@@ -89,8 +88,7 @@ def test_a_clipped_axis_may_have_turned_farther_the_others_not():
     for axis in range(3):
         farther = attitude * Rotation.from_rotvec(0.05 * np.arange(len(attitude))[:, None] * np.eye(3)[axis])
         for name, of in (("free", keys), ("cut", cut)):
-            made = list(factors.imu_factors(motion, of, np.zeros(3), G, PARAMS))
-            costs[name, axis] = sum(factor.error(values_of(keys, farther)) for factor in made)
+            costs[name, axis] = squares_of(motion, of, values_of(keys, farther)).imu.sum()
     assert costs["cut", 1] < 0.05 * costs["free", 1]
     assert costs["cut", 0] > 0.2 * costs["free", 0]
     assert costs["cut", 2] > 0.2 * costs["free", 2]
@@ -103,32 +101,29 @@ def test_a_gyro_that_reads_one_per_cent_too_much_has_m_plus_one_per_cent():
     large = replace(motion, gyro_b_radps=motion.gyro_b_radps * [1.01, 1.0, 1.0])
     loud = replace(keys, gyro_b_radps=keys.gyro_b_radps * [1.01, 1.0, 1.0])
     values = values_of(keys, attitude)
+    effective = np.tile([0.0, 0.0, 0.0, 0.01 * RATE[0], 0.0, 0.0], (len(keys.t_s) - 1, 1))
     vector = np.zeros(factors.CALIBRATION)
     vector[9] = 0.01 / 1.01
     values.update(M(0), vector)
-    for i in range(len(keys.t_s) - 1):
-        bias = gtsam.imuBias.ConstantBias(np.zeros(3), np.array([0.01 * RATE[0], 0.0, 0.0]))
-        values.update(C(i), bias)
-    assert max(factor.error(values) for factor in factors.imu_factors(large, loud, np.zeros(3), G, PARAMS)) < 1e-3
-    assert max(miss_of(factor, values) for factor in factors.calibration_factors(loud, PARAMS)) < 1e-3
+    squares = squares_of(large, loud, values, effective=effective)
+    assert squares.imu.max() < 2e-3
+    assert squares.calibration.max() < 2e-3
     vector[9] = -0.01 / 1.01
     values.update(M(0), vector)
-    assert max(miss_of(factor, values) for factor in factors.calibration_factors(loud, PARAMS)) > 100
+    assert squares_of(large, loud, values, effective=effective).calibration.max() > 200
 
 
 def test_a_late_accelerometer_has_a_positive_delay():
     motion, keys, attitude = turning(np.array([2.0, 0.5, 0.0]), accel_late_s=0.02)
     on_time, _, _ = turning(np.array([2.0, 0.5, 0.0]))
     difference = motion.accel_b_mps2[keys.row[1:]] - on_time.accel_b_mps2[keys.row[1:]]
-    values = values_of(keys, attitude)
+    values, effective = values_of(keys, attitude), np.hstack([difference, np.zeros_like(difference)])
     errors = []
     for delay_s in (-0.02, 0.0, 0.02):
         vector = np.zeros(factors.CALIBRATION)
         vector[18] = delay_s
         values.update(M(0), vector)
-        for i in range(len(keys.t_s) - 1):
-            values.update(C(i), gtsam.imuBias.ConstantBias(difference[i], np.zeros(3)))
-        errors.append(sum(miss_of(factor, values) for factor in factors.calibration_factors(keys, PARAMS)))
+        errors.append(squares_of(motion, keys, values, effective=effective).calibration.sum())
     assert errors[2] < 0.1 * errors[1] < 0.1 * errors[0]
 
 
@@ -141,13 +136,104 @@ def test_bias_and_calibration_begin_at_their_start():
     assert made[0].error(values) == pytest.approx(1.5)  # one sd on three axes
 
 
-def test_motion_factors_ask_for_standstill_at_the_origin():
-    _, keys, attitude = turning(RATE)
-    values = values_of(keys, attitude)
-    made = list(factors.motion_factors(keys, False, PARAMS))
-    assert sum(factor.error(values) for factor in made) == pytest.approx(0.0, abs=1e-12)
+def test_bounds_of_the_motion_ask_for_standstill_at_the_origin():
+    """A state that moves by 1 m/s, 2 m away, is off by these over their sd."""
+    motion, keys, attitude = turning(RATE)
+    values, share = values_of(keys, attitude), 1 / np.sqrt(keys.span_s[3])
+    squares = squares_of(motion, keys, values)
+    assert squares.speed.sum() == squares.place.sum() == 0.0
     values.update(V(3), np.array([1.0, 0.0, 0.0]))
-    assert sum(factor.error(values) for factor in made) > 0
+    values.update(X(3), gtsam.Pose3(gtsam.Rot3(attitude[3].as_matrix()), np.array([0.0, 0.0, 2.0])))
+    squares = squares_of(motion, keys, values)
+    assert squares.speed.sum() == pytest.approx((PARAMS.motion.velocity_sd_mps * share) ** -2, rel=1e-6)
+    assert squares.place.sum() == pytest.approx((2 / (PARAMS.motion.position_sd_m * share)) ** 2, rel=1e-6)
+
+
+def test_an_interval_says_what_gtsam_says():
+    """The preintegrated factor of gtsam from the same measurements: its error, and its information near the optimum.
+
+    gtsam inverts the covariance, of which place and velocity are all but the same: that costs it four digits.
+    """
+    motion, keys, attitude = turning(RATE)
+    bias = np.array([0.01, 0.02, -0.01])
+    made = chain.build_chain(motion, keys, bias, G, True, PARAMS)
+    random, n = np.random.default_rng(4), len(keys.t_s)
+    values = values_of(keys, attitude * Rotation.from_rotvec(1e-3 * random.normal(size=(n, 3))))
+    effective = 1e-3 * random.normal(size=(len(made.interval), 6)) + np.concatenate([np.zeros(3), bias])
+    data = chain.linearise_chain(made, chain.read_place(made, values, effective, range(n)))
+    measured = compound_samples(motion, keys.row, made.interval, bias)
+    noise = gtsam.PreintegrationParams.MakeSharedU(G)
+    noise.setGyroscopeCovariance(PARAMS.inertial.gyro_radps_rthz**2 * np.eye(3))
+    noise.setAccelerometerCovariance(PARAMS.inertial.accel_mps2_rthz**2 * np.eye(3))
+    noise.setIntegrationCovariance(PARAMS.motion.integration_sd_m_rts**2 * np.eye(3))
+    for i in range(n - 1):
+        between = gtsam.PreintegratedImuMeasurements(noise, gtsam.imuBias.ConstantBias(np.zeros(3), bias))
+        parts = zip(measured.accel_b_mps2[i], measured.gyro_b_radps[i], measured.length_s[i], strict=True)
+        for accel, gyro, seconds in parts:
+            if seconds > 0:
+                between.integrateMeasurement(accel, gyro, seconds)
+        values.update(C(i), gtsam.imuBias.ConstantBias(effective[i, :3], effective[i, 3:]))
+        factor = gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
+        wanted = factor.linearize(values).augmentedJacobian()
+        found = data[225 * i : 225 * (i + 1)].reshape(25, 9).T
+        there, here = wanted.T @ wanted, found.T @ found
+        size = np.sqrt(np.diagonal(there))
+        np.testing.assert_allclose(here / np.outer(size, size), there / np.outer(size, size), atol=2e-3)
+        ends = values.atPose3(X(i)), values.atVector(V(i)), values.atPose3(X(i + 1)), values.atVector(V(i + 1))
+        error = factor.evaluateError(*ends, values.atConstantBias(C(i)))
+        np.testing.assert_allclose(-np.linalg.solve(made.whitening[i], found[:, -1]), error, atol=1e-12)
+
+
+def test_the_chain_linearises_as_central_differences_do():
+    """Every column, at attitudes, velocities and biases that are off."""
+    motion, keys, attitude = turning(RATE)
+    made = chain.build_chain(motion, keys, np.array([0.01, 0.02, -0.01]), G, True, PARAMS)
+    random = np.random.default_rng(4)
+    m, n = len(made.interval), len(keys.t_s)
+    values = values_of(keys, attitude * Rotation.from_rotvec(0.02 * random.normal(size=(n, 3))))
+    at = chain.read_place(made, values, 0.01 * random.normal(size=(m, 6)), range(n))
+    rows = made.keys()
+    size = {ord("x"): 6, ord("v"): 3, ord("c"): 6, ord("b"): 6, ord("m"): factors.CALIBRATION}
+
+    def residual(step):
+        moved = gtsam.Values(values)
+        for key, change in step.items():
+            kind = chr(gtsam.Symbol(key).chr())
+            if kind == "x":
+                moved.update(key, values.atPose3(key).retract(change))
+            elif kind in "vm":
+                moved.update(key, values.atVector(key) + change)
+            elif kind == "b":
+                bias = values.atConstantBias(key).vector() + change
+                moved.update(key, gtsam.imuBias.ConstantBias(bias[:3], bias[3:]))
+        effective = at.effective.copy()
+        for key, change in step.items():
+            if gtsam.Symbol(key).chr() == ord("c"):
+                effective[gtsam.Symbol(key).index()] += change
+        return split(chain.linearise_chain(made, chain.read_place(made, moved, effective, range(n))))
+
+    def split(data):
+        parts, begin = [], 0
+        for f, count in enumerate(rows.count.tolist()):
+            keys_of = rows.keys[rows.key_first[f] : rows.key_first[f + 1]]
+            columns = sum(size[int(key) >> 56] for key in keys_of) + 1
+            parts.append(data[begin : begin + count * columns].reshape(columns, count).T)
+            begin += count * columns
+        assert begin == len(data)
+        return parts
+
+    made_parts, h = residual({}), 1e-6
+    for key in {X(2), V(2), X(3), V(3), C(2), B(0), M(0)}:
+        for axis in range(size[key >> 56]):
+            change = np.eye(size[key >> 56])[axis] * h
+            after, before = residual({key: change}), residual({key: -change})
+            for f, part in enumerate(made_parts):
+                keys_of = rows.keys[rows.key_first[f] : rows.key_first[f + 1]].tolist()
+                if key not in keys_of:
+                    continue
+                column = sum(size[other >> 56] for other in keys_of[: keys_of.index(key)]) + axis
+                slope = -(after[f][:, -1] - before[f][:, -1]) / (2 * h)
+                np.testing.assert_allclose(part[:, column], slope, atol=1e-5 * max(1.0, np.abs(part[:, :-1]).max()))
 
 
 def test_rest_factors_hold_the_attitude():

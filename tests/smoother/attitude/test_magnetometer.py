@@ -53,9 +53,19 @@ def test_a_tilted_attitude_leaves_what_the_model_has_too_much(attitude, measured
     np.testing.assert_allclose(compute_residuals(measured, tilted.as_matrix(), FIELD), wanted, atol=1e-12)
 
 
+def linearise(measured, attitude, field):
+    """Return the linear factors of the measurements as gtsam's."""
+    rows = linearise_measurements(measured, attitude.as_matrix(), field, PARAMS.sd_ut, PARAMS)
+    unit = gtsam.noiseModel.Unit.Create(3)
+    return [
+        gtsam.JacobianFactor(int(x), part[:6].T, int(h), part[6:22].T, part[22], unit)
+        for (x, h), part in zip(rows.keys.reshape(-1, 2), rows.data.reshape(-1, 23, 3), strict=True)
+    ]
+
+
 def test_jacobians_agree_with_central_differences(attitude, measured):
     """Near the truth the weights are 1, so the whitened Jacobian is the residual's over the scale."""
-    made = linearise_measurements(measured, attitude.as_matrix(), FIELD, PARAMS.sd_ut, PARAMS)
+    made = linearise(measured, attitude, FIELD)
     h = 1e-6
     for k, factor in enumerate(made):
         assert list(factor.keys()) == [X(k), H(0)]
@@ -83,7 +93,7 @@ def test_one_step_goes_to_the_truth(attitude, measured):
     """
     off = FIELD + np.array([0.01, 0.0, -0.01, 0.0, 0.01, 0.0, -1e-5, *np.full(9, 1e-5)])
     system = gtsam.GaussianFactorGraph()
-    for factor in linearise_measurements(measured, attitude.as_matrix(), off, PARAMS.sd_ut, PARAMS):
+    for factor in linearise(measured, attitude, off):
         system.push_back(factor)
     for k in range(4):
         system.push_back(gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
@@ -102,7 +112,7 @@ def test_the_matrix_is_found_but_for_the_size_of_the_field():
     field = start_field(measured, quaternion(attitudes), np.zeros(3))
     for _ in range(6):
         system = gtsam.GaussianFactorGraph()
-        for factor in linearise_measurements(measured, attitudes.as_matrix(), field, PARAMS.sd_ut, PARAMS):
+        for factor in linearise(measured, attitudes, field):
             system.push_back(factor)
         for k in range(60):
             held = gtsam.JacobianFactor(X(k), 1e6 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6))

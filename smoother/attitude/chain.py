@@ -1,0 +1,219 @@
+"""The factors between neighbouring states, as arrays: IMU, calibration, and bounds of the motion.
+
+There is one of each for every tenth of a second, so they are kept as arrays and linearised together. They have the keys
+of gtsam's factors (factors.py), which the elimination joins with them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, C, M, V, X
+
+from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.factors import CALIBRATION, bias_steps
+from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.linear.preintegration import linearise_intervals, preintegrate
+from stillpoint.smoother.attitude.linear.rows import Indices, Rows, starts
+from stillpoint.smoother.attitude.params import GraphParams
+from stillpoint.smoother.attitude.samples.compound import compound_samples
+
+_EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
+_IMU, _CALIBRATION, _SPEED, _PLACE = 9, 6, 3, 3  # rows of each factor
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Factors of m intervals, and of k states with bounded speed and p states with bounded place."""
+
+    interval: Indices  # (m,) its number
+    bias_step: Indices  # (m,) number of the bias that holds in it
+    zeta: Floats  # (m, 9) preintegrated turn, place and velocity
+    zeta_by_bias: Floats  # (m, 9, 6)
+    whitening: Floats  # (m, 9, 9)
+    length_s: Floats  # (m,)
+    start_bias: Floats  # (m, 6) about which it is preintegrated: accelerometer, gyro
+    g_mps2: Floats  # (m,)
+    by_matrix: Floats  # (m, 6, 19) derivative of the effective bias by the calibration
+    fast: Indices  # (k,) states with bounded speed
+    speed_weight: Floats  # (k,) 1 / sd
+    placed: Indices  # (p,) states with bounded place
+    place_weight: Floats  # (p,)
+
+    def keys(self) -> Rows:
+        """Return rows without data, for their keys."""
+        i, m = self.interval, len(self.interval)
+        imu = np.stack([X(0) + i, V(0) + i, X(1) + i, V(1) + i, C(0) + i], axis=1)
+        calibration = np.stack([C(0) + i, B(0) + self.bias_step, np.full(m, M(0))], axis=1)
+        keys = [imu.ravel(), calibration.ravel(), V(0) + self.fast, X(0) + self.placed]
+        counts = [m, m, len(self.fast), len(self.placed)]
+        return Rows(
+            keys=np.concatenate(keys).astype(np.int64),
+            key_first=starts(np.repeat([5, 3, 1, 1], counts)),
+            count=np.repeat([_IMU, _CALIBRATION, _SPEED, _PLACE], counts),
+            data=np.empty(0),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a chain is linearised: values of its unknowns."""
+
+    first: int  # number of the first state
+    poses: Floats  # (n, 12) rotation matrix by rows, and place
+    velocities: Floats  # (n, 3)
+    effective: Floats  # (m, 6) effective bias of each interval of the chain
+    biases: Floats  # (K, 6) from step ``first_step`` on
+    first_step: int
+    calibration: Floats  # (19,)
+
+
+def build_chain(
+    motion: Motion, keys: Keys, bias_b_radps: Floats, g_mps2: float, bounded: bool, params: GraphParams
+) -> Chain:
+    """Return the factors of a window: IMU about a gyro bias (3,), calibration, bounds of place and speed.
+
+    Place and speed are bounded as those of a hand, a table or a vehicle are; at rest the speed is zero. Where
+    satellites show the place (not ``bounded``), only rests are.
+    """
+    intervals = keys.intervals(~keys.gap)
+    measured = compound_samples(motion, keys.row, intervals, bias_b_radps)
+    accel_var, gyro_var = _noise(keys, intervals, params)
+    integration = params.motion.integration_sd_m_rts**2
+    rate = measured.gyro_b_radps - bias_b_radps
+    zeta, by_bias, whitening = preintegrate(
+        measured.accel_b_mps2, rate, measured.length_s, accel_var, gyro_var, integration
+    )
+    m = len(intervals)
+    by_matrix = np.zeros((m, 6, CALIBRATION))
+    for axis in range(3):
+        by_matrix[:, axis, 3 * axis : 3 * axis + 3] = keys.accel_b_mps2[intervals]
+        by_matrix[:, 3 + axis, 9 + 3 * axis : 12 + 3 * axis] = keys.gyro_b_radps[intervals]
+    by_matrix[:, :3, 18] = -keys.jerk_b_mps3[intervals]  # late by d: a_measured(t) = a(t - d) = a - d da/dt
+
+    p, states = params.motion, np.array(keys.states, dtype=np.int64)
+    share = 1 / np.sqrt(np.minimum(np.append(keys.span_s, keys.span_s[-1]), 1.0))[states]
+    resting = (np.concatenate([[False], keys.at_rest]) | np.concatenate([keys.at_rest, [False]]))[states]
+    speed_sd = np.where(resting, p.rest_velocity_sd_mps, p.velocity_sd_mps * share)
+    slow = resting | bounded
+    return Chain(
+        interval=intervals,
+        bias_step=bias_steps(keys, params)[intervals],
+        zeta=zeta,
+        zeta_by_bias=by_bias,
+        whitening=whitening,
+        length_s=measured.length_s.sum(axis=1),
+        start_bias=np.tile(np.concatenate([np.zeros(3), bias_b_radps]), (m, 1)),
+        g_mps2=np.full(m, g_mps2),
+        by_matrix=by_matrix,
+        fast=states[slow],
+        speed_weight=1 / speed_sd[slow],
+        placed=states[:] if bounded else states[:0],
+        place_weight=1 / (p.position_sd_m * share) if bounded else np.empty(0),
+    )
+
+
+def _noise(keys: Keys, intervals: Indices, params: GraphParams) -> tuple[Floats, Floats]:
+    """Return the variances (m, 3) of accelerometer and gyro for a second of white noise.
+
+    Readings that are replaced, wrong by a share of their excess, or slow add to them.
+    """
+    p, seconds = params.inertial, keys.span_s[intervals][:, None]
+    rest = keys.at_rest[intervals][:, None]
+    extra_rad2 = (p.gyro_beyond * keys.gyro_clipped_rad[intervals]) ** 2 + keys.gyro_sampling_rad[intervals] ** 2
+    extra_mps2 = (p.accel_beyond * keys.accel_clipped_mps[intervals]) ** 2
+    own = (keys.clipped[intervals] | (keys.gyro_sampling_rad[intervals] > 0).any(axis=1))[:, None]
+    gyro = np.where(rest & ~own, p.gyro_rest_radps_rthz, p.gyro_radps_rthz) ** 2 + extra_rad2 / seconds
+    accel = np.where(rest & ~own, p.accel_rest_mps2_rthz, p.accel_mps2_rthz) ** 2 + extra_mps2 / seconds
+    return accel, gyro
+
+
+def join_chains(chains: Sequence[Chain]) -> Chain:
+    """Return the factors of several stretches of states as one."""
+    if len(chains) == 1:
+        return chains[0]
+    return Chain(**{each.name: np.concatenate([getattr(one, each.name) for one in chains]) for each in fields(Chain)})
+
+
+def read_place(chain: Chain, values: gtsam.Values, effective: Floats, states: range) -> Place:
+    """Return the values of a chain's unknowns; ``effective`` (m, 6) are its effective biases."""
+    steps = range(int(chain.bias_step.min()), int(chain.bias_step.max()) + 1) if len(chain.bias_step) else range(0)
+    return Place(
+        first=states.start,
+        poses=poses_of(values, states),
+        velocities=_velocities_of(values, states),
+        effective=effective,
+        biases=np.array([values.atConstantBias(B(k)).vector() for k in steps]).reshape(-1, 6),
+        first_step=steps.start,
+        calibration=values.atVector(M(0)),
+    )
+
+
+def linearise_chain(chain: Chain, place: Place) -> Floats:
+    """Return the data of the chain's rows at a place, in the order of :meth:`Chain.keys`."""
+    begin, m = chain.interval - place.first, len(chain.interval)
+    poses, velocities = place.poses, place.velocities
+    imu = linearise_intervals(
+        chain.zeta,
+        chain.zeta_by_bias,
+        chain.whitening,
+        chain.length_s,
+        place.effective - chain.start_bias,
+        chain.g_mps2,
+        (poses[begin], poses[begin + 1]),
+        (velocities[begin], velocities[begin + 1]),
+    )
+    weight = 1 / _EFFECTIVE_BIAS_SD
+    calibration = np.zeros((m, 12 + CALIBRATION + 1, 6))  # C - B - M z
+    calibration[:, :6] = np.diag(weight)
+    calibration[:, 6:12] = -np.diag(weight)
+    calibration[:, 12:-1] = -(chain.by_matrix * weight[:, None]).transpose(0, 2, 1)
+    excess = place.effective - place.biases[chain.bias_step - place.first_step] - chain.by_matrix @ place.calibration
+    calibration[:, -1] = -weight * excess
+    speed = np.zeros((len(chain.fast), 4, 3))
+    speed[:, :3] = np.eye(3) * chain.speed_weight[:, None, None]
+    speed[:, 3] = -chain.speed_weight[:, None] * velocities[chain.fast - place.first]
+    where = poses[chain.placed - place.first]
+    bound = np.zeros((len(chain.placed), 7, 3))  # a step in body axes moves the place by R times it
+    bound[:, 3:6] = chain.place_weight[:, None, None] * where[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
+    bound[:, 6] = -chain.place_weight[:, None] * where[:, 9:]
+    return np.concatenate([part.ravel() for part in (imu, calibration, speed, bound)])
+
+
+@dataclass(frozen=True, eq=False)
+class ChainSquares:
+    """Squares of the normalised residuals of a chain's factors."""
+
+    imu: Floats  # (m,)
+    speed: Floats  # (k,)
+    place: Floats  # (p,)
+    calibration: Floats  # (m,)
+
+
+def split_squares(chain: Chain, data: Floats) -> ChainSquares:
+    """Return the squared residuals in the data of the chain's rows."""
+    shapes = [
+        (len(chain.interval), 25, _IMU),
+        (len(chain.interval), 13 + CALIBRATION, _CALIBRATION),
+        (len(chain.fast), 4, _SPEED),
+        (len(chain.placed), 7, _PLACE),
+    ]
+    begin = starts([int(np.prod(shape)) for shape in shapes])
+    parts = [data[begin[k] : begin[k + 1]].reshape(shape) for k, shape in enumerate(shapes)]
+    imu, calibration, speed, place = ((part[:, -1] ** 2).sum(axis=1) for part in parts)
+    return ChainSquares(imu, speed, place, calibration)
+
+
+def poses_of(values: gtsam.Values, states: Sequence[int] | Indices) -> Floats:
+    """Return the poses (K, 12) of states: rotation matrix by rows, and place."""
+    poses = gtsam.utilities.extractPose3(values)  # in the order of their keys: a common pose L comes before all X
+    last = gtsam.Symbol(values.keys()[-1]).index()  # the states follow each other, and no letter comes after X
+    return np.ascontiguousarray(poses[np.asarray(states) - last - 1])
+
+
+def _velocities_of(values: gtsam.Values, states: Sequence[int] | Indices) -> Floats:
+    """Return the velocities (K, 3) of states, whose numbers follow each other."""
+    velocities = gtsam.utilities.extractVectors(values, "v")
+    last = gtsam.Symbol(values.keys()[-1]).index()
+    return np.ascontiguousarray(velocities[np.asarray(states) - last - 1])

@@ -1,0 +1,1 @@
+"""The linear systems of the graph: as arrays, their structure, their elimination, and covariances."""

@@ -1,0 +1,64 @@
+"""Linear factors as arrays: gtsam makes and linearises the factors, compiled code eliminates them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from stillpoint.datasets.recording import Floats
+
+Indices = NDArray[np.int64]
+_STIFF = 1e5  # weight of a row that a constrained factor demands exactly: an sd of 1e-5 rad or m
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Whitened linear factors A x = b: m factors, each of some rows over the unknowns of some keys."""
+
+    keys: Indices  # of all factors, one after the other
+    key_first: Indices  # (m + 1,) where those of a factor begin
+    count: Indices  # (m,) rows of a factor
+    data: Floats  # [A b] of each factor by columns, one after the other
+
+    def and_also(self, other: "Rows") -> "Rows":
+        """Return these factors and the others."""
+        return Rows(
+            keys=np.concatenate([self.keys, other.keys]),
+            key_first=np.concatenate([self.key_first, self.key_first[-1] + other.key_first[1:]]),
+            count=np.concatenate([self.count, other.count]),
+            data=np.concatenate([self.data, other.data]),
+        )
+
+
+def flatten(system: gtsam.GaussianFactorGraph) -> Rows:
+    """Return gtsam's linear factors as arrays."""
+    factors = [system.at(i) for i in range(system.size())]
+    parts = [_whiten(factor) for factor in factors]
+    keys = [factor.keys() for factor in factors]
+    return Rows(
+        keys=np.array([key for each in keys for key in each], dtype=np.int64),
+        key_first=starts([len(each) for each in keys]),
+        count=np.array([len(part) for part in parts], dtype=np.int64),
+        data=np.concatenate([part.ravel(order="K") for part in parts]),
+    )
+
+
+def _whiten(factor: gtsam.GaussianFactor) -> Floats:
+    """Return [A b] of a factor; gtsam leaves rows without any noise as they are."""
+    columns = factor.augmentedJacobian()
+    if isinstance(factor, gtsam.JacobianFactor) and factor.isConstrained():
+        columns[factor.get_model().sigmas() == 0] *= _STIFF
+    return np.asarray(columns)
+
+
+def starts(sizes: Sequence[int] | Indices) -> Indices:
+    """Return where each of parts of these sizes begins, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
+
+
+def sums(values: Indices, first: Indices) -> Indices:
+    """Return the sum of the values from ``first[k]`` to ``first[k + 1]`` for each k, 0 for none."""
+    total = starts(values)
+    return np.asarray(total[first[1:]] - total[first[:-1]])
