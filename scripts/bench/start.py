@@ -32,7 +32,7 @@ print(json.dumps(time.perf_counter() - start))
 """
 
 
-COMMAND = "import sys; from stillpoint.scripts.main import main; main(sys.argv[1:])"
+_COMMAND = "import sys; from stillpoint.scripts.main import main; main(sys.argv[1:])"
 # The verbs that compute something, on half a minute and more of a phone, in an order in which each finds its inputs.
 VERBS = (
     "simulate phone-1 --minutes 0.6 -o .",
@@ -90,7 +90,7 @@ def _time_verb(verb: str, folder: Path, environment: dict[str, str]) -> float:
     words, _, source = verb.partition(" < ")
     given = (folder / source).read_bytes() if source else None
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-c", COMMAND, *words.split()]
+    command = [sys.executable, "-c", _COMMAND, *words.split()]
     subprocess.run(command, cwd=folder, input=given, env=os.environ | environment, capture_output=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
