@@ -105,7 +105,7 @@ class GraphParams(Settings):
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
     variance_factor: float = number(1.0, 0.01, 100.0, "on the variances of tilt and mean heading")
     rest_variance_factor: float = number(0.4, 0.01, 100.0, "on that of the tilt where there is a rest")
-    heading_variance_factor: float = number(0.3, 0.01, 100.0, "on that of the heading around its mean")
+    heading_variance_factor: float = number(0.45, 0.01, 100.0, "on that of the heading around its mean")
     prior_returns: float = number(12.0, 0.01, 100.0, "how many returns' worth of trust that factor deserves")
     iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 
