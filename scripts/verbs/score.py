@@ -1,14 +1,15 @@
 """``stillpoint score``: score estimates against a reference or a truth."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets import Estimate, Reference, Truth, read
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.files.scratch import ScratchStore
 from stillpoint.datasets.frames import EulerFrame
 from stillpoint.datasets.importers.trajectories import SUFFIXES, read_poses
 from stillpoint.datasets.mcap.pieces import PieceReader
@@ -17,6 +18,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring import AlignKind, Score, score_row
 from stillpoint.scoring import score as score_against
+from stillpoint.scoring.piecewise import ALIGN_PIECES, score_pieces
 from stillpoint.scoring.spin import SpinScore, spin_score_row
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.companions import files_of, neighbours, recording_name, require_same
@@ -267,6 +269,8 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
     """Score one file against a file, against what lies beside it of one kind, or against the default beside it."""
     if _is_trajectory(file):
         return _score_trajectory(file, against if isinstance(against, Path) else None, asked)
+    if asked.align in ALIGN_PIECES and not asked.over_s and (found := _score_in_pieces(file, against, asked)):
+        return found
     thing = read(file)
     if isinstance(thing, Estimate | SpinReference) and is_roll(thing):
         if asked.over_s:
@@ -279,6 +283,37 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
     judge = _judge_of(against if isinstance(against, Path) else _beside(file, thing, against))
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
+
+
+def _score_in_pieces(file: Path, against: Path | str | None, asked: _Asked) -> Score | None:
+    """Score an estimate of any length, read piece by piece; return None for other files, and for an angle."""
+    reader = PieceReader(file)
+    if reader.kind != "estimate":
+        return None
+    pieces = reader.trajectory()
+    first = next(pieces)
+    if not isinstance(first, Estimate) or is_roll(first):
+        return None
+    judge, made_from, truths = _open_judge(against if isinstance(against, Path) else _beside(file, first, against))
+    require_same(file, first.made_from, judge, made_from)
+    estimates = (piece for piece in chain([first], pieces) if isinstance(piece, Estimate))
+    return score_pieces(estimates, truths, asked.align, asked.frame, ScratchStore)
+
+
+def _open_judge(path: Path) -> tuple[Path, Mapping[str, str], Iterator[Reference | Truth]]:
+    """Return what :func:`_judge_of` does, with the reference or truth in pieces."""
+    if not _is_trajectory(path):
+        reader = PieceReader(path)
+        if reader.kind == "recording" and "truth" in reader.head.samples:
+            truths = (piece.truth for piece in reader.recording() if piece.truth is not None)
+            return path, {path.name: sha256(path)}, truths
+        if reader.kind == "reference":
+            pieces = reader.trajectory()
+            first = next(pieces)
+            references = (piece for piece in chain([first], pieces) if isinstance(piece, Reference))
+            return path, first.made_from if isinstance(first, Reference) else {}, references
+    judge = _judge_of(path)
+    return judge.path, judge.made_from, iter([judge.truth])
 
 
 def _is_trajectory(path: Path) -> bool:
