@@ -415,7 +415,7 @@ def create_archive(place: str | Path) -> Archive:
     if storage.has(MARK):
         raise BadParameter(f"{storage.name}: is an archive already")
     taken = isinstance(storage, FolderStorage) and storage.root.exists()
-    if taken and (not home.is_dir() or any(home.iterdir())):
+    if taken and not _is_free(home):
         raise BadParameter(f"{storage.name}: is no empty folder; name a new one for the archive")
     try:
         home.mkdir(parents=True, exist_ok=True)
@@ -427,6 +427,14 @@ def create_archive(place: str | Path) -> Archive:
         raise BadParameter(f"{storage.name}: cannot be made ({error.strerror}); name another place") from None
     storage.move_in(mark, MARK)
     return Archive(storage, home)
+
+
+def _is_free(folder: Path) -> bool:
+    """Return whether a folder is empty, or holds no more than an interrupted ``archive init`` left there."""
+    if not folder.is_dir():
+        return False
+    names, incoming = os.listdir(folder), folder / "incoming"
+    return not names or (names == ["incoming"] and incoming.is_dir() and set(os.listdir(incoming)) <= {MARK})
 
 
 def open_archive(place: str | Path) -> Archive:

@@ -18,11 +18,13 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 
-_END_WAIT_S = 5.0  # a process that is told to end first removes the file that it is writing
+# A process that is told to end first removes the file that it is writing, and native code, as that of the compiler,
+# hears of a signal only when it returns.
+_END_WAIT_S = 20.0
 _NO_MEMORY = "needs more memory than it may use; give more (--memory-limit, fewer --jobs), or `stillpoint cut` it"
 
 Item = TypeVar("Item")
@@ -182,7 +184,7 @@ def _hide_main(function: bytes) -> Iterator[None]:
 
 def _work(pipe: Connection, pickled: bytes, surroundings: Surroundings) -> None:
     """Work on items until the pipe is closed. On SIGTERM the stack unwinds, so that a half-written file is removed."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    signal.signal(signal.SIGTERM, _unwind)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(surroundings.environment)
     if surroundings.folder is not None and Path(surroundings.folder).is_dir():
@@ -193,6 +195,12 @@ def _work(pipe: Connection, pickled: bytes, surroundings: Surroundings) -> None:
     _serve(pipe, function)
     # Nothing is half-written now, and unwinding the end of the interpreter would print a traceback.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _unwind(*_: object) -> NoReturn:
+    """Unwind the stack once. A second signal, as of the group and of the parent, would interrupt the cleaning up."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:

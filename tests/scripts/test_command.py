@@ -221,8 +221,10 @@ def test_a_full_standard_output_gives_one_line_error_and_no_success(small: Path)
     with open("/dev/full", "w") as full:
         done = run_stillpoint("info", str(small), "--json", "-", stdout=full)
     assert done.returncode == 2
-    assert done.stderr.startswith("stillpoint: the standard output cannot be written (No space left")
-    assert done.stderr.count("\n") == 1
+    errors = [line for line in done.stderr.splitlines() if line.startswith("stillpoint: ")]
+    assert len(errors) == 1  # a slow machine may print lines of progress before it
+    assert errors[0].startswith("stillpoint: the standard output cannot be written (No space left")
+    assert "Traceback" not in done.stderr
 
 
 def test_a_closed_standard_output_is_refused(small: Path) -> None:

@@ -150,6 +150,16 @@ def test_an_archive_is_made_in_an_empty_folder_only(tmp_path):
         open_archive(tmp_path)
 
 
+@pytest.mark.parametrize("left", [(), ("stillpoint-archive.txt",)])
+def test_an_interrupted_init_does_not_keep_the_next_from_its_folder(tmp_path, left):
+    incoming = tmp_path / "lab" / "incoming"
+    incoming.mkdir(parents=True)
+    for name in left:
+        (incoming / name).write_text("half of the te")
+    create_archive(tmp_path / "lab").close()
+    open_archive(tmp_path / "lab").close()
+
+
 ADD = """
 import sys
 from pathlib import Path
