@@ -41,10 +41,8 @@ _UNKNOWNS_IN_WORDS = {
 SIZES = {ord("x"): 6, ord("v"): 3, ord("c"): 6, ord("b"): 6, ord("m"): CALIBRATION, ord("h"): UNKNOWNS, ord("l"): 6}
 _STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
 _REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
-_ALIKE, _SLOWEST = (
-    0.95,
-    0.98,
-)  # cosine between steps in the same direction; largest ratio of their lengths to extrapolate
+_ALIKE = 0.95  # cosine between two steps from which on they have the same direction
+_SLOWEST = 0.98  # largest ratio of their lengths that is extrapolated
 
 
 class NoOptimum(Unobservable):
