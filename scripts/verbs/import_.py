@@ -221,7 +221,7 @@ class _Item:
     options: Options
     source: Path
     path: Path  # of the recording in the source
-    out: Path
+    out: Path  # folder that is made with its first recording
     claims: Path  # folder in which the names of this import are taken, so that no two recordings share one
     repair: bool
     skip: tuple[str, ...]
@@ -293,11 +293,8 @@ def import_(
     span_s = None if split is None else read_span(split, "--split").total_seconds()
     failed: list[str] = []
     found = _find_items(importer, sources, failed)
-    folder = output_dir(out)
     with TemporaryDirectory(prefix="stillpoint-") as claims:
-        items = [
-            _Item(kind, options, source, path, folder, Path(claims), repair, skip, span_s) for source, path in found
-        ]
+        items = [_Item(kind, options, source, path, out, Path(claims), repair, skip, span_s) for source, path in found]
         outcomes = run_jobs(_import_item, items, Workers(jobs), "import", here_up_to=ITEMS_PER_WORKER)
     failed += [outcome.error for outcome in outcomes if outcome.error is not None]
     kept = [one for outcome in outcomes for one in outcome.value or ()]
@@ -355,7 +352,7 @@ def _measure_size(path: Path) -> int:
 
 def _write_long(item: _Item, long: LongRecording) -> _Kept:
     name = long.head.name
-    file = item.out / f"{name}.mcap"
+    file = output_dir(item.out) / f"{name}.mcap"
     _claim(item, file)
     write_pieces(file, long.head, long.pieces)
     beside: tuple[Path, ...] = ()
@@ -386,7 +383,7 @@ def _read(item: _Item) -> Imported:
 
 def _write(item: _Item, imported: Imported) -> _Kept:
     recording = imported.recording
-    file = item.out / f"{recording.name}.mcap"
+    file = output_dir(item.out) / f"{recording.name}.mcap"
     _claim(item, file)
     write(file, recording)
     beside = {file.with_name(f"{recording.name}.{one.name}.estimate.mcap"): one for one in imported.estimates}
