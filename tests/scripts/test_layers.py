@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -59,3 +60,13 @@ def test_no_folder_holds_more_modules_than_a_reader_takes_in():
         for folder in ((ROOT / top), *(ROOT / top).rglob("*/"))
     }
     assert {folder for folder, count in counts.items() if count > MODULES_AT_MOST} <= LISTS_OF_ALIKE_THINGS
+
+
+def test_every_folder_of_code_is_in_the_wheel():
+    """A folder that pyproject.toml does not list works in a checkout and is missing where users install the wheel."""
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    modules = [module for folder in FOLDERS for module in (ROOT / folder).rglob("*.py")]
+    folders = {".".join(("stillpoint", *module.parent.relative_to(ROOT).parts)) for module in modules}
+    # scripts/api is the package stillpoint itself; kernels are data.
+    assert folders - {"stillpoint.scripts.api"} == listed - {"stillpoint", "stillpoint.scripts.api"}
+    assert all((module.parent / "__init__.py").is_file() for module in modules)
