@@ -44,7 +44,8 @@ def find_structure(rows: Rows, sizes: Mapping[int, int], last: Sequence[int] = (
     """Return the order of elimination and its structure for linear factors like these.
 
     ``sizes`` are the scalars of an unknown by its letter. States follow each other; a bias comes after the last state
-    of its step, and what is common to all comes last, together with the keys of ``last``.
+    of its step, or first where a gap leaves its step without states. What is common to all comes last, together with
+    the keys of ``last``.
     """
     known, number = np.unique(rows.keys, return_inverse=True)
     letter, index = known >> _KIND_BITS, known & ((1 << _KIND_BITS) - 1)
@@ -54,8 +55,8 @@ def find_structure(rows: Rows, sizes: Mapping[int, int], last: Sequence[int] = (
     latest = np.maximum.reduceat(place[number], rows.key_first[:-1])  # last state of each factor
     reaches = np.full(len(known), -1)
     np.maximum.at(reaches, number, np.repeat(latest, np.diff(rows.key_first)))
-    is_bias = (letter == ord("b")) & (reaches >= 0)
-    place[is_bias] = reaches[is_bias]
+    is_bias = letter == ord("b")
+    place[is_bias] = reaches[is_bias]  # -1, before all states, for the biases in a gap
     place[~of_state & ~is_bias] = _END
     place[np.isin(known, np.asarray(last, dtype=np.int64))] = _END
     rank = np.select([letter == ord("c"), of_state, is_bias], [0, 1, 2], 3)

@@ -20,12 +20,15 @@ from stillpoint.smoother.attitude.linear.rows import Rows, flatten, starts
 from stillpoint.smoother.attitude.linear.structure import Structure, find_structure
 
 LETTERS = {ord("m"): 5, ord("x"): 6, ord("v"): 3, ord("b"): 2, ord("c"): 4}
-KEYS = [*(X(i) for i in range(8)), *(V(i) for i in range(8)), *(C(i) for i in range(7)), B(0), B(1), M(0)]
+KEYS = [*(X(i) for i in range(8)), *(V(i) for i in range(8)), *(C(i) for i in range(7)), B(0), B(1), B(2), M(0)]
 
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
-    """A chain of states with biases that all depend on M, one tie across it, and a gap between states 4 and 5."""
+    """A chain of states with biases that all depend on M, one tie across it, and a gap between states 4 and 5.
+
+    No state has the bias B(1), as in a gap that is longer than the step of a bias.
+    """
     random = np.random.default_rng(3)
     keys: list[tuple[int, ...]] = []
     counts: list[int] = []
@@ -35,11 +38,12 @@ def rows() -> Rows:
         counts.append(rows)
 
     for i in range(7):
-        tie(C(i), B(i // 4), M(0), rows=4)
+        tie(C(i), B(2 * (i // 5)), M(0), rows=4)
         if i != 4:
             tie(X(i), V(i), X(i + 1), V(i + 1), C(i), rows=9)
         tie(V(i), rows=3)
     tie(B(0), B(1), rows=2)
+    tie(B(1), B(2), rows=2)
     tie(B(0), rows=2)
     tie(X(1), X(6), rows=6)
     for i in (0, 4, 5, 7):
@@ -93,7 +97,7 @@ def test_products_with_the_covariance(rows):
 
 def test_the_last_unknowns_keep_what_is_known_of_them(rows):
     """The factors that remain for the last unknowns have the covariance and the optimum of the whole system."""
-    last = [X(7), V(7), B(1), M(0)]
+    last = [X(7), V(7), B(2), M(0)]
     eliminated = solve(rows, last)
     solution, whole = whole_of(rows, eliminated.structure)
     rest = remaining_rows(eliminated, last)
