@@ -41,7 +41,7 @@ def flatten(system: gtsam.GaussianFactorGraph) -> Rows:
         keys=np.array([key for each in keys for key in each], dtype=np.int64),
         key_first=starts([len(each) for each in keys]),
         count=np.array([len(part) for part in parts], dtype=np.int64),
-        data=np.concatenate([part.ravel(order="K") for part in parts]),
+        data=np.concatenate([np.empty(0), *(part.ravel(order="K") for part in parts)]),
     )
 
 

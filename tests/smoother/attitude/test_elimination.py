@@ -141,3 +141,10 @@ def test_rows_without_noise_are_met():
     system.push_back(gtsam.JacobianFactor(X(0), np.eye(6), np.arange(6.0), exact))
     system.push_back(gtsam.JacobianFactor(X(0), np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
     np.testing.assert_allclose(optimise(solve(flatten(system))), np.arange(6.0), atol=1e-8)
+
+
+def test_a_system_without_factors_adds_nothing(rows):
+    """A short window in a gap has factors of the chain only."""
+    both = rows.and_also(flatten(gtsam.GaussianFactorGraph()))
+    for name in ("keys", "key_first", "count", "data"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(rows, name))
