@@ -28,12 +28,12 @@ def compiled(function: Function) -> Function:
     It lies beside the package, or in numba's user cache where the package cannot be written; where neither can, every
     process compiles anew. The function is copied into its compiled callers.
     """
-    return _compiled(function, inline=True)
+    return _compile(function, inline=True)
 
 
 def compiled_entry(function: Function) -> Function:
     """Compile a function that Python calls with a whole recording or a sample; it is not copied into its callers."""
-    return _compiled(function, inline=False)
+    return _compile(function, inline=False)
 
 
 def compiled_inside(function: Function) -> Function:
@@ -42,7 +42,7 @@ def compiled_inside(function: Function) -> Function:
     An entry makes objects of every field of the structures that a function takes and gives, and back: for a step that
     takes as long to compile as the step itself.
     """
-    return _without_entry(_compiled(function, inline=True, has_entry=False))
+    return _without_entry(_compile(function, inline=True, has_entry=False))
 
 
 def compiled_apart(function: Function) -> Function:
@@ -51,10 +51,10 @@ def compiled_apart(function: Function) -> Function:
     It is not copied into callers: copied into ``step``, and with that into ``run``, it would only make both slow to
     compile.
     """
-    return _without_entry(_compiled(function, inline=False, has_entry=False))
+    return _without_entry(_compile(function, inline=False, has_entry=False))
 
 
-def _compiled(function: Function, inline: bool, has_entry: bool = True) -> Function:
+def _compile(function: Function, inline: bool, has_entry: bool = True) -> Function:
     dispatcher = _with_numba(function, inline, has_entry)
     try:
         keep_on_disk(dispatcher, ships=has_entry)

@@ -39,7 +39,7 @@ def magnetic_field_n_ut(place: Place, date: str) -> Floats:
 
     Raises :class:`BadParameter` for a date or place outside the models: the field is never extrapolated.
     """
-    lat_deg, lon_deg, height_m = _checked(place)
+    lat_deg, lon_deg, height_m = _check_place(place)
     year = decimal_year(date)
     if not FIELD_YEARS[0] <= year < FIELD_YEARS[1]:
         raise BadParameter(
@@ -102,7 +102,7 @@ def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:
     Source: NIMA TR8350.2 (WGS 84), third edition, eqs (4-1) and (4-3) with the constants of its chapter 3.
     Raises :class:`BadParameter` for a latitude beyond the poles or a height the series is not meant for (over 20 km).
     """
-    lat_deg, _, height_m = _checked((lat_deg, 0.0, height_m))
+    lat_deg, _, height_m = _check_place((lat_deg, 0.0, height_m))
     if abs(height_m) > 20_000:
         raise BadParameter(f"height {height_m:g} m: normal gravity is given up to 20 km; give the height in metres")
     equator, k, e2 = 9.7803253359, 0.00193185265241, 0.00669437999014
@@ -114,18 +114,18 @@ def normal_gravity_mps2(lat_deg: float, height_m: float) -> float:
 
 def enu_m(lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike, origin: Place) -> Floats:
     """Return positions (N, 3) in m, East-North-Up of ``origin``; NaN stays NaN."""
-    lat0, lon0, height0 = _checked(origin)
+    lat0, lon0, height0 = _check_place(origin)
     return np.stack(pymap3d.geodetic2enu(lat_deg, lon_deg, height_m, lat0, lon0, height0), axis=-1).astype(np.float64)
 
 
 def geodetic(position_n_m: ArrayLike, origin: Place) -> tuple[Floats, Floats, Floats]:
     """Return latitude and longitude (deg) and height (m) of positions (N, 3) in East-North-Up of ``origin``."""
     east, north, up = np.moveaxis(np.asarray(position_n_m, dtype=np.float64), -1, 0)
-    lat_deg, lon_deg, height_m = pymap3d.enu2geodetic(east, north, up, *_checked(origin))
+    lat_deg, lon_deg, height_m = pymap3d.enu2geodetic(east, north, up, *_check_place(origin))
     return np.asarray(lat_deg), np.asarray(lon_deg), np.asarray(height_m)
 
 
-def _checked(place: Place) -> Place:
+def _check_place(place: Place) -> Place:
     lat_deg, lon_deg, height_m = place
     if not (np.isfinite(place).all() and abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
         raise BadParameter(

@@ -40,7 +40,7 @@ class Settings:
         hints = get_type_hints(type(self))
         for each in fields(self):
             if each.metadata:
-                object.__setattr__(self, each.name, _checked(each, hints[each.name], getattr(self, each.name)))
+                object.__setattr__(self, each.name, _check_value(each, hints[each.name], getattr(self, each.name)))
 
 
 Kind = TypeVar("Kind", bound=Settings)
@@ -88,7 +88,7 @@ def describe(settings: Settings) -> list[Description]:
         Description(
             name,
             f"{_readable(each, getattr(owner, each.name))} {_unit(each)}".rstrip(),
-            _allowed(each, get_type_hints(type(owner))[each.name], _readable),
+            _describe_allowed(each, get_type_hints(type(owner))[each.name], _readable),
             each.metadata["meaning"],
         )
         for name, each, owner in _leaves(settings)
@@ -130,7 +130,7 @@ def _from_text(settings: Settings, name: str, value: Any) -> Any:
         return value
 
 
-def _checked(each: Field[Any], hint: Any, value: Any) -> Any:
+def _check_value(each: Field[Any], hint: Any, value: Any) -> Any:
     if get_origin(hint) is Literal:
         good = value in get_args(hint)
     elif hint is bool:
@@ -143,12 +143,12 @@ def _checked(each: Field[Any], hint: Any, value: Any) -> Any:
         kind = "a number from " if "low" in each.metadata else ""
         raise BadParameter(
             f"{each.name} = {value!r} is not allowed ({each.metadata['meaning']}); "
-            f"give {kind}{_allowed(each, hint, _plain)}"
+            f"give {kind}{_describe_allowed(each, hint, _plain)}"
         )
     return value
 
 
-def _allowed(each: Field[Any], hint: Any, shown: Callable[[Field[Any], Any], str]) -> str:
+def _describe_allowed(each: Field[Any], hint: Any, shown: Callable[[Field[Any], Any], str]) -> str:
     if get_origin(hint) is Literal:
         return ", ".join(map(str, get_args(hint)))
     if hint is bool:

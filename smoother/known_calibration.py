@@ -15,7 +15,7 @@ from stillpoint.datasets.trajectory import Calibration, Reference
 _IDENTITY = np.eye(3)
 
 
-def corrected(recording: Recording, known: Calibration) -> Recording:
+def correct_recording(recording: Recording, known: Calibration) -> Recording:
     """Return the recording as the calibrated sensor would have read it; raises :class:`Unobservable` without an IMU."""
     if recording.imu is None:
         raise Unobservable(f"{recording.name}: has no gyro and accelerometer; leave the calibration out")
@@ -28,7 +28,7 @@ def corrected(recording: Recording, known: Calibration) -> Recording:
     return replace(changed, mag=Mag(mag.t_ns, field))
 
 
-def in_raw_readings(made: Reference, known: Calibration) -> Reference:
+def express_in_raw_readings(made: Reference, known: Calibration) -> Reference:
     """Return the reference of a corrected recording, with calibration and gyro bias as of the readings before."""
     found = made.calibration
     gyro, accel, magnet = (_matrix(m) for m in (known.gyro_matrix, known.accel_matrix, known.mag_matrix))

@@ -11,7 +11,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, SpinReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams, allows_vehicle
-from stillpoint.smoother.known_calibration import corrected, in_raw_readings
+from stillpoint.smoother.known_calibration import correct_recording, express_in_raw_readings
 from stillpoint.smoother.preset import choose_preset
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.spin.params import SpinGraphParams
@@ -150,9 +150,9 @@ def reference(
         if calibration is None:
             made = function(recording, settings)
         else:
-            made = function(corrected(recording, calibration), settings)
+            made = function(correct_recording(recording, calibration), settings)
             if isinstance(made, Reference):
-                made = in_raw_readings(made, calibration)
+                made = express_in_raw_readings(made, calibration)
     except Unobservable as error:
         raise _blame_preset(recording, settings, error) from error
     return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **chosen, **dropped.counts()})

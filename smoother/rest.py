@@ -79,7 +79,7 @@ class RestFinder:
         accel_limit = _limit(params.accel_sd_mps2, accel_noise[calmest], params)
 
         still = (gyro_sd < gyro_limit) & (accel_sd < accel_limit) & _dense(t_s, rate_hz(t_ns), wide, params)
-        spans = _cut_edges(t_s, _widened(_runs(still), wide), params)
+        spans = _cut_edges(t_s, _widen(_runs(still), wide), params)
         for span in spans:
             if not _keeps_tilt(imu, t_s, span, params):
                 continue
@@ -175,7 +175,7 @@ def _runs(mask: NDArray[np.bool_]) -> Times:
     return np.stack([edges[::2], edges[1::2] - 1], axis=1).astype(np.int64)
 
 
-def _widened(runs: Times, wide: Windows) -> Times:
+def _widen(runs: Times, wide: Windows) -> Times:
     """Extend runs of still window centres to what their windows cover; neighbours stay separate, half way apart."""
     first, last = wide
     start, end = first[runs[:, 0]], last[runs[:, 1]] - 1

@@ -81,10 +81,10 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
             raise Unobservable(f"{recording.name}: has no independent truth; validate needs one")
     except StillpointError as error:
         return [replace(row, error=str(error)) for row in rows]
-    return [_validated(recording, recording.truth, row, align) for row in rows]
+    return [_validate_row(recording, recording.truth, row, align) for row in rows]
 
 
-def _validated(recording: Recording, truth: Truth, row: ValidationRow, align: AlignKind) -> ValidationRow:
+def _validate_row(recording: Recording, truth: Truth, row: ValidationRow, align: AlignKind) -> ValidationRow:
     try:
         begun = perf_counter()
         made: Reference | Estimate = (

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from stillpoint.datasets.archive.crate import make_croissant, make_ro_crate
-from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, cited
+from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, list_citations
 
 MANIFEST = "manifest.json"
 CHECKSUMS = "manifest-sha256.txt"
@@ -92,22 +92,22 @@ def _citation(items: Sequence[Item], about: About) -> str:
         "cff-version: 1.2.0",
         "message: If you use this dataset, cite it and the sources under references.",
         "type: dataset",
-        f"title: {_quoted(about.title)}",
-        f"date-released: {_quoted(about.published)}",
-        *([f"url: {_quoted(about.url)}"] if about.url else []),
+        f"title: {_quote(about.title)}",
+        f"date-released: {_quote(about.published)}",
+        *([f"url: {_quote(about.url)}"] if about.url else []),
         "authors:",
-        *(f"  - name: {_quoted(author)}" for author in about.authors or ("The authors of the sources",)),
+        *(f"  - name: {_quote(author)}" for author in about.authors or ("The authors of the sources",)),
     ]
-    citations = cited(items)
+    citations = list_citations(items)
     if citations:
         lines.append("references:")
     for text in citations:
         authors, title = _authors_and_title(text)
         lines += [
             "  - type: generic",
-            f"    title: {_quoted(title)}",
+            f"    title: {_quote(title)}",
             "    authors:",
-            f"      - name: {_quoted(authors)}",
+            f"      - name: {_quote(authors)}",
         ]
     return "\n".join(lines) + "\n"
 
@@ -117,7 +117,7 @@ def _authors_and_title(text: str) -> tuple[str, str]:
     return (authors, title) if colon else ("see the title", text)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -141,11 +141,11 @@ def _readme(items: Sequence[Item], about: About) -> str:
     licences = sorted({licence for item in items for licence in item.licences})
     counts = {kind: sum(item.entry.kind == kind for item in items) for kind in {item.entry.kind for item in items}}
     table = "\n".join(f"| {kind} | {count} |" for kind, count in sorted(counts.items()))
-    cite = "\n".join(f"- {text}" for text in cited(items)) or "- (no citation is stated)"
+    cite = "\n".join(f"- {text}" for text in list_citations(items)) or "- (no citation is stated)"
     return f"""---
-pretty_name: {_quoted(about.title)}
+pretty_name: {_quote(about.title)}
 license: other
-license_name: {_quoted("; ".join(licences) or "not stated")}
+license_name: {_quote("; ".join(licences) or "not stated")}
 license_link: LICENSES.md
 tags: [imu, orientation, attitude, mcap]
 ---

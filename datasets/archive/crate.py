@@ -7,7 +7,7 @@ from hashlib import sha256
 from importlib.metadata import version
 from typing import Any
 
-from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, cited
+from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, list_citations
 from stillpoint.datasets.errors import BadParameter
 
 _MEDIA_TYPES = {
@@ -142,7 +142,7 @@ def make_croissant(items: Sequence[Item], about: About, index: bytes) -> bytes:
         description=about.description or about.title,
         license=[_licence_url(licence) or licence for licence in licences] or ["not stated"],
         url=about.url or f"https://example.org/{_identifier(about.title)}",
-        cite_as="; ".join(cited(items)) or about.title,
+        cite_as="; ".join(list_citations(items)) or about.title,
         creators=[mlc.Person(name=name) for name in about.authors],
         date_published=about.published,
         version="1.0.0",

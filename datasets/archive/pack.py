@@ -63,7 +63,7 @@ def write_bundle(files: Mapping[str, Path | bytes], target: Path) -> None:
 def _write_folder(files: Mapping[str, Path | bytes], folder: Path) -> None:
     for path, content in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        with open(folder / path, "xb") as out, _opened(content) as source:
+        with open(folder / path, "xb") as out, _open_content(content) as source:
             shutil.copyfileobj(source, out, _BLOCK)
 
 
@@ -74,7 +74,7 @@ def _write_zip(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
             is_packed = path.endswith(".mcap")
             info.compress_type = zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
-            with _opened(content) as source, out.open(info, "w", force_zip64=True) as member:
+            with _open_content(content) as source, out.open(info, "w", force_zip64=True) as member:
                 shutil.copyfileobj(source, member, _BLOCK)
 
 
@@ -83,14 +83,14 @@ def _write_tar(files: Mapping[str, Path | bytes], target: IO[bytes]) -> None:
         for path, content in files.items():
             info = tarfile.TarInfo(path)
             info.mode = 0o644
-            with _opened(content) as source:
+            with _open_content(content) as source:
                 info.size = source.seek(0, os.SEEK_END)
                 source.seek(0)
                 out.addfile(info, source)
 
 
 @contextmanager
-def _opened(content: Path | bytes) -> Iterator[IO[bytes]]:
+def _open_content(content: Path | bytes) -> Iterator[IO[bytes]]:
     with io.BytesIO(content) if isinstance(content, bytes) else open_binary(content) as file:
         yield file
 

@@ -148,6 +148,6 @@ def _paths(entries: Sequence[Entry]) -> Mapping[str, str]:
     return paths
 
 
-def cited(items: Sequence[Item]) -> list[str]:
+def list_citations(items: Sequence[Item]) -> list[str]:
     """Return the citations of the recordings, each once."""
     return sorted({str(text) for item in items if (text := item.entry.columns.get("citation"))})

@@ -79,9 +79,9 @@ def _write_text(device: DeviceFile) -> bytes:
         "# stillpoint reference --calibration THIS.toml and estimate --calibration THIS.toml apply it:",
         "# corrected = matrix (measured - bias). The gyro's bias is found anew in each recording.",
         f'kind = "{_KIND}"',
-        f"sensor = {_quoted(device.sensor)}",
-        f"first_date = {_quoted(min(known, default=''))}",
-        f"last_date = {_quoted(max(known, default=''))}",
+        f"sensor = {_quote(device.sensor)}",
+        f"first_date = {_quote(min(known, default=''))}",
+        f"last_date = {_quote(max(known, default=''))}",
         f"temperature_degc = [{', '.join(repr(float(value)) for value in warm)}]  # empty: not known",
         "",
         "[gyro]",
@@ -95,7 +95,7 @@ def _write_text(device: DeviceFile) -> bytes:
         f"bias_sd_mps2 = {_rows(device.accel_bias_sd_mps2)}  # from recording to recording",
         "",
         "[made_from]",
-        *(f"{_quoted(name)} = {_quoted(digest)}" for name, digest in device.made_from.items()),
+        *(f"{_quote(name)} = {_quote(digest)}" for name, digest in device.made_from.items()),
     ]
     for one in device.drift:
         lines += ["", "[[recording]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
@@ -150,10 +150,10 @@ def _rows(values: Floats) -> str:
 
 
 def _value(value: Any) -> str:
-    return _quoted(value) if isinstance(value, str) else repr(value)
+    return _quote(value) if isinstance(value, str) else repr(value)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """Return the text as a basic string of TOML."""
     escaped = "".join(f"\\u{ord(c):04x}" if c < " " or c in '"\\\x7f' else c for c in text)
     return f'"{escaped}"'

@@ -238,7 +238,7 @@ class TruthFits:
             best = u @ vt
             flip = np.diag([1.0, 1.0, -1.0])
             pair = np.array([best, u @ flip @ vt] if np.linalg.det(best) > 0 else [u @ flip @ vt, best])
-            residuals = [target - _scaled(turned @ matrix.T, target) for matrix in pair]
+            residuals = [target - _scale_to_fit(turned @ matrix.T, target) for matrix in pair]
             size = np.linalg.norm(min(residuals, key=lambda r: float((r**2).sum())), axis=1)
             weight = 1 / (1 + (size / (3 * np.median(size) + 1e-300)) ** 2)
         losses = np.array([np.log((one**2).sum(axis=1) + floor) for one in residuals])
@@ -361,7 +361,7 @@ def check_truth_mismatch(fits: TruthFits, truth: Truth, gyro_confirmed: bool) ->
     ]
 
 
-def _scaled(turned: Floats, target: Floats) -> Floats:
+def _scale_to_fit(turned: Floats, target: Floats) -> Floats:
     """Return rates scaled to fit the target best."""
     return max(float((turned * target).sum()) / (float((turned**2).sum()) + 1e-300), 0.0) * turned
 

@@ -139,7 +139,7 @@ def _list_faults(has_mag: bool) -> Iterator[Fault]:
     """Yield the faults that are compared: none, one sensor, inverted axes beside a wrong gyro, all left-handed."""
     yield _NO_FAULT
     for matrix in CANDIDATES[1:]:
-        cost = _SENSOR + _PER_AXIS * _changed(matrix)
+        cost = _SENSOR + _PER_AXIS * _count_changed_axes(matrix)
         yield Fault(matrix, _IDENTITY, _IDENTITY, cost)
         yield Fault(_IDENTITY, matrix, _IDENTITY, cost)
         yield Fault(matrix, -_IDENTITY, _IDENTITY, cost + _SENSOR + _PER_AXIS)
@@ -152,7 +152,7 @@ def _list_faults(has_mag: bool) -> Iterator[Fault]:
         yield Fault(mirror, mirror, mirror if has_mag else _IDENTITY, _ALL_LEFT_HANDED)
 
 
-def _changed(matrix: Floats) -> int:
+def _count_changed_axes(matrix: Floats) -> int:
     """Return how many axes are moved or flipped; a sign that is wrong for all three is one mistake."""
     return 1 if np.array_equal(matrix, -_IDENTITY) else complexity(matrix)[0]
 

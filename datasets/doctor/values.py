@@ -53,7 +53,7 @@ def check_values(recording: Recording) -> list[Finding]:
         findings += stuck
         if stuck:
             continue
-        findings += _clipped(sensor)
+        findings += _find_clipping(sensor)
         frozen = _frozen(sensor)
         findings += frozen or _held(sensor, recording)
     return _merge_imu(findings)
@@ -113,7 +113,7 @@ def _stuck(sensor: _Sensor) -> list[Finding]:
     return [Finding(code, "error", message + "; no attitude can be had without it: record or import again")]
 
 
-def _clipped(sensor: _Sensor) -> list[Finding]:
+def _find_clipping(sensor: _Sensor) -> list[Finding]:
     findings = []
     for k, name in enumerate(sensor.axes):
         column = sensor.values[:, k]

@@ -14,11 +14,11 @@ LARGE = "STILLPOINT_LARGE"
 _LARGE_FACTOR = 64
 
 
-def limited(limit: int) -> int:
+def raise_limit(limit: int) -> int:
     """Return a limit, raised where the user allows large inputs."""
     return limit * (_LARGE_FACTOR if os.environ.get(LARGE) else 1)
 
 
-def largest_chunk(packed: int) -> int:
+def limit_chunk(packed: int) -> int:
     """Return how many bytes a chunk, or a file in a zip, of ``packed`` compressed bytes may claim to hold."""
-    return max(limited(LARGEST_CHUNK), _MOST_COMPRESSION * packed)
+    return max(raise_limit(LARGEST_CHUNK), _MOST_COMPRESSION * packed)

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, raise_limit
 from stillpoint.datasets.recording import Floats
 
 
@@ -16,7 +16,7 @@ def read_array(dataset: Any, path: Path) -> Floats:
     if not isinstance(dataset, h5py.Dataset):
         raise BadSource(f"{path}: {dataset.name} is no array; download the file again")
     claimed = int(np.prod([float(n) for n in dataset.shape])) * 8
-    if claimed > limited(LARGEST_MEMBER):
+    if claimed > raise_limit(LARGEST_MEMBER):
         raise BadSource(f"{path}: {dataset.name} claims {claimed} bytes; give --large if this is right")
     return to_floats(dataset[()], f"{path}: {dataset.name}")
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadSource
-from stillpoint.datasets.files.limits import LARGEST_LINE, limited
+from stillpoint.datasets.files.limits import LARGEST_LINE, raise_limit
 from stillpoint.datasets.importers.clock import BLANK, Clock, parse_times
 from stillpoint.datasets.recording import Floats, Times
 
@@ -214,7 +214,7 @@ def _split_lines(text: str, where: str) -> list[str]:
     if "\0" in text:
         raise BadSource(f"{where}: is binary, not delimited text; name the log, or another kind of import")
     lines = text.splitlines()
-    longest = limited(LARGEST_LINE)
+    longest = raise_limit(LARGEST_LINE)
     if len(text) > longest and any(len(line) > longest for line in lines):
         at = next(k for k, line in enumerate(lines) if len(line) > longest)
         raise BadSource(f"{where}, line {at + 1}: is longer than {longest} characters; name a log, or give --large")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from stillpoint.datasets.errors import BadSource, StillpointError
-from stillpoint.datasets.files.limits import LARGEST_MEMBER, largest_chunk, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, limit_chunk, raise_limit
 from stillpoint.datasets.mcap.store import sha256
 
 _RESTORE = "it may be damaged: restore it from a copy, or export it again"
@@ -71,8 +71,10 @@ def read_text(file: Path) -> str:
     """Return the text of a file in UTF-8, UTF-16 or else Latin-1; raises :class:`BadSource`."""
     with reading(file, "text", "check the name"):
         size = file.stat().st_size
-        if size > limited(LARGEST_MEMBER):
-            raise BadSource(f"{file}: has {size} bytes, more than {limited(LARGEST_MEMBER)}; give --large to read it")
+        if size > raise_limit(LARGEST_MEMBER):
+            raise BadSource(
+                f"{file}: has {size} bytes, more than {raise_limit(LARGEST_MEMBER)}; give --large to read it"
+            )
         return _decode_text(file.read_bytes(), file)
 
 
@@ -142,15 +144,15 @@ def open_bundle(source: Path, suffixes: tuple[str, ...] = (".csv",)) -> Bundle:
 
 def _read_zip(source: Path, suffixes: tuple[str, ...]) -> dict[str, str]:
     """Return the texts of a zip. Its directory may lie about sizes: no more than the limit is unpacked."""
-    texts, left = {}, limited(LARGEST_MEMBER)
+    texts, left = {}, raise_limit(LARGEST_MEMBER)
     with reading(source, "a zip", "export it again, or name a folder"), zipfile.ZipFile(source) as archive:
         for member in archive.infolist():
             if not member.filename.lower().endswith(suffixes) or "__MACOSX" in member.filename:
                 continue
-            if member.file_size > min(left, largest_chunk(member.compress_size)):
+            if member.file_size > min(left, limit_chunk(member.compress_size)):
                 raise BadSource(
                     f"{source}: {member.filename} claims {member.file_size} bytes, unpacked, from "
-                    f"{member.compress_size}; the limit is {limited(LARGEST_MEMBER)} for the whole zip: "
+                    f"{member.compress_size}; the limit is {raise_limit(LARGEST_MEMBER)} for the whole zip: "
                     "give --large if this is right"
                 )
             with archive.open(member) as file:

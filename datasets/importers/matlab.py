@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets.files.limits import LARGEST_MEMBER, limited
+from stillpoint.datasets.files.limits import LARGEST_MEMBER, raise_limit
 
 _HEADER = 128  # bytes before the first element
 _MATRIX, _COMPRESSED = 14, 15  # types of elements that hold others
@@ -71,7 +71,7 @@ def _unpack(element: _Element, order: str) -> Iterator[bytes]:
     if element.kind == _MATRIX:
         yield element.data
     elif element.kind == _COMPRESSED:
-        longest = limited(LARGEST_MEMBER)
+        longest = raise_limit(LARGEST_MEMBER)
         inner = zlib.decompressobj().decompress(element.data, longest + 1)
         if len(inner) > longest:
             raise ValueError(f"an element unpacks to more than {longest} bytes; give --large if this is right")

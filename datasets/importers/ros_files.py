@@ -20,7 +20,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile, BadSource
-from stillpoint.datasets.files.limits import LARGEST_CHUNK, limited
+from stillpoint.datasets.files.limits import LARGEST_CHUNK, raise_limit
 from stillpoint.datasets.importers.clock import find_wild_stamps
 from stillpoint.datasets.importers.files import reading
 from stillpoint.datasets.importers.series import Log as ImportLog
@@ -208,7 +208,7 @@ class _BagScan(_MessageFile):
 def _read_record(file: IO[bytes], size: int) -> tuple[dict[str, bytes], bytes] | None:
     """Return header and data of the next record of a bag, or None where the file ends within it."""
     parts = []
-    for limit in (_LONGEST_HEADER, limited(LARGEST_CHUNK) * 4):
+    for limit in (_LONGEST_HEADER, raise_limit(LARGEST_CHUNK) * 4):
         word = file.read(4)
         length = int.from_bytes(word, "little")
         if len(word) < 4 or length > size - file.tell():

@@ -36,7 +36,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
-from stillpoint.datasets.files.limits import largest_chunk
+from stillpoint.datasets.files.limits import limit_chunk
 from stillpoint.datasets.files.remote import open_binary
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
 
@@ -279,7 +279,7 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
     ``compression`` is zstd, lz4, bz2 or none (also ""). Raises ``ValueError`` for any other size, for one above the
     limit, and for damaged bytes.
     """
-    if size > largest_chunk(len(packed)):
+    if size > limit_chunk(len(packed)):
         raise ValueError(f"a chunk of {len(packed)} bytes claims {size} bytes, unpacked; give --large if this is right")
     try:
         if compression == "zstd":

@@ -12,7 +12,7 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any, BinaryIO, TextIO
 
-from stillpoint.datasets.files.limits import LARGEST_LINE, limited
+from stillpoint.datasets.files.limits import LARGEST_LINE, raise_limit
 from stillpoint.filters import SpinAnswer
 from stillpoint.filters.sample import Output
 from stillpoint.scripts.shared.output import print_line
@@ -133,7 +133,7 @@ def _end_at_signals(
             return b""
         try:
             waits_for = "input"
-            longest = limited(LARGEST_LINE)
+            longest = raise_limit(LARGEST_LINE)
             line = source.readline(longest + 1)
             if len(line) <= longest:
                 return line

@@ -20,7 +20,7 @@ from stillpoint.smoother.attitude.outside.satellite import (
     not_under_way,
     path_of_fixes,
     select_fixes,
-    standing,
+    start_at_standstill,
 )
 from stillpoint.smoother.attitude.outside.vehicle import calm_bias, not_in_curves, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
@@ -168,7 +168,7 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
     if measured is not None:
         field_start = start_field(measured, q_nb[measured.state], start.hard_iron_b_ut)
     heading = _describe_heading(recording, base, measured, fixes)
-    place, velocity = standing(keys) if fixes is None else path_of_fixes(fixes, keys)
+    place, velocity = start_at_standstill(keys) if fixes is None else path_of_fixes(fixes, keys)
     gathered = Evidence(
         motion,
         keys,

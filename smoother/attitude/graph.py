@@ -36,7 +36,7 @@ from stillpoint.smoother.attitude.samples.every_sample import join_pieces
 from stillpoint.smoother.attitude.solve import NoOptimum
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 from stillpoint.smoother.base_pose import Returns
-from stillpoint.smoother.known_calibration import corrected, in_raw_readings
+from stillpoint.smoother.known_calibration import correct_recording, express_in_raw_readings
 
 _FAR_RADPS = np.deg2rad(5.0)  # RMS by which the gyro's matrix changes rates; beyond it, the graph is solved again
 _RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
@@ -76,7 +76,7 @@ def make_attitude_reference(
     evidence, solved = _try_restored(recording, evidence, solved)
     evidence, solved = _test_lone_return(recording, evidence, solved)
     made = report_reference(recording, evidence, solved, left_out)
-    return made if known is None else in_raw_readings(made, known)
+    return made if known is None else express_in_raw_readings(made, known)
 
 
 def reference_from_evidence(recording: Recording, evidence: Evidence, params: GraphParams) -> Reference:
@@ -95,7 +95,7 @@ def _find_far_calibration(evidence: Evidence, solved: Solved) -> Calibration | N
     matrix = solved.pieces[-1].calibration.gyro_matrix
     assert matrix is not None
     moved = evidence.keys.gyro_b_radps[~evidence.keys.at_rest] @ (matrix - np.eye(3)).T
-    return Calibration(gyro_matrix=matrix) if np.mean(np.sum(moved**2, axis=1)) > _FAR_RADPS**2 else None
+    return Calibration(gyro_matrix=matrix) if np.sum(moved**2) > len(moved) * _FAR_RADPS**2 else None
 
 
 def _solve_corrected(
@@ -106,7 +106,7 @@ def _solve_corrected(
     A gyro 8 % off makes a bias of 30 deg/s in fast motion, by which preintegration is corrected in the first order
     only: copies of BROAD were wrong by up to 2.1 deg and are right within 0.6 after the correction.
     """
-    nearer = corrected(recording, known)
+    nearer = correct_recording(recording, known)
     evidence = gather_evidence(nearer, solved.params, generators)
     return nearer, evidence, solve_both_headings(nearer, evidence, solved.params)
 

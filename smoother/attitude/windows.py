@@ -31,7 +31,7 @@ from stillpoint.smoother.attitude.linear.elimination import SingularSystem, elim
 from stillpoint.smoother.attitude.linear.inherited import Inherited, remaining_rows
 from stillpoint.smoother.attitude.linear.structure import find_structure
 from stillpoint.smoother.attitude.outside.added import Added, find_effective, measure_added, select_added
-from stillpoint.smoother.attitude.outside.satellite import believed
+from stillpoint.smoother.attitude.outside.satellite import find_believed_fixes
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
@@ -117,7 +117,7 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
         fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
         refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
         if window.fixes is not None:
-            kept = believed(window.fixes, solution.values, params.gps)
+            kept = find_believed_fixes(window.fixes, solution.values, params.gps)
             refuse_fixes(kept, recording.name)
             n_doubtful_fixes += int((~kept).sum())
         pieces.append(sample_solution(window, solution, until, recording.name, params))

@@ -171,7 +171,7 @@ def lone_stretch_factors(keys: Keys, fixes: Fixes, params: MotionPriors) -> Iter
             )
 
 
-def believed(fixes: Fixes, values: gtsam.Values, params: GpsParams) -> NDArray[np.bool_]:
+def find_believed_fixes(fixes: Fixes, values: gtsam.Values, params: GpsParams) -> NDArray[np.bool_]:
     """Return which fixes (K,) keep more than half of their weight in the solution."""
     if not len(fixes.state):
         return np.zeros(0, dtype=np.bool_)
@@ -193,7 +193,7 @@ def path_of_fixes(fixes: Fixes, keys: Keys) -> tuple[Floats, Floats]:
     return place, np.gradient(place, keys.t_s, axis=0)
 
 
-def standing(keys: Keys) -> tuple[Floats, Floats]:
+def start_at_standstill(keys: Keys) -> tuple[Floats, Floats]:
     """Return the same where nothing is known: at the origin, at a standstill."""
     return np.zeros((len(keys.t_s), 3)), np.zeros((len(keys.t_s), 3))
 

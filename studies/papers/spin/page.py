@@ -57,7 +57,7 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
         online=online,
         facts=_facts(scenario, first, online, methods, trials),
         scenario=scenario.name,
-        counted=_counted(scenario, trials, online),
+        counted=_count_wins(scenario, trials, online),
         shaken=_shaken(trials.get("vibration", ())),
         recorded=set(trials) <= set(RECORDED),
         worst_of={noise: _worst_of(some) for noise, some in trials.items()},
@@ -102,7 +102,7 @@ def _facts(
     return facts | ({"refused": "; ".join(sorted(refused))} if refused else {})
 
 
-def _counted(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool) -> dict[str, str]:
+def _count_wins(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool) -> dict[str, str]:
     """Return by noise in how many trials the methods rank as in the paper, and in how many the AEKF won there."""
     counts: dict[str, str] = {}
     for noise, some in trials.items():

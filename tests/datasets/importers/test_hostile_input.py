@@ -16,7 +16,7 @@ from fuzz import fuzz, judge
 from fuzz_seeds import list_seeds
 
 from stillpoint.datasets import BadSource
-from stillpoint.datasets.files.limits import LARGE, LARGEST_MEMBER, largest_chunk
+from stillpoint.datasets.files.limits import LARGE, LARGEST_MEMBER, limit_chunk
 from stillpoint.datasets.importers import broad
 from stillpoint.datasets.importers import files as importer_files
 from stillpoint.datasets.importers.csv_log import CsvOptions
@@ -108,10 +108,10 @@ def test_a_line_without_end_is_refused(tmp_path):
 
 
 def test_the_flag_raises_the_limits(monkeypatch):
-    assert largest_chunk(1000) == 64 << 20
-    assert largest_chunk(100 << 20) == 64 * (100 << 20)  # what a file really holds justifies more
+    assert limit_chunk(1000) == 64 << 20
+    assert limit_chunk(100 << 20) == 64 * (100 << 20)  # what a file really holds justifies more
     monkeypatch.setenv(LARGE, "1")
-    assert largest_chunk(1000) == 64 * (64 << 20)
+    assert limit_chunk(1000) == 64 * (64 << 20)
 
 
 def test_a_text_file_above_the_limit_is_not_read(tmp_path, monkeypatch):
