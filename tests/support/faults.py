@@ -87,12 +87,13 @@ def share_kills(total: int, numbers: Sequence[int]) -> list[int]:
 
 
 def kill_writers(scratch: Path, total: int, numbers: Sequence[int], longest_s: float = LONGEST_S) -> list[Tally]:
-    """Kill these writers, on two cores."""
-    until = time.monotonic() + longest_s * KILLS_END
+    """Kill these writers, on two cores. Each has its share of the time, so that the last ones get theirs too."""
+    kills, begun = share_kills(total, numbers), time.monotonic()
+    ends_s = [longest_s * KILLS_END * (k + 1) / len(kills) for k in range(len(kills))]
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as pool:
         running = [
-            pool.submit(run_trials, number, kills, scratch, until)
-            for number, kills in zip(numbers, share_kills(total, numbers), strict=True)
+            pool.submit(run_trials, number, some, scratch, begun + end_s)
+            for number, some, end_s in zip(numbers, kills, ends_s, strict=True)
         ]
         return [one.result() for one in running]
 
