@@ -238,12 +238,13 @@ def _pictures(scenario: Scenario, one: Trial) -> list[Picture]:
     drawn = [_picture(one, shown, whole) for shown in _FIGURES[scenario.name]]
     if not series.errors:
         return drawn
+    made = {name: colour for name, colour in _OF_JUDGE.items() if name in series.errors}  # one of them may be refused
     judges = make_picture(
-        f"The error of the benchmark ({one.hand})",
-        "Total error of both references against the truth, which the paper could not draw. Rests are grey.",
+        f"The error of the {' and the '.join(made)} ({one.hand})",
+        "Total error of each reference against the truth, which the paper could not draw. Rests are grey.",
         1,
         200,
-        lambda axes: draw_judges(axes[0], series, _OF_JUDGE),
+        lambda axes: draw_judges(axes[0], series, made),
     )
     return [*drawn, judges]
 

@@ -75,7 +75,7 @@ class Series:
 
     t_s: Floats  # (N,)
     angles_deg: Mapping[str, Floats]  # of each method and reference, (N, 3)
-    errors: Mapping[str, tuple[Floats, Floats]]  # total error of both references: s, deg; empty without a truth
+    errors: Mapping[str, tuple[Floats, Floats]]  # total error of each reference: s, deg; empty without a truth
     rests_s: Floats  # (R, 2)
 
 

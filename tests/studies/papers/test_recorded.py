@@ -35,6 +35,18 @@ def test_a_phone_is_judged_by_redistribution_and_graph_and_by_a_truth_that_it_ha
     assert {row["recording"] for row in rows} == {"phone-1-seed0"}
 
 
+def test_where_the_redistribution_refuses_the_graph_alone_judges(call, tmp_path):
+    """A recording that begins in motion has no benchmark; its page is made all the same."""
+    assert call("simulate", "phone-1", "--minutes", "4", "-o", tmp_path / "whole") == 0
+    assert call("cut", tmp_path / "whole", "--from", 30, "-o", tmp_path) == 0
+    (moving,) = tmp_path.glob("*.mcap")
+    words = ("--recording", moving, "-o", tmp_path, "--json", tmp_path / "facts.json", "--jobs", "1")
+    assert call("experiment", "phone-1", *words) == 0
+    rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
+    assert {row["against"] for row in rows if "against" in row} == {"graph", "truth"}
+    assert "The error of the graph" in (tmp_path / "phone-1.experiment.html").read_text(encoding="utf-8")
+
+
 def test_the_swings_of_a_servo_are_found_in_the_rate(files, call, tmp_path):
     recording = simulate("servo-bench", seed=0, minutes=3.5)
     made = servo.score_recording(recording)
