@@ -1,1 +1,1 @@
-"""What recordings, references and estimates become outside of MCAP: tables for CSV, and KML for maps."""
+"""Turn recordings, references and estimates into tables for CSV and into KML for maps."""

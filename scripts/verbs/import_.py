@@ -233,7 +233,7 @@ class _Item:
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is told about a recording, and the file it went to."""
+    """The facts that are printed about an imported recording, and the file it was written to."""
 
     source: Path
     file: Path

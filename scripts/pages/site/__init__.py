@@ -1,1 +1,1 @@
-"""What `make docs` writes for the documentation site."""
+"""Programs that write pages and formulas of the documentation site."""

@@ -1,4 +1,4 @@
-"""What a window inherits from the windows before it: linear factors at the optimum that these have found."""
+"""Hand linear factors, made at the optimum of earlier windows, to the next window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,1 +1,1 @@
-"""From samples to states and back: what was measured between two states, and the attitude at every sample."""
+"""Sum samples up between states, and interpolate the attitude at every sample from the states."""

@@ -1,4 +1,4 @@
-"""What goes into a temporary store comes out of it, in the order and the lengths in which it went in."""
+"""A temporary store returns its rows in the order and the lengths in which they were appended."""
 
 import numpy as np
 import pytest

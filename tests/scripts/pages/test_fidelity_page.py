@@ -1,4 +1,4 @@
-"""What the first page and the page of leaderboards say about judges: the figures of one run."""
+"""The README and the page of leaderboards quote the fidelity figures of one run."""
 
 import json
 import re

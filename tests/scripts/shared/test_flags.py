@@ -1,4 +1,4 @@
-"""What several verbs read from their flags."""
+"""Verbs read the texts of their common flags in the same way."""
 
 import pytest
 

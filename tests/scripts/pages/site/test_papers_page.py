@@ -150,7 +150,7 @@ def test_six_tens_of_seeds() -> None:
 
 @pytest.mark.slow
 def test_tables_1_and_2_of_zia() -> None:
-    """Of three methods; the others take longer."""
+    """Compute the rows of three methods again; the others take longer."""
     methods = [one for one in auv.METHODS if one.name in (auv.ADAPTIVE, auv.KALMAN, auv.SURE)]
     trials = [auv.run_trial("calm", seed, methods=methods) for seed in range(5)]
     rows = [

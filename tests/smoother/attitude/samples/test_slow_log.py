@@ -1,4 +1,4 @@
-"""What a slow log does not show between two samples: how well it is restored, and what is said of the rest."""
+"""Motion between the samples of a slow log is restored, and the covariance allows for the remaining error."""
 
 from dataclasses import replace
 
