@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillpoint.datasets.compiled import compiled_entry
+from stillpoint.datasets.compiled import compiled, compiled_entry
 from stillpoint.smoother.attitude.linear.rows import Indices, Rows, starts
 
 _KIND_BITS = 56  # of a gtsam symbol, below its letter
@@ -119,20 +119,10 @@ def _tie(
         begin = total
         for at in range(factor_first[j], factor_first[j + 1]):
             f = factor_of_node[at]
-            for e in range(key_first[f], key_first[f + 1]):
-                k = nodes[e]
-                if seen[k] != j:
-                    seen[k] = j
-                    later[total] = k
-                    total += 1
+            total = _append_unseen(nodes, key_first[f], key_first[f + 1], j, seen, later, total)
         c = child[j]
         while c >= 0:
-            for e in range(later_first[c], later_first[c + 1]):
-                k = later[e]
-                if seen[k] != j:
-                    seen[k] = j
-                    later[total] = k
-                    total += 1
+            total = _append_unseen(later, later_first[c], later_first[c + 1], j, seen, later, total)
             c = sibling[c]
         later[begin:total].sort()
         later_first[j + 1] = total
@@ -140,6 +130,18 @@ def _tie(
             parent[j] = later[begin]
             sibling[j], child[parent[j]] = child[parent[j]], j
     return later[:total].copy(), later_first, parent
+
+
+@compiled
+def _append_unseen(nodes: Indices, begin: int, end: int, j: int, seen: Indices, later: Indices, total: int) -> int:
+    """Append those of a run of nodes that node j has not seen to ``later``; return how many it then holds."""
+    for e in range(begin, end):
+        k = nodes[e]
+        if seen[k] != j:
+            seen[k] = j
+            later[total] = k
+            total += 1
+    return total
 
 
 @compiled_entry
