@@ -78,7 +78,7 @@ class ParamRange:
 
 
 @dataclass(frozen=True)
-class TuneSpec:
+class _TuneSpec:
     """The parameters and recordings of one tuning; it can be pickled."""
 
     estimator: str
@@ -183,7 +183,7 @@ def tune(
     if not judged:
         reasons = {str(find_judge(s, against, False, references)) for s in sources}
         raise Unobservable(f"no recording can be judged: {'; '.join(sorted(reasons))}")
-    spec = TuneSpec(
+    spec = _TuneSpec(
         estimator=estimator,
         ranges=tuple(ranges),
         sources=judged,
@@ -211,7 +211,7 @@ def forget_trials(out: Path, estimator: str) -> None:
     (out / f"{estimator}.journal").unlink(missing_ok=True)
 
 
-def _run_trials(spec: TuneSpec) -> int:
+def _run_trials(spec: _TuneSpec) -> int:
     """Run trials until the journal holds as many as were asked for; return how many were run here."""
     study = _open_study(spec)
     if _is_done(study, spec):
@@ -238,7 +238,7 @@ def _run_trials(spec: TuneSpec) -> int:
 class _Bench:
     """Recordings with their judges in memory, to score one setting after another."""
 
-    def __init__(self, spec: TuneSpec) -> None:
+    def __init__(self, spec: _TuneSpec) -> None:
         self.spec = spec
         self.row_of = number_rows(spec.sources)
         self.material = [_load(spec, source) for source in spec.sources]
@@ -268,7 +268,7 @@ class _Bench:
         return rmse
 
 
-def _summarise(spec: TuneSpec) -> Tuning:
+def _summarise(spec: _TuneSpec) -> Tuning:
     """Read the trials of the journal and choose."""
     bench = _Bench(spec)
     trials = [
@@ -365,7 +365,7 @@ def _check(
             choose_settings(defaults, {each.name: end}, estimator)
 
 
-def _open_study(spec: TuneSpec) -> Any:
+def _open_study(spec: _TuneSpec) -> Any:
     """Open the study of this spec in the journal, or begin it."""
     import optuna
     from optuna.storages import JournalStorage
@@ -388,7 +388,7 @@ def _open_study(spec: TuneSpec) -> Any:
     )
 
 
-def _is_done(study: Any, spec: TuneSpec) -> bool:
+def _is_done(study: Any, spec: _TuneSpec) -> bool:
     """Return whether there are as many trials as asked for; of a grid, whether every point was tried."""
     if spec.sampler == "grid":
         return bool(study.sampler.is_exhausted(study))
@@ -405,12 +405,12 @@ def _typical(rmse_deg: Sequence[float], row_of: Sequence[int]) -> float:
     return float(np.exp(merge_rows(logs, row_of).mean()))
 
 
-def _defaults_of(spec: TuneSpec) -> dict[str, float]:
+def _defaults_of(spec: _TuneSpec) -> dict[str, float]:
     defaults = asdict(ESTIMATORS[spec.estimator].params())
     return {each.name: float(defaults[each.name]) for each in spec.ranges if each.name in defaults}
 
 
-def _load(spec: TuneSpec, source: Source) -> tuple[Recording, Reference | Truth, Mask]:
+def _load(spec: _TuneSpec, source: Source) -> tuple[Recording, Reference | Truth, Mask]:
     """Load a recording, calibrated as asked, and its judge at no more than 25 Hz."""
     recording = read_recording(source.file)
     judge_spec = find_judge(source, spec.against, False, spec.references)

@@ -29,7 +29,7 @@ _FIXED_TIME = (1980, 1, 1, 0, 0, 0)  # the first that zip knows: the same bundle
 
 
 @dataclass(frozen=True)
-class Member:
+class _Member:
     """One object of a bundle as its manifest describes it."""
 
     path: str
@@ -117,7 +117,7 @@ class Bundle:
                 largest=member.size,
             )
 
-    def _read_manifest(self, largest: int) -> list[Member]:
+    def _read_manifest(self, largest: int) -> list[_Member]:
         with self._open(MANIFEST) as file:
             data = file.read(_LARGEST_MANIFEST + 1)
         if len(data) > _LARGEST_MANIFEST:
@@ -135,7 +135,7 @@ class Bundle:
         return members
 
 
-def _member(one: Mapping[str, Any]) -> Member:
+def _member(one: Mapping[str, Any]) -> _Member:
     path = str(one["path"])
     if not is_inside(path):
         raise ValueError(f"{path!r} leads out of the bundle")
@@ -144,7 +144,7 @@ def _member(one: Mapping[str, Any]) -> Member:
     name = PurePosixPath(str(one["file_name"]).replace("\\", "/")).name
     metadata = {str(key): str(value) for key, value in one["metadata"].items()}
     tags = tuple(str(tag) for tag in one["tags"])
-    return Member(path, one["sha256"], one["size"], name or one["sha256"], str(one["added"]), tags, metadata)
+    return _Member(path, one["sha256"], one["size"], name or one["sha256"], str(one["added"]), tags, metadata)
 
 
 def is_inside(path: str) -> bool:

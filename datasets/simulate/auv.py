@@ -73,7 +73,7 @@ class DriftModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class _Drift:
     """The drift drawn for one unit."""
 
     model: DriftModel
@@ -278,7 +278,7 @@ def sum_waves(components: tuple[tuple[float, float], ...], t_s: Floats, seed: in
     return np.sum(parts, axis=0)
 
 
-def _draw_drift(model: DriftModel, seed: int) -> Drift:
+def _draw_drift(model: DriftModel, seed: int) -> _Drift:
     """Draw the gyro drift of one unit."""
     rng = make_generator(seed, "gyro/drift")
-    return Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))
+    return _Drift(model, rng.choice([-1.0, 1.0], 3), rng.uniform(0, 2 * np.pi, 3))

@@ -82,7 +82,7 @@ def wrap_angle(angle: float) -> float:
 
 
 @compiled_inside
-def find_angles(q: Quaternion) -> Vector:
+def _find_angles(q: Quaternion) -> Vector:
     """Return the z-y-x Euler angles of an attitude in rad: roll, pitch, and yaw counter-clockwise from east."""
     w, x, y, z = q
     up_x, up_y, up_z = (x * z - w * y) * 2.0, (y * z + w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0
@@ -91,9 +91,9 @@ def find_angles(q: Quaternion) -> Vector:
 
 
 @compiled_inside
-def add_angles(q: Quaternion, added_rad: Vector) -> Quaternion:
+def _add_angles(q: Quaternion, added_rad: Vector) -> Quaternion:
     """Return the attitude whose Euler angles are those of ``q`` plus the given ones."""
-    roll, pitch, yaw = find_angles(q)
+    roll, pitch, yaw = _find_angles(q)
     roll, pitch = (roll + added_rad[0]) * 0.5, (pitch + added_rad[1]) * 0.5
     zero = roll - roll
     q_level = multiply((cos(pitch), zero, sin(pitch), zero), (cos(roll), sin(roll), zero, zero))
@@ -106,7 +106,7 @@ def predict_state(before: State, fields: Fields, sample: Sample, c: Coefficients
     _, q_gyro, added, b, age_s, is_level, is_headed, n_gaps, n_gimbal, n_no_north = before
     dt_s = sample.dt_s
     if is_level and dt_s > GAP_S:
-        q_gyro, added = normalise(add_angles(q_gyro, added)), scale(added, dt_s - dt_s)
+        q_gyro, added = normalise(_add_angles(q_gyro, added)), scale(added, dt_s - dt_s)
         is_level, is_headed, n_gaps = False, False, n_gaps + 1
     age_s = min(age_s + dt_s, c.settling_s) if is_level else 0.0
     if is_level:
@@ -132,9 +132,9 @@ def begin_state(state: State, fresh: Fresh, c: Coefficients) -> State:
 def correct_state(state: State, dt_s: float, fresh: Fresh, c: Coefficients) -> State:
     """Let F(s) of (11) act on the fields' angles less the gyro's, each angle by itself."""
     fields, q_gyro, (roll, pitch, yaw), b, age_s, is_level, is_headed, n_gaps, n_gimbal, n_no_north = state
-    gyro_angles = find_angles(q_gyro)
+    gyro_angles = _find_angles(q_gyro)
     q_level = level_attitude(fields.accel_b_mps2)
-    level_angles = find_angles(q_level)
+    level_angles = _find_angles(q_level)
     rows = transition_matrix(dt_s, c)
     roll_error = wrap_angle(wrap_angle(level_angles[0] - gyro_angles[0]) - roll)
     pitch_error = wrap_angle(level_angles[1] - gyro_angles[1] - pitch)
@@ -170,4 +170,4 @@ def step(state: State, sample: Sample, c: Coefficients) -> tuple[State, Output]:
     elif fresh.accel:
         state = correct_state(state, sample.dt_s, fresh, c)
     ready = state.is_level and state.age_s >= c.settling_s
-    return state, Output(normalise(add_angles(state.q_gyro_nb, state.added_rad)), None, None, None, ready)
+    return state, Output(normalise(_add_angles(state.q_gyro_nb, state.added_rad)), None, None, None, ready)

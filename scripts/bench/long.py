@@ -94,7 +94,7 @@ def _make_pieces(hours: float, rate_hz: int, seed: int, with_truth: bool) -> Ite
         )
 
 
-def measure_verb(verb: str, path: Path) -> dict[str, float]:
+def _measure_verb(verb: str, path: Path) -> dict[str, float]:
     """Run a verb on a file in a process of its own; return wall and CPU seconds, peak memory in MB and exit code."""
     name, *options = verb.split()
     command = [sys.executable, "-c", _MEASURE, name, str(path), *options]
@@ -118,7 +118,7 @@ def _main() -> None:
         seconds, size_mb = time.perf_counter() - begun, path.stat().st_size / 1e6
         print_line(f"{path.name}: {count} samples, {size_mb:.0f} MB in {seconds:.0f} s", flush=True)
     for verb in given.verbs:
-        found = measure_verb(verb, path)
+        found = _measure_verb(verb, path)
         print_line(
             f"{verb}: {found['wall_s']:.1f} s, CPU {found['user_s']:.1f} s, peak {found['peak_mb']:.0f} MB, "
             f"exit code {found['code']:g}",

@@ -66,10 +66,10 @@ def bench_start(runs: int) -> list[Timing]:
             seconds = [float(json.loads(_time_command(_FIRST, name, NUMBA_CACHE_DIR=cache))) for _ in range(2)]
         rows.append(Timing(f"first estimate with {name}, nothing compiled", seconds[:1], None))
         rows.append(Timing(f"the next process with {name}", seconds[1:], None))
-    return [*rows, *time_verbs()]
+    return [*rows, *_time_verbs()]
 
 
-def time_verbs() -> Iterator[Timing]:
+def _time_verbs() -> Iterator[Timing]:
     """Yield, for each verb, the CPU seconds of a run with an empty cache of compiled code, and of the next run.
 
     On an idle machine they are the time to the first result; other work of the machine does not count.

@@ -24,7 +24,7 @@ def main(out: Path, page: Path = _PAGE, readme: Path = _README, figure: Path = _
     """Rewrite the tables of the page, the sentence of the README, and the figure."""
     found = json.loads((out / "fidelity.json").read_text(encoding="utf-8"))
     _replace(page, "fidelity", make_table(found))
-    _replace(page, "fidelity bias", make_bias_table(found))
+    _replace(page, "fidelity bias", _make_bias_table(found))
     _replace(readme, "fidelity", make_sentence(found))
     shutil.copyfile(out / "fidelity.png", figure)
 
@@ -52,7 +52,7 @@ def make_table(found: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def make_bias_table(found: Mapping[str, Any]) -> str:
+def _make_bias_table(found: Mapping[str, Any]) -> str:
     """Return the bias of our judge for each estimator, the smallest first."""
     bias = sorted(_find_ours(found)["bias"].items(), key=lambda item: item[1])
     names, values = [f"`{name}`" for name, _ in bias], [f"{value:.2f}" for _, value in bias]

@@ -62,7 +62,7 @@ def turn_last_return(recording: Recording, angle_deg: float) -> Recording:
     )
 
 
-def add_passing_magnets(recording: Recording, size_ut: float) -> Recording:
+def _add_passing_magnets(recording: Recording, size_ut: float) -> Recording:
     """Return the recording with a field that stands in n for 3 s out of 15, from changing sides."""
     mag, truth = _require_mag(recording), _require_truth(recording)
     t_s = (mag.t_ns - mag.t_ns[0]) / 1e9
@@ -73,7 +73,7 @@ def add_passing_magnets(recording: Recording, size_ut: float) -> Recording:
     return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + field_b))
 
 
-def put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
+def _put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
     """Return the recording with iron on the body in its second third."""
     mag = _require_mag(recording)
     share = (mag.t_ns - mag.t_ns[0]) / (mag.t_ns[-1] - mag.t_ns[0])
@@ -81,7 +81,7 @@ def put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
     return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + there[:, None] * np.asarray(iron_b_ut)))
 
 
-def keep_middle(recording: Recording, seconds: float) -> Recording:
+def _keep_middle(recording: Recording, seconds: float) -> Recording:
     """Return the middle of the recording, without the rests at its ends."""
     imu = recording.require_imu()
     middle_ns, half_ns = (imu.t_ns[0] + imu.t_ns[-1]) // 2, round(seconds * 5e8)
@@ -89,14 +89,14 @@ def keep_middle(recording: Recording, seconds: float) -> Recording:
     return replace(recording, imu=Imu(imu.t_ns[kept], imu.gyro_b_radps[kept], imu.accel_b_mps2[kept]))
 
 
-def cut_gaps(recording: Recording, length_s: float) -> Recording:
+def _cut_gaps(recording: Recording, length_s: float) -> Recording:
     """Return the recording with a gap of the IMU every 20 s."""
     imu = recording.require_imu()
     kept = ((imu.t_ns - imu.t_ns[0]) / 1e9 + 10) % 20 > length_s
     return replace(recording, imu=Imu(imu.t_ns[kept], imu.gyro_b_radps[kept], imu.accel_b_mps2[kept]))
 
 
-def slow_down(recording: Recording, rate_hz: float, averaged: bool) -> Recording:
+def _slow_down(recording: Recording, rate_hz: float, averaged: bool) -> Recording:
     """Return the recording at a lower rate: means of blocks, or the last sample of each."""
     imu = recording.require_imu()
     per = max(1, round(1e9 / rate_hz / float(np.median(np.diff(imu.t_ns)))))
@@ -106,7 +106,7 @@ def slow_down(recording: Recording, rate_hz: float, averaged: bool) -> Recording
     return replace(recording, imu=Imu(imu.t_ns[:n].reshape(-1, per)[:, -1], *kept))
 
 
-def add_noise(recording: Recording, gyro_radps: float, accel_mps2: float) -> Recording:
+def _add_noise(recording: Recording, gyro_radps: float, accel_mps2: float) -> Recording:
     """Return the recording with white noise on each sample."""
     imu = recording.require_imu()
     gyro, accel = np.random.default_rng(_SEED).standard_normal((2, len(imu.t_ns), 3))
@@ -126,15 +126,15 @@ _PLANTED: dict[str, Callable[[Recording], Recording]] = {
     "last return turned by 0.5 deg": partial(turn_last_return, angle_deg=0.5),
     "last return turned by 2.5 deg": partial(turn_last_return, angle_deg=2.5),
     "last return turned by 5 deg": partial(turn_last_return, angle_deg=5.0),
-    "magnets of 30 uT pass": partial(add_passing_magnets, size_ut=30.0),
-    "iron of 20 uT on for a third": partial(put_iron_on, iron_b_ut=(15.0, -10.0, 8.0)),
-    "the middle 40 s": partial(keep_middle, seconds=40.0),
-    "a gap of 0.3 s every 20 s": partial(cut_gaps, length_s=0.3),
-    "48 Hz, averaged": partial(slow_down, rate_hz=48.0, averaged=True),
-    "24 Hz, averaged": partial(slow_down, rate_hz=24.0, averaged=True),
-    "48 Hz, samples dropped": partial(slow_down, rate_hz=48.0, averaged=False),
-    "24 Hz, samples dropped": partial(slow_down, rate_hz=24.0, averaged=False),
-    "white noise, 1 deg/s and 0.3 m/s^2": partial(add_noise, gyro_radps=np.deg2rad(1.0), accel_mps2=0.3),
+    "magnets of 30 uT pass": partial(_add_passing_magnets, size_ut=30.0),
+    "iron of 20 uT on for a third": partial(_put_iron_on, iron_b_ut=(15.0, -10.0, 8.0)),
+    "the middle 40 s": partial(_keep_middle, seconds=40.0),
+    "a gap of 0.3 s every 20 s": partial(_cut_gaps, length_s=0.3),
+    "48 Hz, averaged": partial(_slow_down, rate_hz=48.0, averaged=True),
+    "24 Hz, averaged": partial(_slow_down, rate_hz=24.0, averaged=True),
+    "48 Hz, samples dropped": partial(_slow_down, rate_hz=48.0, averaged=False),
+    "24 Hz, samples dropped": partial(_slow_down, rate_hz=24.0, averaged=False),
+    "white noise, 1 deg/s and 0.3 m/s^2": partial(_add_noise, gyro_radps=np.deg2rad(1.0), accel_mps2=0.3),
     "gyro 5 to 8 % off": make_raw,
 }
 

@@ -31,7 +31,7 @@ _INPUTS = {"calibrated": "reference", "raw": "none"}
 
 
 @dataclass(frozen=True)
-class Search:
+class _Search:
     """The parameters of an estimator that are tuned, in which ranges, and how hard."""
 
     ranges: tuple[ParamRange, ...]
@@ -40,12 +40,12 @@ class Search:
     seconds: float | None = None  # of motion; the filters of ahrs take 0.1 to 0.5 ms a sample
 
 
-def _of(text: str, trials: int, sampler: Sampler = "tpe", seconds: float | None = None) -> Search:
-    return Search(tuple(map(ParamRange.parse, text.split())), trials, sampler, seconds)
+def _of(text: str, trials: int, sampler: Sampler = "tpe", seconds: float | None = None) -> _Search:
+    return _Search(tuple(map(ParamRange.parse, text.split())), trials, sampler, seconds)
 
 
 _KALMAN = "velocity_mps_rts=0.1:3:log field_noise_ut_rts=2:60:log"
-SEARCHES: dict[str, Search] = {
+SEARCHES: dict[str, _Search] = {
     "ekf": _of(_KALMAN, 30),
     "aekf": _of(_KALMAN, 30),
     "vqf": _of("tau_acc_s=0.5:10:log tau_mag_s=2:100:log", 30),

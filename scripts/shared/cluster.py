@@ -36,7 +36,7 @@ _LEAST_AHEAD = 64  # inputs that the scheduler knows of at a time, so that ten m
 _AHEAD_PER_THREAD = 4
 
 
-class Children(WorkerPlugin):
+class _Children(WorkerPlugin):
     """The child processes of one worker for one batch; Dask makes one on each worker, also on those that join later."""
 
     def __init__(self, function: bytes, surroundings: Surroundings, version: str) -> None:
@@ -105,7 +105,7 @@ def run_on_cluster(
     surroundings = Surroundings(workers.memory_limit, os.getcwd(), environment)
     client = _connect(workers.scheduler)
     try:
-        client.register_plugin(Children(pickle.dumps(function), surroundings, product_version()), name=name)
+        client.register_plugin(_Children(pickle.dumps(function), surroundings, product_version()), name=name)
         if not client.nthreads():
             print_line(f"stillpoint: {workers.scheduler} has no worker yet; waiting for one", sys.stderr)
         yield from _gather(client, items, name, workers.scheduler)
@@ -113,10 +113,10 @@ def run_on_cluster(
         _leave(client, name)
 
 
-def run_in_child(item: object, name: str) -> Outcome[Any]:
+def _run_in_child(item: object, name: str) -> Outcome[Any]:
     """Return the outcome of one item on the worker that runs this; the task that the scheduler knows."""
     children = get_worker().plugins[name]
-    assert isinstance(children, Children)
+    assert isinstance(children, _Children)
     return children.run(item)
 
 
@@ -138,7 +138,7 @@ def _gather(client: Client, items: Sequence[Item], name: str, address: str) -> I
     def submit(ahead: int) -> list[Future]:
         futures = []
         for _, (place, item) in zip(range(ahead), waiting, strict=False):
-            future = client.submit(run_in_child, item, name, key=f"{name}-{place}", pure=False)
+            future = client.submit(_run_in_child, item, name, key=f"{name}-{place}", pure=False)
             places[future.key] = place
             futures.append(future)
         return futures

@@ -27,7 +27,7 @@ References = Mapping[str, KeptReference]  # by recording
 
 
 @dataclass(frozen=True)
-class ReferenceJob:
+class _ReferenceJob:
     """The reference of one recording by one method."""
 
     source: Source
@@ -40,14 +40,14 @@ class ReferenceJob:
         return f"reference of {self.source.recording}"
 
 
-def _plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> ReferenceJob:
+def _plan_reference(source: Source, out: Path, store: ResultStore, method: str = DEFAULT_METHOD) -> _ReferenceJob:
     """Return the job that would make the reference of a recording."""
     middle = "" if method == DEFAULT_METHOD else f".{method}"
     target = out / "references" / f"{source.recording}{middle}.reference.mcap"
-    return ReferenceJob(source, method, target, key_of(what="reference", input=source.sha256, method=method), store)
+    return _ReferenceJob(source, method, target, key_of(what="reference", input=source.sha256, method=method), store)
 
 
-def _find_reference(job: ReferenceJob) -> KeptReference | None:
+def _find_reference(job: _ReferenceJob) -> KeptReference | None:
     """Return the reference beside the recording if it was made from it, else the one made before; None: make it."""
     beside = _read_beside(job)
     if beside is not None:
@@ -62,7 +62,7 @@ def _find_reference(job: ReferenceJob) -> KeptReference | None:
     return KeptReference(job.target, job.method, facts["sha256"])
 
 
-def _make_reference(job: ReferenceJob) -> None:
+def _make_reference(job: _ReferenceJob) -> None:
     """Make a reference and keep it, or the reason why the recording does not fix one."""
     try:
         made = attitude_reference(read_recording(job.source.file), job.method)
@@ -94,7 +94,7 @@ def find_references(
     }
 
 
-def _read_beside(job: ReferenceJob) -> KeptReference | None:
+def _read_beside(job: _ReferenceJob) -> KeptReference | None:
     """Return ``NAME.reference.mcap`` beside the recording if it is of this method and was made from this recording."""
     file = Path(job.source.file).with_name(f"{job.source.recording}.reference.mcap")
     if not file.is_file():

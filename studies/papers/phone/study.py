@@ -42,7 +42,7 @@ METHODS = (CF, CF_SLOWER, CF_LITERAL, ACC, ACC_MA, ACC_MA_CENTRED, GYRO, KALMAN,
 _LONG_METHODS = (CF, CF_SLOWER, KALMAN, KALMAN_AXIS)
 
 
-class KalmanGain(NamedTuple):
+class _KalmanGain(NamedTuple):
     """Hold the gain of the paper's Kalman filter over its CF in two hours of experiment 3 (section 4-4)."""
 
     tilt_deg: float
@@ -50,7 +50,7 @@ class KalmanGain(NamedTuple):
     time_ratio: float
 
 
-PRINTED_KALMAN_GAIN = KalmanGain(0.2, 0.5, 4.0)
+PRINTED_KALMAN_GAIN = _KalmanGain(0.2, 0.5, 4.0)
 RECORDED = "recorded"  # how the phone of a recording is moved, in place of a simulated hand
 AXES = ("roll", "pitch", "yaw")
 DRIFT_S = 60.0  # fig 10 looks at the gyro after about a minute
@@ -134,7 +134,7 @@ def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
             refused[name] = str(error)
     if not references:
         raise Unobservable(refused["benchmark"])
-    made = estimate_all(blind)
+    made = _estimate_all(blind)
     things: dict[str, Estimate | Reference] = {**made, **references}
     judges: dict[str, Reference | Truth] = dict(references)
     if recording.truth is not None:
@@ -165,7 +165,7 @@ def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
     )
 
 
-def estimate_all(recording: Recording) -> dict[str, Estimate]:
+def _estimate_all(recording: Recording) -> dict[str, Estimate]:
     """Return the estimates of all METHODS, by name."""
     made = {method: estimate(recording, name, params) for method, (name, params) in ESTIMATORS.items()}
     made[ACC_MA_CENTRED] = centre_mean(made[ACC_MA])
@@ -188,14 +188,14 @@ def centre_mean(mean: Estimate) -> Estimate:
 def _measure_drift_deg(gyro: Estimate, benchmark: Reference) -> tuple[float, float, float]:
     """Return the gyro's error in roll, pitch, yaw, DRIFT_S after it was set to the benchmark at the start of motion."""
     assert gyro.q_nb is not None
-    start = find_first_motion(benchmark)
+    start = _find_first_motion(benchmark)
     end = int(np.searchsorted(benchmark.t_ns, benchmark.t_ns[start] + round(DRIFT_S * 1e9), side="right")) - 1
     restarted = restart_integration(gyro.q_nb, benchmark.q_nb, start)
     roll, pitch, yaw = np.rad2deg(euler_error(restarted[[end]], benchmark.q_nb[[end]], "nwu")[0])
     return float(roll), float(pitch), float(yaw)
 
 
-def find_first_motion(benchmark: Reference) -> int:
+def _find_first_motion(benchmark: Reference) -> int:
     """Return the sample at which the first rest of a reference ends; 0 where it has none."""
     return int(np.searchsorted(benchmark.t_ns, benchmark.rests_ns[0, 1])) if len(benchmark.rests_ns) else 0
 
@@ -249,7 +249,7 @@ def _measure_tilt_at_start_deg(reference: Reference, truth: Truth) -> float:
 def _make_series(
     truth: Truth | None, benchmark: Reference, references: Mapping[str, Reference], made: Mapping[str, Estimate]
 ) -> Series:
-    start = find_first_motion(benchmark)
+    start = _find_first_motion(benchmark)
     zero_ns = int(benchmark.t_ns[start]) - round(LEAD_S * 1e9)
     turned: dict[str, Floats] = {name: reference.q_nb for name, reference in references.items()}
     for method, thing in made.items():
