@@ -9,10 +9,9 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from stillpoint.datasets import BadRecording, Estimate
-from stillpoint.datasets.calibration.apply import SensorCalibration, apply_calibration, calibration_of, load_calibration
+from stillpoint.datasets.calibration.apply import apply_calibration
 from stillpoint.datasets.mcap.pieces import PieceReader
-from stillpoint.datasets.mcap.store import open_trajectory, read_reference, sha256
-from stillpoint.datasets.recording import Recording
+from stillpoint.datasets.mcap.store import open_trajectory, sha256
 from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
@@ -24,7 +23,7 @@ from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import JsonFile
-from stillpoint.scripts.shared.recordings import open_recording, print_losses
+from stillpoint.scripts.shared.recordings import find_calibration, list_references, open_recording, print_losses
 
 _DEFAULT = "ekf"  # where there is an IMU: the most accurate of ours
 _COLUMNS = ("recording", "estimator", "samples", "ns per sample", "counted")
@@ -122,7 +121,7 @@ def _decide(job: _Job) -> Deciding:
     """Return what decides an estimate: recording, calibration, estimator and settings."""
     files = [job.source]
     if job.calibration == "reference":
-        files += [file for file in _list_references(job) if file.is_file()]
+        files += list_references(job.source, _list_folders(job))
     elif job.calibration != "none":
         files.append(Path(job.calibration))
     return Deciding(tuple(files), {"run": job.run, "calibration": job.calibration}, job.target)
@@ -184,7 +183,7 @@ def _run_whole(task: Task[_Job]) -> dict[str, Any]:
     job = task.item
     recording, digest = open_recording(job.source), sha256(job.source)
     task.require_unchanged(job.source.name, digest)
-    known = _find_calibration(job, recording, digest)
+    known = find_calibration(job.calibration, recording, job.source, digest, _list_folders(job))
     if known is not None:
         recording = apply_calibration(recording, known, digest)
     made = run(
@@ -208,24 +207,9 @@ def _run_whole(task: Task[_Job]) -> dict[str, Any]:
     return row
 
 
-def _list_references(job: _Job) -> list[Path]:
-    """Return where the reference of the recording may be: beside it, and in the output folder."""
-    name = f"{job.source.stem}.reference.mcap"
-    return list(dict.fromkeys((job.source.with_name(name), job.target.with_name(name))))
-
-
-def _find_calibration(job: _Job, recording: Recording, digest: str) -> SensorCalibration | None:
-    """Return the calibration to apply: of the file named, or of the recording's own reference, made if need be."""
-    if job.calibration == "none":
-        return None
-    if job.calibration != "reference":
-        return load_calibration(Path(job.calibration))
-    for file in _list_references(job):
-        if file.is_file() and digest in read_reference(file).made_from.values():
-            return load_calibration(file)
-    from stillpoint.smoother import attitude_reference
-
-    return calibration_of(replace(attitude_reference(recording), made_from={job.source.name: digest}))
+def _list_folders(job: _Job) -> tuple[Path, Path]:
+    """Return where a reference of the recording may be: beside it, and in the output folder."""
+    return job.source.parent, job.target.parent
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stillpoint.datasets.errors import require_known
+from stillpoint.datasets.calibration.apply import apply_calibration
+from stillpoint.datasets.errors import BadParameter, require_known
+from stillpoint.datasets.mcap.store import sha256
 from stillpoint.scoring.score import score_row
 from stillpoint.scripts.shared.inputs import output_dir
 from stillpoint.scripts.shared.output import STDOUT, print_line, write_json, write_text
-from stillpoint.scripts.shared.recordings import open_recording
+from stillpoint.scripts.shared.recordings import find_calibration, open_recording
 from stillpoint.scripts.shared.tables import print_table
 from stillpoint.scripts.verbs.experiments.trials import SIMULATED, Trials
 from stillpoint.studies.papers.phone.page import make_judge_rows, make_method_rows, phone_page
@@ -37,25 +39,49 @@ class _Job:
     seed: int
 
 
-def sliding(*, trials: Trials = SIMULATED) -> None:
+@dataclass(frozen=True)
+class _File:
+    path: Path
+    calibration: str  # none, reference or a file
+
+
+def sliding(*, calibration: str | None = None, trials: Trials = SIMULATED) -> None:
     """Experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
 
     Writes phone-1.experiment.html: the paper's table 2 and figures 5 to 8 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
+
+    Parameters
+    ----------
+    calibration
+        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
+        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-1", None, trials)
+    _run("phone-1", None, trials, calibration)
 
 
-def tripod(*, trials: Trials = SIMULATED) -> None:
+def tripod(*, calibration: str | None = None, trials: Trials = SIMULATED) -> None:
     """Experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
 
     Writes phone-2.experiment.html: the paper's table 3 and figures 10 to 12 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
+
+    Parameters
+    ----------
+    calibration
+        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
+        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-2", None, trials)
+    _run("phone-2", None, trials, calibration)
 
 
-def in_hand(*, hand: str | None = None, minutes: float | None = None, trials: Trials = SIMULATED) -> None:
+def in_hand(
+    *,
+    hand: str | None = None,
+    minutes: float | None = None,
+    calibration: str | None = None,
+    trials: Trials = SIMULATED,
+) -> None:
     """Experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
 
     Writes phone-3.experiment.html: the paper's table 4 and figures 13 to 15 beside ours, against the paper's benchmark,
@@ -68,12 +94,17 @@ def in_hand(*, hand: str | None = None, minutes: float | None = None, trials: Tr
         all.
     minutes
         Length of the simulated recording of the comparison with Kalman filters, by default 10; the paper's has 120.
+    calibration
+        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
+        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-3", hand, trials, _MINUTES if minutes is None and trials.recording is None else minutes)
+    _run("phone-3", hand, trials, calibration, _MINUTES if minutes is None and trials.recording is None else minutes)
 
 
-def _run(name: str, hand: str | None, trials: Trials, minutes: float | None = None) -> None:
+def _run(name: str, hand: str | None, trials: Trials, calibration: str | None, minutes: float | None = None) -> None:
     scenario, files = EXPERIMENTS[name], trials.files
+    if calibration is not None and not files:
+        raise BadParameter("--calibration: corrects your own recordings; give them by --recording")
     trials.refuse(hand=hand, minutes=minutes)
     if hand is not None:
         require_known(hand, scenario.hands, "hand")
@@ -81,23 +112,32 @@ def _run(name: str, hand: str | None, trials: Trials, minutes: float | None = No
     long_runs = time_long_run(minutes, hands[0]) if minutes else []
     folder = output_dir(trials.out)
     if files:
-        made = trials.run(_score_file, files, "recordings")
+        made = trials.run(_score_file, [_File(file, calibration or "none") for file in files], "recordings")
     else:
         made = trials.run(_run_trial, [_Job(scenario, hand, seed) for hand in hands for seed in trials.seeds], "trials")
     by_hand = {hand: [one for one in made if one.hand == hand] for hand in hands}
     page = folder / f"{name}.experiment.html"
     words = [f"stillpoint experiment {name}", *([f"--hand {hand}"] if hand else []), trials.words]
+    words += [f"--calibration {calibration}"] if calibration else []
     command = " ".join([*words, *([f"--minutes {minutes:g}"] if minutes else [])])
     write_text(page, phone_page(scenario, by_hand, long_runs, minutes or 0.0, command))
     if trials.json != STDOUT:
         _print(scenario, by_hand, long_runs, minutes or 0.0)
+        left_out = [one.name for one in made if one.mag_left_out]
+        if left_out:
+            print_line(
+                f"yaw and heading of the methods are arbitrary in {len(left_out)} of {len(made)} recordings: the "
+                "magnetometer is not calibrated; add --calibration reference, or compare roll, pitch and tilt only"
+            )
         print_line(page)
     rows = [row for one in made for row in _list_facts(one)]
     write_json(trials.json, rows + [{"minutes": minutes, **asdict(run)} for run in long_runs])
 
 
-def _score_file(file: Path) -> Trial:
-    return score_trial(open_recording(file))
+def _score_file(file: _File) -> Trial:
+    recording, digest = open_recording(file.path), sha256(file.path)
+    known = find_calibration(file.calibration, recording, file.path, digest, (file.path.parent,))
+    return score_trial(recording, corrected=None if known is None else apply_calibration(recording, known, digest))
 
 
 def _run_trial(job: _Job) -> Trial:

@@ -107,6 +107,7 @@ def phone_page(
         recorded=RECORDED in trials,
         has_benchmark=all(_find_judge(some) == "benchmark" for some in trials.values()),
         has_truth=all(_has_truth(some) for some in trials.values()),
+        mag_left_out=[one.name for some in trials.values() for one in some if one.mag_left_out],
         gain={name: f"{int(some.sum())}" for name, some in below.items()}
         | {"count": len(below["printed"]), "low": f"{LOWEST_HZ:g}", "high": f"{HIGHEST_HZ:g}"},
         gains=_draw_gain_picture(),

@@ -100,6 +100,7 @@ class Trial:
     params: Mapping[str, Mapping[str, Any]]
     series: Series
     map_deg: Floats  # CF's RMSE of roll, pitch, yaw against the benchmark over its parameters (K, L, 3)
+    mag_left_out: bool  # the methods did not use the magnetometer, which is not calibrated
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,10 @@ def run_trial(scenario: Scenario, hand: str, seed: int) -> Trial:
     return score_trial(simulate(scenario.hands[hand], seed=seed), hand)
 
 
-def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
+def score_trial(recording: Recording, hand: str = RECORDED, corrected: Recording | None = None) -> Trial:
     """Make both references of a recording and score all methods against them, and against its truth if it has one.
 
+    The methods run on ``corrected``, the same samples as a calibrated sensor would give them, where that is given.
     Where the recording does not begin at rest or never returns to its base pose there is no benchmark; the graph then
     stands for it. Raises :class:`Unobservable` where there is no graph either, and :class:`BadRecording` where there is
     no IMU.
@@ -134,7 +136,8 @@ def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
             refused[name] = str(error)
     if not references:
         raise Unobservable(refused["benchmark"])
-    made = _estimate_all(blind)
+    seen = blind if corrected is None else replace(corrected, base_pose=None, truth=None)
+    made = _estimate_all(seen)
     things: dict[str, Estimate | Reference] = {**made, **references}
     judges: dict[str, Reference | Truth] = dict(references)
     if recording.truth is not None:
@@ -161,7 +164,8 @@ def score_trial(recording: Recording, hand: str = RECORDED) -> Trial:
         _measure_drift_deg(made[GYRO], benchmark),
         {name: dict(thing.params) for name, thing in things.items()},
         _make_series(recording.truth, benchmark, references, made),
-        map_errors_deg(blind, benchmark),
+        map_errors_deg(seen, benchmark),
+        seen.info.mag_uncalibrated,
     )
 
 

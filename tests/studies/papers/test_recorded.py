@@ -1,9 +1,12 @@
 """``stillpoint experiment … --recording``: the papers' protocols on files, here simulated ones with known truth."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadRecording
 from stillpoint.datasets.recording import Gps
 from stillpoint.datasets.simulate import simulate
@@ -45,6 +48,27 @@ def test_where_the_redistribution_refuses_the_graph_alone_judges(call, tmp_path)
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
     assert {row["against"] for row in rows if "against" in row} == {"graph", "truth"}
     assert "The error of the graph" in (tmp_path / "phone-1.experiment.html").read_text(encoding="utf-8")
+
+
+def test_a_raw_magnetometer_leaves_the_yaw_arbitrary_and_the_page_says_how_to_correct_it(call, tmp_path, capsys):
+    recording = simulate("phone-2", seed=0, minutes=1.5)
+    assert recording.mag is not None
+    iron_b_ut = np.array([90.0, -60.0, 40.0])
+    mag = replace(recording.mag, mag_b_ut=recording.mag.mag_b_ut + iron_b_ut)
+    raw = tmp_path / "raw.mcap"
+    write(raw, replace(recording, mag=mag, info=replace(recording.info, mag_uncalibrated=True)))
+    words = ("experiment", "phone-2", "--recording", raw, "--jobs", "1", "-o", tmp_path)
+    yaw_deg = {}
+    for calibration in ("none", "reference"):
+        assert call(*words, "--calibration", calibration, "--json", tmp_path / "facts.json") == 0
+        rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
+        (kalman,) = [r for r in rows if r["method"] == "Kalman" and r.get("against") == "truth"]
+        yaw_deg[calibration] = kalman["yaw_rmse_deg"]
+        page = (tmp_path / "phone-2.experiment.html").read_text(encoding="utf-8")
+        assert ("arbitrary in 1 of the recordings" in page) == (calibration == "none")
+        assert ("arbitrary in 1 of 1 recordings" in capsys.readouterr().out) == (calibration == "none")
+    assert yaw_deg["reference"] < 5 < yaw_deg["none"]
+    assert call("experiment", "phone-1", "--calibration", "reference", "-o", tmp_path) == 2
 
 
 def test_the_swings_of_a_servo_are_found_in_the_rate(files, call, tmp_path):
