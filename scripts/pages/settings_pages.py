@@ -10,8 +10,9 @@ from pathlib import Path
 
 from stillpoint.datasets.settings import Settings, describe
 from stillpoint.filters import ESTIMATORS
+from stillpoint.filters.c.export import EXPORTED
 from stillpoint.filters.front import guard, heading_source
-from stillpoint.filters.table import find_estimator
+from stillpoint.filters.table import Estimator, SpinEstimator, find_estimator
 from stillpoint.smoother import METHODS, ROLL_METHODS
 
 _PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
@@ -55,11 +56,14 @@ def find_family(name: str) -> str:
 
 
 def _list_estimators() -> str:
-    lines = ["| name | what | sees the future |", "|---|---|---|"]
+    lines = ["| name | what | covariance | live | C |", "|---|---|---|---|---|"]
     for name, entry in ESTIMATORS.items():
         peer = "peer: " if entry.is_peer else ""
-        page, sees = f"estimators-{find_family(name)}.md", "yes" if entry.offline else "no"
-        lines.append(f"| [`{name}`]({page}#{name}) | {peer}{entry.summary} | {sees} |")
+        states = isinstance(entry, SpinEstimator) or (isinstance(entry, Estimator) and entry.gives_cov)
+        live = "no: sees the future" if entry.offline else "no" if entry.is_peer else "yes"
+        answers = "yes" if states else "no", live, "yes" if name in EXPORTED else "no"
+        page = f"estimators-{find_family(name)}.md"
+        lines.append(f"| [`{name}`]({page}#{name}) | {peer}{entry.summary} | {' | '.join(answers)} |")
     return "\n".join(lines) + "\n"
 
 
