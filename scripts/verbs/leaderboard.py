@@ -21,6 +21,7 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document, write_text
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.studies.leaderboard import Leaderboard, Row, Study, Summary, Table, read_study, run_study, study_toml
+from stillpoint.studies.leaderboard.run import find_study_entrants
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.study import Against, map_own_file
 from stillpoint.studies.publish.curves import read_entries
@@ -115,6 +116,7 @@ def leaderboard(
         Also write the leaderboard as JSON to this file; - is the standard output.
     """
     asked = _study(paths, estimators, against, align, calibration, groups, set_, study, archive)
+    find_study_entrants(asked)  # a wrong name ends the command before anything is written
 
     computed: list[int] = []
 

@@ -119,8 +119,8 @@ def _find_entrant(name: str | Own, labels: Sequence[str], params: Mapping[str, M
     if name == "device":
         raise BadParameter("device: no recording has its device's own orientation beside it (NAME.device.*)")
     raise BadParameter(
-        f"no estimator {name!r}, and no file NAME.{name}.tum, .csv, .mcap or .bag beside a recording; "
-        f"{nearest(name, [*ATTITUDES, *labels])}; one's own is FILE.py:NAME or MODULE:NAME"
+        f"no estimator {name!r}, and no file NAME.{name}.tum, .csv, .mcap or .bag beside a recording; write your own "
+        f"estimator as FILE.py:NAME or MODULE:NAME; {nearest(name, [*ATTITUDES, *labels])}"
     )
 
 

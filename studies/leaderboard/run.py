@@ -13,7 +13,7 @@ from stillpoint.scoring import AlignKind
 from stillpoint.studies.job_runner import JobRunner, run_here
 from stillpoint.studies.leaderboard.board import Leaderboard, Run, Source, Table
 from stillpoint.studies.leaderboard.cells import Line, has_missing, list_lines, make_estimates, plan_cells, score_cells
-from stillpoint.studies.leaderboard.entrants import Own, default_estimators, find_entrants, labels_beside
+from stillpoint.studies.leaderboard.entrants import Entrant, Own, default_estimators, find_entrants, labels_beside
 from stillpoint.studies.leaderboard.files import without_trajectories
 from stillpoint.studies.leaderboard.judges import TRUTH, find_judge, needs_reference
 from stillpoint.studies.leaderboard.ranking import build_tables
@@ -85,6 +85,16 @@ def leaderboard(
         return run_study(study, folder, run_jobs, objects)
 
 
+def find_study_entrants(study: Study, objects: Sequence[Own] = ()) -> list[Entrant]:
+    """Return the entrants of a study, with estimators that were given from Python; writes nothing.
+
+    Raises :class:`BadParameter` for an estimator or a parameter that does not exist.
+    """
+    wanted: list[str | Own] = [*study.estimators, *objects] or list(default_estimators())
+    files = without_trajectories([Path(name) for name in study.recordings])
+    return find_entrants(wanted, labels_beside(files), study.params)
+
+
 def run_study(
     study: Study,
     out: Path,
@@ -97,12 +107,11 @@ def run_study(
     ``objects`` are estimators given from Python. Where slow estimators (loops in Python) are among others,
     ``publish`` gets the leaderboard of the fast ones before the slow ones are run.
     """
+    entrants = find_study_entrants(study, objects)
     store = ResultStore(out / RESULTS)
     files = without_trajectories([Path(name) for name in study.recordings])
     sources = survey_sources(files, store)
     _require_unchanged(study, sources)
-    wanted: list[str | Own] = [*study.estimators, *objects] or list(default_estimators())
-    entrants = find_entrants(wanted, labels_beside(files), study.params)
     complete = replace(
         study,
         recordings=tuple(map(str, files)),

@@ -317,3 +317,9 @@ def test_verb_writes_leaderboard_and_study_that_repeats_it(call, capsys, folder,
 
 def test_verb_ends_with_2_when_nothing_is_scored(call, folder, files, tmp_path):
     assert call("leaderboard", files[1], "-e", f"{folder}/own.py:Broken", "-o", tmp_path / "out") == 2
+
+
+def test_a_wrong_estimator_ends_the_verb_before_it_makes_a_folder(call, files, tmp_path, capsys):
+    assert call("leaderboard", files[1], "-e", "ekff", "-o", tmp_path / "out") == 2
+    assert "did you mean 'ekf'?" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
