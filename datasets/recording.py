@@ -86,8 +86,17 @@ def freeze(obj: object, **arrays: object) -> None:
         object.__setattr__(obj, name, array)
 
 
-@dataclass(frozen=True, eq=False)
-class Imu:
+class _Stamped:
+    """Show a stream in one line instead of its arrays."""
+
+    t_ns: Times
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {describe_times(self.t_ns)}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Imu(_Stamped):
     """Gyro and accelerometer of one body on one clock, N samples. All rows are finite."""
 
     t_ns: Times
@@ -101,8 +110,8 @@ class Imu:
         freeze(self, t_ns=t, gyro_b_radps=gyro, accel_b_mps2=accel)
 
 
-@dataclass(frozen=True, eq=False)
-class Mag:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mag(_Stamped):
     """Magnetometer on its own clock, N samples. All rows are finite."""
 
     t_ns: Times
@@ -113,8 +122,8 @@ class Mag:
         freeze(self, t_ns=t, mag_b_ut=check_floats("mag", "mag_b_ut", self.mag_b_ut, (len(t), 3)))
 
 
-@dataclass(frozen=True, eq=False)
-class Gps:
+@dataclass(frozen=True, eq=False, repr=False)
+class Gps(_Stamped):
     """Satellite fixes on their own clock. Rows with ``valid`` False, and altitude, course and speed, may be NaN."""
 
     t_ns: Times
@@ -173,8 +182,8 @@ class SpinGeometry:
         freeze(self, accel_r_b_m=arms, accel_axis_b=axes, gyro_axis_b=gyros)
 
 
-@dataclass(frozen=True, eq=False)
-class Spin:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spin(_Stamped):
     """Single-axis accelerometers and gyros of a fast-spinning body on one clock; NaN where a sensor gave no value."""
 
     t_ns: Times
@@ -192,8 +201,8 @@ class Spin:
         freeze(self, t_ns=t, accel_mps2=accel, gyro_radps=gyro)
 
 
-@dataclass(frozen=True, eq=False)
-class Encoder:
+@dataclass(frozen=True, eq=False, repr=False)
+class Encoder(_Stamped):
     """Angle and rate about the spin axis on their own clock: of a shaft encoder, or the truth of a simulation."""
 
     t_ns: Times
@@ -207,8 +216,8 @@ class Encoder:
         freeze(self, t_ns=t, angle_rad=angle, rate_radps=rate)
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(_Stamped):
     """Independent truth (optical, or by construction) on its own clock; a gap is a missing sample, never a NaN row.
 
     Positions may be NaN where only the attitude is known.
@@ -229,8 +238,8 @@ class Truth:
         freeze(self, t_ns=t, q_nb=q_nb, moving=moving, position_n_m=position)
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
+@dataclass(frozen=True, eq=False, repr=False)
+class Series(_Stamped):
     """Any other sensor on its own clock: N rows of k numbers, for factors that users add. Values may be NaN."""
 
     t_ns: Times
@@ -359,6 +368,10 @@ class Recording:
         imu = Imu(t_ns, np.asarray(gyro_b_radps), np.asarray(accel_b_mps2))
         return cls(name, imu=imu, mag=mag, truth=truth, info=Info(**info))
 
+    def __repr__(self) -> str:
+        streams = "; ".join(f"{name} {describe_times(t_ns)}" for name, t_ns in self.streams())
+        return f"<Recording {self.name}: {streams}>"
+
     def require_imu(self) -> Imu:
         """Return the IMU stream; raises :class:`BadRecording` when this recording has none."""
         if self.imu is None:
@@ -394,3 +407,9 @@ def _list_streams(holder: Piece | Recording) -> Iterator[tuple[str, Times]]:
 def rate_hz(t_ns: Times) -> float:
     """Return samples per second by the median step; 0 for a single sample."""
     return 0.0 if len(t_ns) < 2 else 1e9 / float(np.median(np.diff(t_ns)))
+
+
+def describe_times(t_ns: Times) -> str:
+    """Return number, rate and length of a stream in words."""
+    length_s = (int(t_ns[-1]) - int(t_ns[0])) / 1e9
+    return f"{len(t_ns)} samples at {rate_hz(t_ns):.4g} Hz, {length_s:.1f} s"

@@ -19,6 +19,7 @@ from stillpoint.datasets.recording import (
     check_floats,
     check_quaternions,
     check_times,
+    describe_times,
     freeze,
 )
 
@@ -106,6 +107,15 @@ class Reference:
                 raise BadRecording(f"reference.{name}: a variance is not positive; a reference states its accuracy")
             freeze(self, **{name: array})
 
+    def __repr__(self) -> str:
+        sd_deg, heading_deg = np.rad2deg([np.median(total_sd_rad(self.cov_b_rad2)), self.heading_sd_rad])
+        words = f"{describe_times(self.t_ns)}; sd of the attitude {sd_deg:.2g} deg (median)"
+        words += f", of the heading that all share {heading_deg:.2g} deg" if self.heading_sd_rad else ""
+        kept = sum(one.accepted for one in self.returns)
+        returns = f", {kept} of {len(self.returns)} returns to the base pose used" if self.returns else ""
+        position = "; with position and velocity" if self.position_n_m is not None else ""
+        return f"<Reference of {self.name} by {self.method}: {words}; {len(self.rests_ns)} rests{returns}{position}>"
+
     @property
     def velocity_b_mps(self) -> Floats | None:
         """The velocity (N, 3) in body axes, as ROS states the twist of a child frame; None where there is none."""
@@ -152,6 +162,11 @@ class SpinReference:
         names = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
         columns = {name: check_floats("roll reference", name, getattr(self, name), (len(t),)) for name in names}
         freeze(self, t_ns=t, **columns)
+
+    def __repr__(self) -> str:
+        sd_deg = np.rad2deg(np.median(self.angle_sd_rad))
+        words = f"{describe_times(self.t_ns)}; sd {sd_deg:.2g} deg (median of the angle)"
+        return f"<SpinReference of {self.name} by {self.method}: {words}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,3 +216,9 @@ class Estimate:
         if self.ready is not None:
             freeze(self, ready=check_bools("estimate", "ready", self.ready, n))
         freeze(self, t_ns=t)
+
+    def __repr__(self) -> str:
+        names = ("q_nb", "angle_rad", "rate_radps", "cov_b_rad2", "gyro_bias_b_radps", "ready")
+        columns = ", ".join(name for name in names if getattr(self, name) is not None)
+        of = f" of {self.recording}" if self.recording else ""
+        return f"<Estimate {self.name}{of}: {describe_times(self.t_ns)}; {columns}>"

@@ -142,3 +142,18 @@ def test_gps_may_miss_course_but_a_valid_fix_has_a_place() -> None:
     assert fix.valid.tolist() == [True, False]
     with pytest.raises(BadRecording, match="mark it as not valid"):
         Gps(t_ns, np.array([50.0, np.nan]), np.array([8.0, np.nan]), nan, nan, nan, np.array([True, True]))
+
+
+def test_recordings_and_results_show_themselves_in_one_line() -> None:
+    t_ns = np.arange(0, 2_000_000_000, 10_000_000)
+    n = len(t_ns)
+    q_nb = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    still = np.tile([0.0, 0.0, 9.81], (n, 1))
+    recording = Recording("walk", imu=Imu(t_ns, np.zeros((n, 3)), still))
+    assert repr(recording) == "<Recording walk: imu 200 samples at 100 Hz, 2.0 s>"
+    assert repr(recording.imu) == "<Imu: 200 samples at 100 Hz, 2.0 s>"
+    covariance = np.tile(np.diag([3e-4, 4e-4, 5e-4]), (n, 1, 1))  # a total sd of sqrt(12e-4) rad = 1.98 deg
+    reference = Reference(t_ns, q_nb, covariance, np.zeros((n, 3)), "graph", "walk", heading_sd_rad=np.deg2rad(4.0))
+    for part in ("walk by graph", "sd of the attitude 2 deg (median)", "heading that all share 4 deg", "0 rests"):
+        assert part in repr(reference)
+    assert "q_nb, cov_b_rad2" in repr(Estimate(t_ns, "mine", q_nb=q_nb, cov_b_rad2=covariance))
