@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from cyclopts import Parameter
+
 from stillpoint.datasets.calibration.apply import apply_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
 from stillpoint.datasets.mcap.store import sha256
@@ -32,6 +34,24 @@ _COLUMNS = ("moved", "against", "method", "roll, deg", "pitch, deg", "yaw, deg",
 _MINUTES = 10.0  # of the comparison with Kalman filters, by default
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Correction:
+    """How your own recordings are corrected before the methods see them.
+
+    Parameters
+    ----------
+    calibration
+        Of --recording. none, the default: the methods see the samples as recorded. reference: first corrected by what
+        the graph found about the sensor, as by estimate. Or a file with a calibration.
+    """
+
+    calibration: str | None = None
+
+
+AS_RECORDED = Correction()
+
+
 @dataclass(frozen=True)
 class _Job:
     scenario: Scenario
@@ -45,41 +65,29 @@ class _File:
     calibration: str  # none, reference or a file
 
 
-def sliding(*, calibration: str | None = None, trials: Trials = SIMULATED) -> None:
+def sliding(*, correction: Correction = AS_RECORDED, trials: Trials = SIMULATED) -> None:
     """Experiment 1 of Elmi Aziz and Mohseni Araste 2021: a phone slid over a table.
 
     Writes phone-1.experiment.html: the paper's table 2 and figures 5 to 8 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
-
-    Parameters
-    ----------
-    calibration
-        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
-        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-1", None, trials, calibration)
+    _run("phone-1", None, trials, correction)
 
 
-def tripod(*, calibration: str | None = None, trials: Trials = SIMULATED) -> None:
+def tripod(*, correction: Correction = AS_RECORDED, trials: Trials = SIMULATED) -> None:
     """Experiment 2 of Elmi Aziz and Mohseni Araste 2021: a phone on a tripod, and its gyro.
 
     Writes phone-2.experiment.html: the paper's table 3 and figures 10 to 12 beside ours, against the paper's benchmark,
     the graph and the truth, the error of the benchmark itself, and the errors of CF over its two parameters.
-
-    Parameters
-    ----------
-    calibration
-        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
-        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-2", None, trials, calibration)
+    _run("phone-2", None, trials, correction)
 
 
 def in_hand(
     *,
     hand: str | None = None,
     minutes: float | None = None,
-    calibration: str | None = None,
+    correction: Correction = AS_RECORDED,
     trials: Trials = SIMULATED,
 ) -> None:
     """Experiment 3 of Elmi Aziz and Mohseni Araste 2021: a phone in the hand, CF and Kalman filters.
@@ -94,15 +102,12 @@ def in_hand(
         all.
     minutes
         Length of the simulated recording of the comparison with Kalman filters, by default 10; the paper's has 120.
-    calibration
-        Of your own recordings. none, the default: the methods see the samples as recorded. reference: first corrected
-        by what the graph found about the sensor, as by estimate. Or a file with a calibration.
     """
-    _run("phone-3", hand, trials, calibration, _MINUTES if minutes is None and trials.recording is None else minutes)
+    _run("phone-3", hand, trials, correction, _MINUTES if minutes is None and trials.recording is None else minutes)
 
 
-def _run(name: str, hand: str | None, trials: Trials, calibration: str | None, minutes: float | None = None) -> None:
-    scenario, files = EXPERIMENTS[name], trials.files
+def _run(name: str, hand: str | None, trials: Trials, correction: Correction, minutes: float | None = None) -> None:
+    scenario, files, calibration = EXPERIMENTS[name], trials.files, correction.calibration
     if calibration is not None and not files:
         raise BadParameter("--calibration: corrects your own recordings; give them by --recording")
     trials.refuse(hand=hand, minutes=minutes)
