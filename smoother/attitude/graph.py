@@ -2,7 +2,7 @@
 
     gather   rests, returns to the base pose, states, start value, field and satellite fixes     evidence.py
     solve    Gauss-Newton over the whole recording, or over overlapping windows of a long one    windows.py, solve.py
-    judge    can a real sensor have produced this solution?                                      plausibility.py
+    judge    can a real sensor have produced this solution?                                      plausibility.py, trial.py
     report   attitude and covariance at every sample, calibration, diagnostics                   report.py
 
 The factors stand in factors.py, magnetometer.py and satellite.py.
@@ -34,6 +34,7 @@ from stillpoint.smoother.attitude.report import report_reference
 from stillpoint.smoother.attitude.returns import contradicts_lone_return, reject_lone_return
 from stillpoint.smoother.attitude.samples.every_sample import join_pieces
 from stillpoint.smoother.attitude.solve import NoOptimum
+from stillpoint.smoother.attitude.trial import find_trial
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 from stillpoint.smoother.base_pose import Returns
 from stillpoint.smoother.known_calibration import correct_recording, express_in_raw_readings
@@ -58,8 +59,11 @@ def make_attitude_reference(
     evidence = gather_evidence(recording, params, generators)
     solved: Solved | None = None
     left_out: str | None = None
+    priors, disturbed = _choose_priors(recording, evidence, priors_to_try(params, evidence))
     try:
-        solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence))
+        if disturbed:
+            raise Contradiction(recording.name, disturbed, of_field=True)
+        solved = _solve_with_priors(recording, evidence, priors)
         refuse_disturbed_field(solved.fit, recording.name, solved.params)
     except (Contradiction, NoOptimum) as contradiction:
         try:
@@ -67,8 +71,9 @@ def make_attitude_reference(
                 recording, params, generators, contradiction
             )
         except Unobservable:
-            if solved is None:
+            if solved is None and not disturbed:
                 raise
+            solved = solved or _solve_with_priors(recording, evidence, priors)
     refuse_wrong_axes(recording, solved.fit.field_inlier_share)
     known = _find_far_calibration(evidence, solved)
     if known is not None:
@@ -149,6 +154,29 @@ def _try_restored(recording: Recording, evidence: Evidence, solved: Solved) -> t
         return evidence, solved
     rise = sum(piece.cost for piece in again.pieces) - sum(piece.cost for piece in solved.pieces)
     return (restored, again) if rise < _RESTORED_COST * len(solved.pieces) else (evidence, solved)
+
+
+def _choose_priors(
+    recording: Recording, evidence: Evidence, priors: list[SensorPriors]
+) -> tuple[list[SensorPriors], str]:
+    """Return the priors that are left to try, and how a part of a long recording shows a disturbed field, "" if not.
+
+    If that part finds the field disturbed with all priors, the narrowest that it does not contradict is left. Without
+    a verdict of such a part, all priors are.
+    """
+    trial = find_trial(evidence, priors[0].params)
+    if trial is None:
+        return priors, ""
+    try:
+        tried = _solve_with_priors(recording, trial, priors)
+    except Unobservable:
+        return priors, ""
+    chosen = next(k for k, prior in enumerate(priors) if prior.params is tried.params)
+    found = describe_disturbed_field(tried.fit, tried.params)
+    if not found:
+        return priors[chosen:], ""
+    seconds = evidence.keys.t_s[trial.keys.states.stop - 1] - evidence.keys.t_s[0]
+    return priors[chosen : chosen + 1], f"in its first {seconds:.0f} s {found}"
 
 
 def _solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:

@@ -128,6 +128,11 @@ def compute_weights(residual: Floats, scale_ut: float, params: FieldParams) -> F
     return 1 / (1 + np.sum(residual**2, axis=1) / (params.robust * scale_ut) ** 2)
 
 
+def find_inliers(residual: Floats, params: FieldParams) -> NDArray[np.bool_]:
+    """Return which residuals (K, 3) in uT keep more than half of the root of their weight, (K,)."""
+    return compute_weights(residual, params.sd_ut, params) > 0.5
+
+
 def linearise_measurements(
     measured: FieldMeasurements,
     rotations: Floats,

@@ -29,7 +29,7 @@ from stillpoint.smoother.attitude.build import Graph
 from stillpoint.smoother.attitude.chain import split_squares
 from stillpoint.smoother.attitude.evidence import Evidence, with_free_priors
 from stillpoint.smoother.attitude.keys import Keys
-from stillpoint.smoother.attitude.magnetometer import compute_weights
+from stillpoint.smoother.attitude.magnetometer import find_inliers
 from stillpoint.smoother.attitude.outside.added import ADDED, CONTRADICTS
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import NoOptimum, Solution
@@ -38,7 +38,7 @@ _IMU_LIMIT = 0.025  # mean square of the IMU's residuals in motion, relative to 
 _SURPRISE_LIMIT_SD = 2.0  # of the gyro's calibration; good sensors: 0.4 to 1.8, a phone's gyro 5 % off: 6.5
 _LEAST_LEARNT = 0.01  # share of an element's prior variance: less is lost in rounding
 _PRIOR_LIMIT_SD = 5.0  # largest deviation of calibration and biases, in sd of their priors
-_INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, but with a small median residual
+INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.57, but with a small median residual
 _USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there is no field to speak of
 _MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
 _RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
@@ -118,7 +118,7 @@ def measure_fit(graph: Graph, added: int, solution: Solution, keys: Keys, params
     residual = solution.field_residual_ut
     if residual is None:
         return Fit(squares, None, None)
-    inlier = compute_weights(residual, params.magnetic.sd_ut, params.magnetic) > 0.5
+    inlier = find_inliers(residual, params.magnetic)
     return Fit(squares, float(inlier.mean()), float(np.median(np.linalg.norm(residual, axis=1))))
 
 
@@ -179,7 +179,7 @@ def describe_disturbed_field(fit: Fit, params: GraphParams) -> str:
         return ""
     raw = params.inertial.gyro_matrix_sd >= params.inertial.raw_matrix_sd
     limit_sd = _RAW_MISFIT_LIMIT_SD if raw else _MISFIT_LIMIT_SD
-    if fit.field_inlier_share >= _INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
+    if fit.field_inlier_share >= INLIER_SHARE or fit.field_misfit_ut <= limit_sd * params.magnetic.sd_ut:
         return ""
     return (
         f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
@@ -196,7 +196,7 @@ def refuse_disturbed_field(fit: Fit, name: str, params: GraphParams) -> None:
 
 def refuse_fixes(believed: NDArray[np.bool_], name: str) -> None:
     """Raise :class:`Contradiction` when most of a window's satellite fixes (K,) lose their weight."""
-    if len(believed) and believed.mean() < _INLIER_SHARE:
+    if len(believed) and believed.mean() < INLIER_SHARE:
         useless = 100 * (1 - believed.mean())
         raise Contradiction(name, f"the satellite fixes contradict gyro and accelerometer ({useless:.0f} % are off)")
 
@@ -252,7 +252,7 @@ def refuse_wrong_axes(recording: Recording, inlier_share: float | None) -> None:
 
     At rest any axes fit: in a recording that mostly rests, the misfits in motion are too few to show.
     """
-    if inlier_share is not None and inlier_share < _INLIER_SHARE and not _axes_fit(recording):
+    if inlier_share is not None and inlier_share < INLIER_SHARE and not _axes_fit(recording):
         useless = 100 * (1 - inlier_share)
         found = f"the magnetometer's axes do not turn as the gyro's ({useless:.0f} % are useless)"
         raise Contradiction(recording.name, found, of_field=True)

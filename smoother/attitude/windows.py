@@ -132,16 +132,17 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
 def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
     """Return for each window its first state, the first state of the next window, and its end.
 
-    All windows have the same length, at most ``window_s``.
+    All windows have the same length, at most ``window_s``. Keys that hold a part of the states begin with the first.
     """
-    n, length_s = len(keys.t_s), keys.t_s[-1] - keys.t_s[0]
+    n = keys.states.stop
+    length_s = keys.t_s[n - 1] - keys.t_s[0]
     overlap_s = min(params.overlap_s, params.window_s / 2)
     count = int(np.ceil((length_s - overlap_s) / (params.window_s - overlap_s)))
     if count <= 1:
         return [(0, n, n)]
     begin_s = keys.t_s[0] + (length_s - overlap_s) / count * np.arange(count)
-    first = np.append(np.searchsorted(keys.t_s, begin_s), n)
-    end = np.append(np.searchsorted(keys.t_s, begin_s[1:] + overlap_s), n)
+    first = np.append(np.searchsorted(keys.t_s[:n], begin_s), n)
+    end = np.append(np.searchsorted(keys.t_s[:n], begin_s[1:] + overlap_s), n)
     end[:-1] = np.minimum(np.maximum(end[:-1], first[1:-1] + _LEAST_OVERLAP), n)  # a gap may take up the overlap
     windows = np.flatnonzero(np.diff(first) > 0)  # or a whole window
     return [(int(first[k]), int(first[k + 1]), int(end[k])) for k in windows]
