@@ -1,6 +1,6 @@
 """Find the field of a long recording disturbed without solving the whole recording for every prior of the sensors.
 
-The start value tells a disturbed field from a gyro that is off, because its blocks of 12 s take attitudes from field and
+The start value tells a disturbed field from a gyro that is off: its blocks of 12 s take attitudes from field and
 specific force and carry no error on. With a gyro 8 % off, 0.996 of the readings lie within 12 uT of it (a simulated
 hour); in a field that wanders by 10 uT, 0.31 do. Where it finds the field disturbed, a part of the recording tries all
 priors, and the verdict on that part counts for the whole.
