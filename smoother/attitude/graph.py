@@ -2,7 +2,7 @@
 
     gather   rests, returns to the base pose, states, start value, field and satellite fixes     evidence.py
     solve    Gauss-Newton over the whole recording, or over overlapping windows of a long one    windows.py, solve.py
-    judge    can a real sensor have produced this solution?                                      plausibility.py, trial.py
+    judge    can a real sensor have produced this solution?                                      plausibility.py
     report   attitude and covariance at every sample, calibration, diagnostics                   report.py
 
 The factors stand in factors.py, magnetometer.py and satellite.py.
