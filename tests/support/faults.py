@@ -31,28 +31,38 @@ SEED = 16
 
 HEAD = """# Faults
 
-What becomes of files when a process is killed, a disk is full or an input changes: what was done, and what was seen.
-`make faults` does it all on small recordings, and writes this page; its exit code is 1 when a row is not clean.
+This page shows what happens to files when a process is killed, a disk is full or an input changes. `make faults` does
+all of it on small recordings and writes this page. Its exit code is 1 when a row is not clean.
 
-The promise: a file is there whole or not at all; what was reported done stays; an error is one line and exit code 2;
-what a killed process left in a folder is gone after the next command that writes there.
+stillpoint promises four things:
+
+1. A file is there whole or not at all.
+2. Results that were reported as done remain.
+3. An error is one line, with exit code 2.
+4. The next command that writes into a folder removes what a killed process left there.
 
 ## Killed while writing
 
-Every command runs in a folder and is killed (SIGKILL): three of four times as soon as it has made its first, second, …
-new file and up to 30 ms later, one of four at any time. Every second time the folder holds the results of an earlier
-run. *Hits* are the kills that left a part of a file. *Broken*: a file with its final name that is not whole. *Lost*: a
-file of the earlier run, or one that was reported, that is not there. *Debris*: parts that are still there after the
-same command has run again. *Other*: its results are not those of an undisturbed run, bit for bit where two undisturbed
-runs agree; of estimates, which carry the time that they took, the samples.
-*Stay*: processes that outlive their parent. *Not flushed*: files that an undisturbed run does not flush to
-the disk (fsync) in its own process.
+Every command runs in a folder and is killed (SIGKILL). Three of four kills come up to 30 ms after it has made its
+first, second, … new file, one of four at any time. In every second run the folder has the results of an earlier run.
+
+| column | counts |
+|---|---|
+| hits | kills that left a part of a file |
+| broken | files with their final name that are not whole |
+| lost | files of the earlier run, or reported files, that are missing |
+| debris | parts that are still there after the same command has run again |
+| other | results that differ from those of an undisturbed run where two undisturbed runs agree; see below |
+| stay | processes that outlive their parent |
+| not flushed | files that an undisturbed run does not flush to the disk (fsync) in its own process |
+
+Results are compared bit for bit. Estimates contain the time that they took, so only their samples are compared.
 """
 
 MIDDLE = """
 ## What else can go wrong
 
-*Seen* is the number of runs that did as wanted.
+*Seen* is the number of runs with the wanted result.
 """
 
 TAIL = """
