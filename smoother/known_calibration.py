@@ -10,7 +10,8 @@ import numpy as np
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording
-from stillpoint.datasets.trajectory import Calibration, Reference
+from stillpoint.datasets.trajectory import Calibration
+from stillpoint.smoother.long_reference import Columns, LongReference
 
 _IDENTITY = np.eye(3)
 
@@ -28,9 +29,9 @@ def correct_recording(recording: Recording, known: Calibration) -> Recording:
     return replace(changed, mag=Mag(mag.t_ns, field))
 
 
-def express_in_raw_readings(made: Reference, known: Calibration) -> Reference:
+def express_in_raw_readings(made: LongReference, known: Calibration) -> LongReference:
     """Return the reference of a corrected recording, with calibration and gyro bias as of the readings before."""
-    found = made.calibration
+    found: Calibration = made.facts["calibration"]
     gyro, accel, magnet = (_matrix(m) for m in (known.gyro_matrix, known.accel_matrix, known.mag_matrix))
     iron = None
     if found.hard_iron_b_ut is not None:
@@ -44,8 +45,12 @@ def express_in_raw_readings(made: Reference, known: Calibration) -> Reference:
         mag_matrix=None if found.mag_matrix is None else found.mag_matrix @ magnet,
         hard_iron_b_ut=iron,
     )
-    raw_bias: Floats = np.asarray(np.linalg.solve(gyro, made.gyro_bias_b_radps.T).T, dtype=np.float64)
-    return replace(made, calibration=whole, gyro_bias_b_radps=raw_bias)
+
+    def express_bias(columns: Columns) -> Columns:
+        raw_bias: Floats = np.asarray(np.linalg.solve(gyro, columns["gyro_bias_b_radps"].T).T, dtype=np.float64)
+        return {**columns, "gyro_bias_b_radps": raw_bias}
+
+    return made.with_facts(calibration=whole).with_columns(express_bias)
 
 
 def _apply(matrix: Floats | None, values: Floats) -> Floats:

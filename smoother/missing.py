@@ -19,7 +19,7 @@ def bridge_gaps(dt_s: Floats, values: Floats, moving: NDArray[np.bool_]) -> tupl
 
     ``dt_s`` (N,) are the intervals that end at the samples; ``moving`` (N,) marks motion, in which errors are measured.
     """
-    wrong = np.zeros_like(values)
+    wrong = np.zeros(values.shape)  # pages of zeros take no memory until they are written
     step_s = float(np.median(dt_s))
     gaps = np.flatnonzero((dt_s > GAP_STEPS * step_s) & (dt_s <= LONG_GAP_S))
     gaps = gaps[gaps > 0]

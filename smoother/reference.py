@@ -12,6 +12,7 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, Reference, SpinReference
 from stillpoint.smoother.attitude.params import PRESETS, GraphParams, allows_vehicle
 from stillpoint.smoother.known_calibration import correct_recording, express_in_raw_readings
+from stillpoint.smoother.long_reference import LongReference, as_long_reference
 from stillpoint.smoother.preset import choose_preset
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.spin.params import SpinGraphParams
@@ -24,12 +25,12 @@ DEFAULT_ROLL_METHOD = "roll-graph"
 class Method:
     """One way to make a reference."""
 
-    function: Callable[[Recording, Any], Reference | SpinReference]
+    function: Callable[[Recording, Any], LongReference | Reference | SpinReference]
     defaults: Settings  # its settings; their class is what ``params`` must be of
     summary: str
 
 
-def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] = ()) -> Reference:
+def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] = ()) -> LongReference:
     """Make the reference by the factor graph; gtsam is loaded when it is needed, as it is not available everywhere."""
     try:
         from stillpoint.smoother.attitude.method import make_graph_reference
@@ -133,6 +134,18 @@ def reference(
     Unobservable
         The recording does not determine a reference.
     """
+    made = make_reference_in_pieces(recording, method, params, calibration, factors)
+    return made.whole() if isinstance(made, LongReference) else made
+
+
+def make_reference_in_pieces(
+    recording: Recording,
+    method: str | None = None,
+    params: Settings | Mapping[str, Any] | None = None,
+    calibration: Calibration | None = None,
+    factors: Sequence[Any] = (),
+) -> LongReference | SpinReference:
+    """Return :func:`reference`, of which an attitude comes in pieces, for files; arguments and errors are the same."""
     name = _default_method(recording) if method is None else method
     function = _method_of(name).function
     if factors:
@@ -148,14 +161,21 @@ def reference(
         settings = choose_settings(PRESETS[preset.name], params, name)
     try:
         if calibration is None:
-            made = function(recording, settings)
+            made = _in_pieces(function(recording, settings))
         else:
-            made = function(correct_recording(recording, calibration), settings)
-            if isinstance(made, Reference):
+            made = _in_pieces(function(correct_recording(recording, calibration), settings))
+            if isinstance(made, LongReference):
                 made = express_in_raw_readings(made, calibration)
     except Unobservable as error:
         raise _blame_preset(recording, settings, error) from error
-    return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **chosen, **dropped.counts()})
+    found = {**chosen, **dropped.counts()}
+    if isinstance(made, LongReference):
+        return made.with_facts(params=asdict(settings)).with_diagnostics(found)
+    return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **found})
+
+
+def _in_pieces(made: LongReference | Reference | SpinReference) -> LongReference | SpinReference:
+    return as_long_reference(made) if isinstance(made, Reference) else made
 
 
 def _blame_preset(recording: Recording, settings: Settings, error: Unobservable) -> Unobservable:

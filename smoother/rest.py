@@ -134,28 +134,26 @@ def _windows(t_s: Floats, width_s: float) -> Windows:
 
 @compiled
 def _mean(values: Floats, windows: Windows) -> Floats:
-    """Return the means of values (N, 3) over windows."""
+    """Return the means of values (N,) over windows."""
     n = len(values)
-    total, mean = np.zeros((n + 1, 3)), np.empty((n, 3))
+    total, mean = np.zeros(n + 1), np.empty(n)
     for k in range(n):
-        for axis in range(3):
-            total[k + 1, axis] = total[k, axis] + values[k, axis]
+        total[k + 1] = total[k] + values[k]
     for k in range(n):
         first, last = windows[0][k], windows[1][k]
-        for axis in range(3):
-            mean[k, axis] = (total[last, axis] - total[first, axis]) / (last - first)
+        mean[k] = (total[last] - total[first]) / (last - first)
     return mean
 
 
 def _deviation(values: Floats, narrow: Windows, wide: Windows) -> tuple[Floats, Floats]:
     """Return the sd of the smoothed values in each window, and the sd that white noise alone would cause."""
-    centred = values - values.mean(axis=0)  # keeps the sums of squares small
-    smooth = _mean(centred, narrow)
-    variance = _mean(smooth**2, wide) - _mean(smooth, wide) ** 2
-    deviation = np.sqrt(np.maximum(variance.sum(axis=1), 0.0))
-    steps = np.diff(centred, axis=0, prepend=centred[:1])
-    white = np.sqrt(_mean(steps**2, wide).sum(axis=1) / 2)
-    return deviation, white / np.sqrt(narrow[1] - narrow[0])
+    variance, white = np.zeros(len(values)), np.zeros(len(values))
+    for axis, mean in enumerate(values.mean(axis=0)):  # one axis at a time: a third of the memory
+        centred = values[:, axis] - mean  # keeps the sums of squares small
+        smooth = _mean(centred, narrow)
+        variance += _mean(smooth**2, wide) - _mean(smooth, wide) ** 2
+        white += _mean(np.diff(centred, prepend=centred[:1]) ** 2, wide)
+    return np.sqrt(np.maximum(variance, 0.0)), np.sqrt(white / 2) / np.sqrt(narrow[1] - narrow[0])
 
 
 def _limit(threshold: float, noise: float, params: RestParams) -> float:

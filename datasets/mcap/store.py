@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -114,20 +115,28 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
             out.add(_streams("recording", piece)[0], last_ns + 1)
 
 
-def write_trajectory_pieces(path: Path | str, pieces: Callable[[], Iterator[Estimate]]) -> None:
-    """Write an estimate that comes in pieces, each with all facts, twice: the bytes are those of :func:`write`.
+def write_trajectory_pieces(
+    path: Path | str,
+    pieces: Iterator[Reference] | Iterator[Estimate],
+    samples: int,
+    origin: Mapping[str, str] | None = None,
+) -> None:
+    """Write a reference or an estimate of so many samples that comes in pieces, each with all facts.
 
-    Raises :class:`BadFile` when the file cannot be written.
+    The bytes are those of :func:`write`, whose ``origin`` and errors this function has.
     """
-    count = sum(len(piece.t_ns) for piece in pieces())
-    first = next(pieces())
-    streams, absent = _streams("estimate", first)
-    samples = {stream.topic: count for stream in streams}
+    first = next(pieces)
+    kind = kind_of(first)
+    streams, absent = _templates(kind, first)
+    counts = {stream.topic: samples for stream in streams}
     with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
         out.declare(streams)
-        out.describe({RECORD: _record("estimate", facts_of(first), samples, absent)}, {})
-        for piece in pieces():
-            out.add(_streams("estimate", piece)[0], int(piece.t_ns[-1]) + 1)
+        record = _record(kind, facts_of(first), counts, absent)
+        out.describe({RECORD: record, **({_ORIGIN: dict(origin)} if origin else {})}, {})
+        for piece in chain([first], pieces):
+            for part, _ in _cut_pieces(piece):
+                assert isinstance(part, Reference | Estimate)
+                out.add(_streams(kind, part)[0], int(part.t_ns[-1]) + 1)
 
 
 def _templates(kind: str, thing: Kept | Piece) -> tuple[list[Stream], list[str]]:

@@ -359,9 +359,8 @@ def _write_long(item: _Item, long: LongRecording) -> _Kept:
     if (pieces := long.estimates) is not None:
         beside = (file.with_name(f"{name}.{next(pieces()).name}.estimate.mcap"),)
         made = {file.name: sha256(file)}
-        write_trajectory_pieces(
-            beside[0], lambda: (replace(piece, made_from={**piece.made_from, **made}) for piece in pieces())
-        )
+        named = (replace(piece, made_from={**piece.made_from, **made}) for piece in pieces())
+        write_trajectory_pieces(beside[0], named, sum(len(piece.t_ns) for piece in pieces()))
     clocks = long.clocks.values()
     streams = {
         name: {"samples": one.samples, "rate_hz": 1e9 / one.step_ns if one.step_ns else 0.0}

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from stillpoint.datasets import Reference, SpinReference, write
+from stillpoint.datasets import SpinReference, write
 from stillpoint.datasets.calibration.apply import load_calibration
 from stillpoint.datasets.errors import BadParameter, require_known
-from stillpoint.datasets.mcap.store import sha256
+from stillpoint.datasets.mcap.store import sha256, write_trajectory_pieces
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
@@ -23,9 +23,9 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
-from stillpoint.smoother import reference as make_reference
 from stillpoint.smoother.attitude.params import PRESETS
-from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, settings_of
+from stillpoint.smoother.long_reference import LongReference
+from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, make_reference_in_pieces, settings_of
 
 _AUTO = "auto"  # the preset that each recording's streams speak for
 
@@ -213,13 +213,23 @@ def _make_one(
     recording, digest = open_recording(job.source), sha256(job.source)
     task.require_unchanged(job.source.name, digest)
     begun = perf_counter()
-    made = make_reference(recording, job.method, settings[job.method], known.calibration if known else None)
+    made = make_reference_in_pieces(recording, job.method, settings[job.method], known.calibration if known else None)
     seconds = perf_counter() - begun
     made_from = {job.source.name: digest} | ({known.name: known.sha256} if known else {})
-    made = replace(made, made_from=made_from)
-    facts = _list_facts(made) if isinstance(made, Reference) else _list_spin_facts(made)
-    write(job.target, made, origin=task.origin_with({**facts, "seconds": None}))  # the same input, the same bytes
+    if isinstance(made, SpinReference):
+        made = replace(made, made_from=made_from)
+        facts = _list_spin_facts(made)
+        write(job.target, made, origin=_say_origin(task, facts))
+    else:
+        made = made.with_facts(made_from=made_from)
+        facts = _list_facts(made)
+        write_trajectory_pieces(job.target, made.pieces(), made.samples, origin=_say_origin(task, facts))
     return {**facts, "seconds": seconds}
+
+
+def _say_origin(task: Task[_Job], facts: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return what the file says about its origin; without the time that it took, so that it has the same bytes."""
+    return task.origin_with({**facts, "seconds": None})
 
 
 def _format_seconds(row: Mapping[str, Any]) -> str:
@@ -251,20 +261,21 @@ def _describe_islands(diagnostics: Mapping[str, Any]) -> str:
     )
 
 
-def _list_facts(made: Reference) -> dict[str, Any]:
-    sd_deg = np.rad2deg(total_sd_rad(made.cov_b_rad2))
+def _list_facts(made: LongReference) -> dict[str, Any]:
+    first = next(made.pieces())
+    sd_deg = np.rad2deg(np.concatenate([total_sd_rad(piece.cov_b_rad2) for piece in made.pieces()]))
     return {
-        "samples": len(made.t_ns),
-        "rests": len(made.rests_ns),
+        "samples": made.samples,
+        "rests": len(first.rests_ns),
         "returns": [
-            {"start_s": (one.start_ns - int(made.t_ns[0])) / 1e9, "accepted": one.accepted, "reason": one.reason}
-            for one in made.returns
+            {"start_s": (one.start_ns - int(first.t_ns[0])) / 1e9, "accepted": one.accepted, "reason": one.reason}
+            for one in first.returns
         ],
         "sd_median_deg": float(np.median(sd_deg)),
         "sd_max_deg": float(sd_deg.max()),
-        "heading_sd_deg": float(np.rad2deg(made.heading_sd_rad)),
-        "mounting_sd_deg": float(np.rad2deg(np.sqrt(np.trace(made.mounting_cov_b_rad2)))),
-        "diagnostics": dict(made.diagnostics),
+        "heading_sd_deg": float(np.rad2deg(first.heading_sd_rad)),
+        "mounting_sd_deg": float(np.rad2deg(np.sqrt(np.trace(first.mounting_cov_b_rad2)))),
+        "diagnostics": dict(first.diagnostics),
     }
 
 

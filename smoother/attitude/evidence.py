@@ -197,7 +197,8 @@ def _find_base_and_returns(
         base = find_base_pose(recording, rests_ns, params.returns)
     except Unobservable:
         return None, None
-    return base, find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
+    found = find_returns(recording, rests_ns, base, GyroErrors(), params.returns)
+    return base, replace(found, swings=())  # attitudes at every sample, which the graph does not need
 
 
 def _describe_heading(

@@ -32,12 +32,13 @@ from stillpoint.smoother.attitude.plausibility import (
 )
 from stillpoint.smoother.attitude.report import report_reference
 from stillpoint.smoother.attitude.returns import contradicts_lone_return, reject_lone_return
-from stillpoint.smoother.attitude.samples.every_sample import join_pieces
+from stillpoint.smoother.attitude.samples.joined import join_attitudes
 from stillpoint.smoother.attitude.solve import NoOptimum
 from stillpoint.smoother.attitude.trial import find_trial
 from stillpoint.smoother.attitude.windows import Solved, solve_both_headings
 from stillpoint.smoother.base_pose import Returns
 from stillpoint.smoother.known_calibration import correct_recording, express_in_raw_readings
+from stillpoint.smoother.long_reference import LongReference
 
 _FAR_RADPS = np.deg2rad(5.0)  # RMS by which the gyro's matrix changes rates; beyond it, the graph is solved again
 _RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
@@ -45,7 +46,7 @@ _RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the mot
 
 def make_attitude_reference(
     recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()
-) -> Reference:
+) -> LongReference:
     """Return the reference trajectory of a recording by the calibrating factor graph.
 
     If the magnetometer contradicts gyro and accelerometer, but its axes are right, the field is disturbed. The
@@ -92,7 +93,7 @@ def reference_from_evidence(recording: Recording, evidence: Evidence, params: Gr
     solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence))
     evidence, solved = _try_restored(recording, evidence, solved)
     evidence, solved = _test_lone_return(recording, evidence, solved)
-    return report_reference(recording, evidence, solved, None)
+    return report_reference(recording, evidence, solved, None).whole()
 
 
 def _find_far_calibration(evidence: Evidence, solved: Solved) -> Calibration | None:
@@ -133,7 +134,7 @@ def _test_lone_return(recording: Recording, evidence: Evidence, solved: Solved) 
     except Unobservable:
         return evidence, solved
     if turned:
-        q_nb = join_pieces(again.pieces, evidence.motion.t_s).q_nb
+        q_nb = join_attitudes(again.pieces, evidence.motion)
         tested = replace(tested, returns=reject_lone_return(evidence.base, evidence.returns, q_nb))
     return tested, again
 

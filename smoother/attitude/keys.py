@@ -98,7 +98,7 @@ def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     dt_s = np.concatenate([[np.median(step_s) if len(step_s) else 0.0], step_s])
     gyro, gyro_missed = bridge_gaps(dt_s, gyro, ~at_rest)
     accel, accel_missed = bridge_gaps(dt_s, accel, ~at_rest)
-    beyond = np.maximum(gyro_beyond, gyro_missed), np.maximum(accel_beyond, accel_missed)
+    beyond = _take_larger(gyro_beyond, gyro_missed), _take_larger(accel_beyond, accel_missed)
     sampling = estimate_sampling_error(gyro, dt_s, at_rest)
     if sampling.any():
         bias = gyro[at_rest].mean(axis=0) if at_rest.any() else np.zeros(3)
@@ -106,12 +106,18 @@ def prepare_motion(imu: Imu, rests_ns: Times) -> Motion:
     return Motion(t_s, dt_s, gyro, accel, at_rest, *beyond, sampling)
 
 
+def _take_larger(one: Floats, other: Floats) -> Floats:
+    """Return the larger of errors (N, 3) that are not negative; no new array where all of one kind are 0."""
+    if not other.any():
+        return one
+    return np.maximum(one, other) if one.any() else other
+
+
 def choose_keys(motion: Motion, params: KeyParams) -> Keys:
     """Place states every ``moving_s`` in motion, every ``resting_s`` at rest, and at the ends of rests and gaps."""
     rows = _choose_rows(motion, params)
-    total_s, turned = _integrate(motion.dt_s, motion.gyro_b_radps)
-    _, pushed = _integrate(motion.dt_s, motion.accel_b_mps2)
     first, last = rows[:-1] + 1, rows[1:] + 1
+    total_s = np.concatenate([[0.0], np.cumsum(motion.dt_s)])
     span_s = (total_s[last] - total_s[first])[:, None]
     moving = np.concatenate([[0], np.cumsum(~motion.at_rest)])
     longest = np.maximum.reduceat(motion.dt_s, first) if len(first) else np.zeros(0)
@@ -120,11 +126,11 @@ def choose_keys(motion: Motion, params: KeyParams) -> Keys:
         t_s=motion.t_s[rows],
         at_rest=(moving[last] - moving[rows[:-1]]) == 0,
         gap=longest > max(LONG_GAP_S, GAP_STEPS * float(np.median(motion.dt_s))),
-        gyro_clipped_rad=_sum_intervals(motion.gyro_beyond_radps * motion.dt_s[:, None], first),
-        accel_clipped_mps=_sum_intervals(motion.accel_beyond_mps2 * motion.dt_s[:, None], first),
-        gyro_sampling_rad=_sum_intervals(motion.gyro_sampling_radps * motion.dt_s[:, None], first),
-        gyro_b_radps=(turned[last] - turned[first]) / span_s,
-        accel_b_mps2=(pushed[last] - pushed[first]) / span_s,
+        gyro_clipped_rad=_sum_intervals(motion.gyro_beyond_radps, motion.dt_s, first),
+        accel_clipped_mps=_sum_intervals(motion.accel_beyond_mps2, motion.dt_s, first),
+        gyro_sampling_rad=_sum_intervals(motion.gyro_sampling_radps, motion.dt_s, first),
+        gyro_b_radps=_integrate(motion.gyro_b_radps, motion.dt_s, first, last) / span_s,
+        accel_b_mps2=_integrate(motion.accel_b_mps2, motion.dt_s, first, last) / span_s,
         jerk_b_mps3=(motion.accel_b_mps2[rows[1:]] - motion.accel_b_mps2[rows[:-1]]) / span_s,
     )
 
@@ -156,12 +162,17 @@ def _drop_slivers(rows: NDArray[np.int64], spaced: NDArray[np.bool_], motion: Mo
     return rows[keep | before_gap]
 
 
-def _integrate(dt_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return time and integral up to each sample, (N + 1,) and (N + 1, 3)."""
-    integral = np.concatenate([np.zeros((1, 3)), np.cumsum(values * dt_s[:, None], axis=0)])
-    return np.concatenate([[0.0], np.cumsum(dt_s)]), integral
+def _integrate(values: Floats, dt_s: Floats, first: NDArray[np.int64], last: NDArray[np.int64]) -> Floats:
+    """Return integrals (n - 1, 3) of values (N, 3) from after the sample ``first - 1`` to the sample ``last - 1``."""
+    found = np.empty((len(first), 3))
+    for axis in range(3):  # one axis at a time: a third of the memory
+        total = np.concatenate([[0.0], np.cumsum(values[:, axis] * dt_s)])
+        found[:, axis] = total[last] - total[first]
+    return found
 
 
-def _sum_intervals(values: Floats, first: NDArray[np.int64]) -> Floats:
-    """Return sums (n - 1, 3) over the samples of each interval, exactly 0 where all samples are 0."""
-    return np.asarray(np.add.reduceat(values, first, axis=0)) if len(first) else np.zeros((0, 3))
+def _sum_intervals(values: Floats, dt_s: Floats, first: NDArray[np.int64]) -> Floats:
+    """Return integrals (n - 1, 3) over the samples of each interval, exactly 0 where all samples are 0."""
+    if not len(first) or not values.any():
+        return np.zeros((len(first), 3))
+    return np.asarray(np.add.reduceat(values * dt_s[:, None], first, axis=0))

@@ -11,17 +11,19 @@ import numpy as np
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.attitude.graph import make_attitude_reference
 from stillpoint.smoother.attitude.outside.added import Generator, name_generator
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.plausibility import find_contradicting_factors
+from stillpoint.smoother.long_reference import LongReference
 from stillpoint.smoother.stretches import leave_out_islands
 
 _PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s says what it is
 
 
-def make_graph_reference(recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()) -> Reference:
+def make_graph_reference(
+    recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()
+) -> LongReference:
     """Return the reference of a recording by the calibrating factor graph, with added factors.
 
     Raises :class:`Unobservable` as :func:`~stillpoint.smoother.attitude.graph.make_attitude_reference` does.
@@ -36,9 +38,9 @@ def make_graph_reference(recording: Recording, params: GraphParams, generators: 
         made = _correct_delay(whole, params, generators)
     except Unobservable as error:
         raise _blame_generator(whole, params, generators, error) from error
-    doubtful = find_contradicting_factors(made.diagnostics["residuals"])
+    doubtful = find_contradicting_factors(made.facts["diagnostics"]["residuals"])
     found = {"left_out": [asdict(island) for island in islands], "contradicting_factors": doubtful}
-    return replace(made, diagnostics={**made.diagnostics, **found})
+    return made.with_diagnostics(found)
 
 
 def _is_blind_vehicle(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> bool:
@@ -67,16 +69,16 @@ def _blame_generator(
     return error
 
 
-def _correct_delay(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> Reference:
+def _correct_delay(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> LongReference:
     """Return the reference, made once more with the delay of the fixes that the first one shows if it is large."""
     made = make_attitude_reference(recording, params, generators)
-    delay_s = made.diagnostics.get("fixes", {}).get("delay_s")
+    delay_s = made.facts["diagnostics"].get("fixes", {}).get("delay_s")
     if params.gps.late_s != 0.0 or delay_s is None or abs(delay_s) <= _PUNCTUAL_S:
         return made
     late = replace(params, gps=replace(params.gps, late_s=float(np.clip(delay_s, -2.0, 5.0))))
     again = make_attitude_reference(recording, late, generators)
-    left_s = again.diagnostics["fixes"]["delay_s"]
+    left_s = again.facts["diagnostics"]["fixes"]["delay_s"]
     if left_s is None or abs(left_s) >= abs(delay_s):
         return made
-    applied = again.diagnostics["fixes"] | {"late_s": late.gps.late_s}
-    return replace(again, diagnostics={**again.diagnostics, "fixes": applied})
+    applied = again.facts["diagnostics"]["fixes"] | {"late_s": late.gps.late_s}
+    return again.with_diagnostics({"fixes": applied})

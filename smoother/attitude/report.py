@@ -1,5 +1,6 @@
-"""Report a solved graph as a Reference, with everything that was found about the sensor and the rests."""
+"""Report a solved graph as a reference, with everything that was found about the sensor and the rests."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -7,30 +8,34 @@ import numpy as np
 
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.times import find_gaps
-from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn, Reference
+from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn
 from stillpoint.smoother.attitude.covariance import choose_factors, scale_covariances
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
 from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
 from stillpoint.smoother.attitude.plausibility import describe_disturbed_field, measure_surprise
 from stillpoint.smoother.attitude.returns import judge_returns_again
-from stillpoint.smoother.attitude.samples.every_sample import Piece, Track, join_pieces
+from stillpoint.smoother.attitude.samples.every_sample import Piece, Track
+from stillpoint.smoother.attitude.samples.joined import join_attitudes, sample_pieces
 from stillpoint.smoother.attitude.windows import Solved
+from stillpoint.smoother.long_reference import Columns, LongReference
 
 
 def report_reference(
     recording: Recording, evidence: Evidence, solved: Solved, magnetometer_left_out: str | None
-) -> Reference:
-    """Return the pieces of a solved graph as one reference.
+) -> LongReference:
+    """Return the pieces of a solved graph as one reference; mounting and calibration are those of the last window.
 
     ``magnetometer_left_out`` says why the magnetometer was not used, None where it was or where there is none.
     """
-    whole = join_pieces(solved.pieces, evidence.motion.t_s)
+    pieces, motion, t_ns = solved.pieces, evidence.motion, recording.require_imu().t_ns
+    last = pieces[-1]  # it has seen all data
+    q_nb = join_attitudes(pieces, motion)
     verdicts: tuple[BasePoseReturn, ...] = ()
     if evidence.base is not None and evidence.returns is not None:
-        verdicts = judge_returns_again(evidence.base, evidence.returns, whole.q_nb, whole.common_q_nb, solved.params)
-    closing = _select_closing_squares(evidence, verdicts, solved.pieces)
+        verdicts = judge_returns_again(evidence.base, evidence.returns, q_nb, last.common_q_nb, solved.params)
+    closing = _select_closing_squares(evidence, verdicts, pieces)
     factors = choose_factors(closing, len(evidence.rests_ns) > 0, _misses_motion(recording, evidence), solved.params)
-    diagnostics = _list_diagnostics(recording, evidence, solved, whole) | {
+    diagnostics = _list_diagnostics(recording, evidence, solved, q_nb) | {
         "closing_squares": closing,
         "variance_factors": asdict(factors),
     }
@@ -39,37 +44,48 @@ def report_reference(
     disturbed = describe_disturbed_field(solved.fit, solved.params)
     if disturbed:
         diagnostics["field_disturbed"] = f"{disturbed}; only the readings that fit are used"
-    return Reference(
-        t_ns=recording.require_imu().t_ns,
-        q_nb=whole.q_nb,
-        cov_b_rad2=scale_covariances(whole.cov_b_rad2, whole.q_nb, factors),
-        gyro_bias_b_radps=whole.gyro_bias_b_radps,
-        heading_sd_rad=float(np.sqrt(factors.mean_heading * whole.heading_rad2)),
-        mounting_cov_b_rad2=factors.tilt * whole.mounting_b_rad2,
-        method="graph",
-        name=recording.name,
-        calibration=whole.calibration,  # its sd is mostly that of the prior, to which no factor applies
-        rests_ns=evidence.rests_ns,
-        returns=verdicts,
-        diagnostics=diagnostics,
-        **_state_track(evidence, whole.track),
-    )
+    facts: dict[str, Any] = {
+        "heading_sd_rad": float(np.sqrt(factors.mean_heading * min(piece.heading_rad2 for piece in pieces))),
+        "mounting_cov_b_rad2": factors.tilt * last.mounting_b_rad2,
+        "method": "graph",
+        "name": recording.name,
+        "calibration": last.calibration,  # its sd is mostly that of the prior, to which no factor applies
+        "rests_ns": evidence.rests_ns,
+        "returns": verdicts,
+        "diagnostics": diagnostics,
+    }
+    fix_m2 = None
+    if evidence.fixes is not None:
+        fix_m2 = float(np.median(evidence.fixes.sd_m)) ** 2
+        facts["origin_lat_lon_alt"] = evidence.fixes.origin
+
+    def make_columns() -> Iterator[Columns]:
+        for part in sample_pieces(pieces, motion):
+            yield {
+                "t_ns": t_ns[part.rows],
+                "q_nb": part.q_nb,
+                "cov_b_rad2": scale_covariances(part.cov_b_rad2, part.q_nb, factors),
+                "gyro_bias_b_radps": part.gyro_bias_b_radps,
+                **_state_track(part.track, fix_m2),
+            }
+
+    return LongReference(len(t_ns), facts, make_columns)
 
 
-def _state_track(evidence: Evidence, track: Track | None) -> dict[str, Any]:
+def _state_track(track: Track | None, fix_m2: float | None) -> Columns:
     """Return the columns of position and velocity, none where there are no satellites.
 
-    Errors of fixes wander over minutes and do not average out: the variance of one fix is added to the position's.
+    Errors of fixes wander over minutes and do not average out: the variance of one fix, ``fix_m2``, is added to the
+    position's.
     """
-    if track is None or evidence.fixes is None:
+    if track is None or fix_m2 is None:
         return {}
-    wander = np.diag([1.0, 1.0, VERTICAL**2]) * float(np.median(evidence.fixes.sd_m)) ** 2
+    wander = np.diag([1.0, 1.0, VERTICAL**2]) * fix_m2
     return {
         "position_n_m": track.position_n_m,
         "velocity_n_mps": track.velocity_n_mps,
         "position_cov_n_m2": track.position_cov_n_m2 + wander,
         "velocity_cov_n_m2ps2": track.velocity_cov_n_m2ps2,
-        "origin_lat_lon_alt": evidence.fixes.origin,
     }
 
 
@@ -108,9 +124,9 @@ def _select_closing_squares(
     return [square for square, good in zip(squares, kept, strict=True) if good]
 
 
-def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, whole: Piece) -> dict[str, Any]:
+def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, q_nb: Floats) -> dict[str, Any]:
     gap = find_gaps(recording.require_imu().t_ns)
-    inertial = solved.params.inertial
+    inertial, last = solved.params.inertial, solved.pieces[-1]
     return {
         "heading": evidence.heading,
         "sign_of_gravity": describe_gravity_test(recording, evidence),
@@ -118,20 +134,20 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "gaps": int(gap.sum()),
         "longest_gap_s": float(evidence.motion.dt_s[1:][gap].max(initial=0.0)),
         "windows": len(solved.pieces),
-        "iterations": whole.iterations,
-        "cost": whole.cost,
+        "iterations": max(piece.iterations for piece in solved.pieces),
+        "cost": sum(piece.cost for piece in solved.pieces),
         "residuals": solved.fit.squares,
-        "field_widening": whole.field_widening,
+        "field_widening": last.field_widening,
         "gyro_bias_prior_sd_radps": inertial.gyro_bias_sd_radps,
         "gyro_matrix_prior_sd": inertial.gyro_matrix_sd,
         "accel_matrix_prior_sd": inertial.accel_matrix_sd,
-        "accel_late_sd_s": whole.late_sd_s,
-        "calibration_surprise_sd": measure_surprise(whole.calibration, solved.params),
+        "accel_late_sd_s": last.late_sd_s,
+        "calibration_surprise_sd": measure_surprise(last.calibration, solved.params),
         "field_inlier_share": solved.fit.field_inlier_share,
         "field_misfit_ut": solved.fit.field_misfit_ut,
         "slow_log": _describe_slow_log(evidence),
         "convention": CONVENTION,
-        **_describe_fixes(evidence, solved, whole.q_nb),
+        **_describe_fixes(evidence, solved, q_nb),
     }
 
 

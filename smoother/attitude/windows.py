@@ -42,7 +42,7 @@ from stillpoint.smoother.attitude.plausibility import (
     refuse_fixes,
 )
 from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
-from stillpoint.smoother.attitude.samples.every_sample import Piece, sample_solution
+from stillpoint.smoother.attitude.samples.every_sample import Piece, make_piece
 from stillpoint.smoother.attitude.solve import SIZES, Solution, begin, iterate, linearise, make_unobservable, solve
 
 
@@ -120,7 +120,7 @@ def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams
             kept = find_believed_fixes(window.fixes, solution.values, params.gps)
             refuse_fixes(kept, recording.name)
             n_doubtful_fixes += int((~kept).sum())
-        pieces.append(sample_solution(window, solution, until, recording.name, params))
+        pieces.append(make_piece(window, solution, until, recording.name, params))
         if until < end:
             closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
             graph = _push_added(join_graphs([before], closed.find_votes(), past, params), closing)

@@ -24,8 +24,9 @@ def find_range_ends(values: Floats, smallest_range: float) -> Floats:
 
     Both ends are found separately: they differ where the maker subtracts an offset.
     """
-    limits = np.zeros_like(values)
-    for axis, column in enumerate(np.ascontiguousarray(values.T)):
+    limits = np.zeros(values.shape)  # pages of zeros take no memory until they are written
+    for axis in range(values.shape[1]):
+        column = np.ascontiguousarray(values[:, axis])
         for sign, largest in ((1.0, column.max()), (-1.0, -column.min())):
             if largest >= smallest_range:
                 at_end = sign * column >= largest * (1 - 1e-9)

@@ -1,11 +1,10 @@
-"""From states to samples: attitude, covariance and gyro bias at every IMU sample of a window.
+"""The answer of a window: at its states, and from these at every IMU sample.
 
 The calibrated gyro is integrated from each state to the next, and the remaining difference is spread in proportion to
 time: the error redistribution of Elmi Aziz and Mohseni Araste (2021), over 0.1 s. Covariances are interpolated.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -22,7 +21,7 @@ from stillpoint.datasets.trajectory import Calibration
 from stillpoint.smoother.attitude.covariance import Accuracy, compute_accuracy
 from stillpoint.smoother.attitude.evidence import Evidence
 from stillpoint.smoother.attitude.factors import bias_steps
-from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.keys import Keys, Motion
 from stillpoint.smoother.attitude.magnetometer import field_matrix
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.solve import Solution, rotations_of
@@ -32,7 +31,7 @@ _COVARIANCE_STEP_S = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Position and velocity at the N samples of a window, with covariances, in East-North-Up of the first fix."""
+    """Position and velocity at N samples, with covariances, in East-North-Up of the first fix."""
 
     position_n_m: Floats  # (N, 3)
     velocity_n_mps: Floats  # (N, 3)
@@ -41,13 +40,42 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """The answer at the N samples of a window, with covariances before the variance factor."""
+class Samples:
+    """The answer at N neighbouring samples, with covariances before the variance factor."""
 
-    samples: slice
+    rows: slice
     q_nb: Floats  # (N, 4)
     cov_b_rad2: Floats  # (N, 3, 3) relative to the mean heading and the mean mounting
     gyro_bias_b_radps: Floats  # (N, 3)
+    track: Track | None  # where there are satellites
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Position and velocity at states, with covariances at the states at which those of a piece are known."""
+
+    t_s: Floats  # (p,)
+    position_n_m: Floats  # (p, 3)
+    velocity_n_mps: Floats  # (p, 3)
+    position_cov_n_m2: Floats  # (m, 3, 3)
+    velocity_cov_n_m2ps2: Floats  # (m, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The answer at the n states of a window, with covariances before the variance factor.
+
+    It takes a tenth of the memory of the answer at the samples, which :func:`sample_piece` makes from it.
+    """
+
+    row: NDArray[np.int64]  # (n,) the sample at which a state stands
+    t_s: Floats  # (n,)
+    q_nb: Floats  # (n, 4)
+    bias_step: NDArray[np.int64]  # (n,) which bias holds from the state on
+    gyro_bias_b_radps: Floats  # (k, 3)
+    chosen: NDArray[np.int64]  # (m,) the states whose covariances are known
+    cov_b_rad2: Floats  # (m, 3, 3) relative to the mean heading and the mean mounting
+    path: Path | None  # where there are satellites
     heading_rad2: float  # variance of the mean heading
     mounting_b_rad2: Floats  # (3, 3) covariance of the mean mounting
     closing_squares: tuple[float, ...]  # of the returns, see returns.py
@@ -57,12 +85,16 @@ class Piece:
     field_widening: float  # factor on the sd of the magnetometer, whose errors last
     iterations: int
     cost: float
-    track: Track | None  # where there are satellites
+
+    @property
+    def rows(self) -> slice:
+        """Return the samples of the window."""
+        return slice(int(self.row[0]), int(self.row[-1]) + 1)
 
 
-def sample_solution(window: Evidence, solution: Solution, until: int, name: str, params: GraphParams) -> Piece:
-    """Return a window's solution at every sample; of its returns, only those before state ``until`` are its own."""
-    keys, motion, values = window.keys, window.motion, solution.values
+def make_piece(window: Evidence, solution: Solution, until: int, name: str, params: GraphParams) -> Piece:
+    """Return a window's solution at its states; of its returns, only those before state ``until`` are its own."""
+    keys, values = window.keys, solution.values
     held = np.array(keys.held)
     chosen = _choose_covariance_states(keys)
     resting = np.append(keys.at_rest, keys.at_rest[-1])[held]
@@ -70,49 +102,72 @@ def sample_solution(window: Evidence, solution: Solution, until: int, name: str,
     own = tuple(state for state in window.return_states()[1] if state < until)
     placed = window.fixes is not None
     accuracy = compute_accuracy(solution, chosen, counted, own, name, params, with_velocity=placed)
-
-    gyro_matrix = np.eye(3) - values.atVector(M(0))[9:18].reshape(3, 3)
-    samples = slice(keys.row[held[0]], keys.row[held[-1]] + 1)
-    t_s, dt_s = motion.t_s[samples], motion.dt_s[samples]
     step = bias_steps(keys, params)[held]
     found = np.array([values.atConstantBias(B(k)).gyroscope() for k in range(step[0], step[-1] + 1)])
-    biases = np.linalg.solve(gyro_matrix, found.T).T
-    of_sample = step[np.clip(np.searchsorted(keys.t_s[held], t_s, side="right") - 1, 0, len(held) - 1)] - step[0]
-    rate = (motion.gyro_b_radps[samples] - biases[of_sample]) @ gyro_matrix.T
-    key_q = quaternion(Rotation.from_matrix(rotations_of(values, held)))
-    q_nb = _interpolate_attitudes(keys.row[held] - samples.start, key_q, rate, dt_s)
-    cov = _interpolate_covariances(t_s, q_nb, keys.t_s[chosen], accuracy.attitude_b_rad2, key_q[chosen - held[0]])
+    calibration = _read_calibration(solution, int(step[0]), accuracy.calibration)
+    assert calibration.gyro_matrix is not None
     return Piece(
-        samples=samples,
-        q_nb=q_nb,
-        cov_b_rad2=cov,
-        gyro_bias_b_radps=biases[of_sample],
+        row=keys.row[held],
+        t_s=keys.t_s[held],
+        q_nb=quaternion(Rotation.from_matrix(rotations_of(values, held))),
+        bias_step=step - step[0],
+        gyro_bias_b_radps=np.linalg.solve(calibration.gyro_matrix, found.T).T,
+        chosen=chosen - held[0],
+        cov_b_rad2=accuracy.attitude_b_rad2,
+        path=_read_path(keys, solution, accuracy) if placed else None,
         heading_rad2=accuracy.heading_rad2,
         mounting_b_rad2=accuracy.mounting_b_rad2,
         closing_squares=accuracy.closing_squares,
         common_q_nb=_read_common_pose(values),
-        calibration=_read_calibration(solution, int(step[0]), accuracy.calibration),
+        calibration=calibration,
         late_sd_s=float(np.sqrt(accuracy.calibration[18, 18])),
         field_widening=solution.field_widening,
         iterations=len(solution.q_steps_rad),
         cost=solution.cost,
-        track=_sample_track(t_s, keys, solution, chosen, accuracy) if placed else None,
     )
 
 
-def _sample_track(t_s: Floats, keys: Keys, solution: Solution, chosen: NDArray[np.int64], accuracy: Accuracy) -> Track:
-    """Return position and velocity at the samples ``t_s`` (N,): cubic polynomials from state to state."""
+def sample_piece(piece: Piece, motion: Motion) -> Samples:
+    """Return the answer of a window at each of its samples."""
+    rows, gyro_matrix = piece.rows, piece.calibration.gyro_matrix
+    assert gyro_matrix is not None
+    t_s, dt_s = motion.t_s[rows], motion.dt_s[rows]
+    state = np.clip(np.searchsorted(piece.t_s, t_s, side="right") - 1, 0, len(piece.t_s) - 1)
+    bias = piece.gyro_bias_b_radps[piece.bias_step[state]]
+    rate = (motion.gyro_b_radps[rows] - bias) @ gyro_matrix.T
+    q_nb = _interpolate_attitudes(piece.row - rows.start, piece.q_nb, rate, dt_s)
+    cov_t_s = piece.t_s[piece.chosen]
+    return Samples(
+        rows=rows,
+        q_nb=q_nb,
+        cov_b_rad2=_interpolate_covariances(t_s, q_nb, cov_t_s, piece.cov_b_rad2, piece.q_nb[piece.chosen]),
+        gyro_bias_b_radps=bias,
+        track=None if piece.path is None else _sample_path(t_s, piece.path, cov_t_s),
+    )
+
+
+def _read_path(keys: Keys, solution: Solution, accuracy: Accuracy) -> Path:
+    """Return position and velocity at the states that have both, and their covariances."""
     held = np.array(keys.held)
     held = held[[solution.values.exists(V(int(i))) for i in held]]
-    place = np.array([solution.values.atPose3(X(int(i))).translation() for i in held])
-    velocity = np.array([solution.values.atVector(V(int(i))) for i in held])
-    path = CubicHermiteSpline(keys.t_s[held], place, velocity)
     assert accuracy.velocity_n_m2ps2 is not None
+    return Path(
+        t_s=keys.t_s[held],
+        position_n_m=np.array([solution.values.atPose3(X(int(i))).translation() for i in held]),
+        velocity_n_mps=np.array([solution.values.atVector(V(int(i))) for i in held]),
+        position_cov_n_m2=accuracy.position_n_m2,
+        velocity_cov_n_m2ps2=accuracy.velocity_n_m2ps2,
+    )
+
+
+def _sample_path(t_s: Floats, path: Path, cov_t_s: Floats) -> Track:
+    """Return position and velocity at the samples ``t_s`` (N,): cubic polynomials from state to state."""
+    spline = CubicHermiteSpline(path.t_s, path.position_n_m, path.velocity_n_mps)
     return Track(
-        position_n_m=path(t_s),
-        velocity_n_mps=path(t_s, 1),
-        position_cov_n_m2=_interpolate(t_s, keys.t_s[chosen], accuracy.position_n_m2),
-        velocity_cov_n_m2ps2=_interpolate(t_s, keys.t_s[chosen], accuracy.velocity_n_m2ps2),
+        position_n_m=spline(t_s),
+        velocity_n_mps=spline(t_s, 1),
+        position_cov_n_m2=_interpolate(t_s, cov_t_s, path.position_cov_n_m2),
+        velocity_cov_n_m2ps2=_interpolate(t_s, cov_t_s, path.velocity_cov_n_m2ps2),
     )
 
 
@@ -122,69 +177,6 @@ def _interpolate(t_s: Floats, key_t_s: Floats, values: Floats) -> Floats:
     left = right - 1
     share = ((t_s - key_t_s[left]) / (key_t_s[right] - key_t_s[left])).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1 - share) * values[left] + share * values[right])
-
-
-def join_pieces(pieces: Sequence[Piece], t_s: Floats) -> Piece:
-    """Return one piece of all; in an overlap the answer goes over linearly in time from one window to the next.
-
-    The mean heading is as well known as in the best window; the excess variance of another window's mean heading is
-    added to its own covariance. Mounting and calibration are those of the last window, which has seen all data.
-    """
-    if len(pieces) == 1:
-        return pieces[0]
-    best = min(piece.heading_rad2 for piece in pieces)
-    n = len(t_s)
-    q_nb, cov, bias = np.empty((n, 4)), np.empty((n, 3, 3)), np.empty((n, 3))
-    done = 0
-    for piece in pieces:
-        here = piece.samples
-        common, fresh = slice(here.start, done), slice(max(done, here.start), here.stop)
-        old, new = done - here.start, slice(max(done - here.start, 0), None)
-        up_b = rotation(piece.q_nb).as_matrix()[:, 2]
-        cov_piece = piece.cov_b_rad2 + (piece.heading_rad2 - best) * up_b[:, :, None] * up_b[:, None, :]
-        if old > 0:
-            span_s = t_s[common] - t_s[here.start]
-            share = (span_s / span_s[-1])[:, None]
-            before = rotation(q_nb[common])
-            step = (before.inv() * rotation(piece.q_nb[:old])).as_rotvec()
-            q_nb[common] = quaternion(before * Rotation.from_rotvec(share * step))
-            cov[common] = (1 - share[:, None]) * cov[common] + share[:, None] * cov_piece[:old]
-            bias[common] = (1 - share) * bias[common] + share * piece.gyro_bias_b_radps[:old]
-        q_nb[fresh], cov[fresh], bias[fresh] = piece.q_nb[new], cov_piece[new], piece.gyro_bias_b_radps[new]
-        done = here.stop
-    return replace(
-        pieces[-1],
-        samples=slice(0, n),
-        q_nb=q_nb,
-        cov_b_rad2=cov,
-        gyro_bias_b_radps=bias,
-        heading_rad2=best,
-        iterations=max(piece.iterations for piece in pieces),
-        cost=sum(piece.cost for piece in pieces),
-        track=_join_tracks(pieces, t_s),
-    )
-
-
-def _join_tracks(pieces: Sequence[Piece], t_s: Floats) -> Track | None:
-    """Return one track of all; in an overlap it goes over linearly in time from one window to the next."""
-    tracks = [piece.track for piece in pieces if piece.track is not None]
-    if len(tracks) < len(pieces):
-        return None
-    columns: dict[str, Floats] = {}
-    for each in fields(Track):
-        parts = [np.asarray(getattr(track, each.name)) for track in tracks]
-        whole = np.empty((len(t_s), *parts[0].shape[1:]))
-        done = 0
-        for piece, part in zip(pieces, parts, strict=True):
-            here, old = piece.samples, max(done - piece.samples.start, 0)
-            if old > 0:
-                span_s = t_s[here.start : done] - t_s[here.start]
-                share = (span_s / span_s[-1]).reshape(-1, *[1] * (part.ndim - 1))
-                whole[here.start : done] = (1 - share) * whole[here.start : done] + share * part[:old]
-            whole[here.start + old : here.stop] = part[old:]
-            done = here.stop
-        columns[each.name] = whole
-    return Track(**columns)
 
 
 @compiled

@@ -25,6 +25,7 @@ _SAMPLING_NOTICED = 0.3  # share of the gyro's noise that is noticed
 _GYRO_DENSITY_RADPS_RTHZ = 0.003  # of the gyro's noise in motion, as in InertialNoise
 _DEGREE = 5  # of the spline: at 24 Hz its error of a rotation is a 40th of that of constant rates, cubic a 20th
 _SUBSTEPS = 8  # in an interval
+_AT_ONCE = 1 << 17  # samples
 _SHORTEST = 12  # samples in a stretch without a gap; a shorter one is left as it is
 
 
@@ -34,16 +35,29 @@ def estimate_sampling_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray
     Half of the curvature |w+ - 2 w + w-| / 12 and of the coning term |w- x w| dt / 12 (both vanish with the square of
     the interval). Zero in the whole recording where the gyro's noise covers it.
     """
-    before, after = np.vstack([gyro_b_radps[:1], gyro_b_radps[:-1]]), np.vstack([gyro_b_radps[1:], gyro_b_radps[-1:]])
-    curvature = np.abs(after - 2 * gyro_b_radps + before) / 12
-    coning = np.abs(np.cross(before, gyro_b_radps)) * dt_s[:, None] / 12
-    error = _SAMPLING_SHARE * (curvature + coning) * ~at_rest[:, None]
     if at_rest.all():
-        return np.zeros_like(error)
+        return np.zeros(gyro_b_radps.shape)
+    error = np.empty(gyro_b_radps.shape)
+    for begin in range(0, len(error), _AT_ONCE):
+        rows = slice(begin, begin + _AT_ONCE)
+        error[rows] = _estimate_error(gyro_b_radps, dt_s, at_rest, rows)
     step_s = float(np.median(dt_s))
-    in_interval_rad = error[~at_rest] * step_s * max(1, round(_SAMPLING_INTERVAL_S / step_s))
+    in_interval_rad = error[~at_rest]
+    in_interval_rad *= step_s
+    in_interval_rad *= max(1, round(_SAMPLING_INTERVAL_S / step_s))
     noticed_rad = _SAMPLING_NOTICED * _GYRO_DENSITY_RADPS_RTHZ * np.sqrt(_SAMPLING_INTERVAL_S)
-    return error if np.sqrt(np.mean(in_interval_rad**2)) > noticed_rad else np.zeros_like(error)
+    np.square(in_interval_rad, out=in_interval_rad)
+    return error if np.sqrt(np.mean(in_interval_rad)) > noticed_rad else np.zeros(error.shape)
+
+
+def _estimate_error(gyro_b_radps: Floats, dt_s: Floats, at_rest: NDArray[np.bool_], rows: slice) -> Floats:
+    """Return the error of :func:`estimate_sampling_error` at some of the samples."""
+    index = np.arange(rows.start, min(rows.stop, len(gyro_b_radps)))
+    before = gyro_b_radps[np.maximum(index - 1, 0)]
+    here, after = gyro_b_radps[rows], gyro_b_radps[np.minimum(index + 1, len(gyro_b_radps) - 1)]
+    curvature = np.abs(after - 2 * here + before) / 12
+    coning = np.abs(np.cross(before, here)) * dt_s[rows, None] / 12
+    return np.asarray(_SAMPLING_SHARE * (curvature + coning) * ~at_rest[rows, None])
 
 
 def integrate_slow_log(

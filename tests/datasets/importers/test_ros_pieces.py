@@ -84,7 +84,8 @@ def test_a_bag_in_pieces_has_the_bytes_of_the_whole(tmp_path: Path, kind: str, o
     assert (long.estimates is not None) == (len(whole.estimates) == 1) == (orientation == "turning")
     if long.estimates is not None:
         write(tmp_path / "whole.estimate.mcap", whole.estimates[0])
-        write_trajectory_pieces(tmp_path / "pieces.estimate.mcap", long.estimates)
+        samples = len(whole.estimates[0].t_ns)
+        write_trajectory_pieces(tmp_path / "pieces.estimate.mcap", long.estimates(), samples)
         assert (tmp_path / "pieces.estimate.mcap").read_bytes() == (tmp_path / "whole.estimate.mcap").read_bytes()
 
 
