@@ -67,6 +67,8 @@ def main(folder: Path, out: Path, jobs: int = 1, page: Path = _PAGE, names: Sequ
     def run(function: Callable[[Any], Any], items: Sequence[Any], what: str) -> list[Outcome[Any]]:
         return run_jobs(function, items, Workers(jobs), what)
 
+    for kind in _INPUTS:  # a page without marks ends the command before an hour of computing, not after it
+        _replace_table(page.read_text(encoding="utf-8"), kind, "")
     for kind, calibration in _INPUTS.items():
         usable = [s for s in sources if calibration != "none" or s.magnetometer == "calibrated"]
         half_a, half_b = split_halves(usable)
