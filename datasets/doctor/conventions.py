@@ -195,6 +195,7 @@ class TruthFits:
         self.informative = self._is_informative()
         self._forces = [self._forces_of(truth, reading) for reading in _READINGS] if self.informative else []
         self._tables: dict[tuple[int, int], tuple[Floats, Floats]] = {}
+        self._views: dict[tuple[int, int], tuple[TruthView, ...]] = {}
 
     def _spans(self, truth: Truth) -> tuple[Floats, Floats, Floats]:
         start, end, rate = truth_rates(truth, self.origin_ns)
@@ -323,12 +324,24 @@ class TruthFits:
         excess = excess_over_best(rows, _FORCE_OVERLAP)
         return np.where(near, 0.0, excess).reshape(len(_READINGS), 2, 48)
 
-    def views(self, gyro: Floats, accel: Floats) -> Iterator[TruthView]:
-        """Yield the view of each reading when gyro and accelerometer measure in these wrong axes (3, 3)."""
+    @cached_property
+    def _mountings(self) -> list[Rotation]:
+        """The mountings (48) for each wrong gyro, by reading: scipy takes as long for one as for all."""
+        parity = (np.linalg.det(CANDIDATES) < 0).astype(np.intp)
+        return [Rotation.from_matrix(rotations[parity] @ CANDIDATES) for _, rotations, _ in self.rates]
+
+    def views(self, gyro: Floats, accel: Floats) -> tuple[TruthView, ...]:
+        """Return the view of each reading when gyro and accelerometer measure in these wrong axes (3, 3)."""
+        axes = index_of(gyro), index_of(accel)
+        if axes not in self._views:  # hypotheses about the magnetometer share them
+            self._views[axes] = tuple(self._make_views(gyro, accel))
+        return self._views[axes]
+
+    def _make_views(self, gyro: Floats, accel: Floats) -> Iterator[TruthView]:
         parity = 0 if np.linalg.det(gyro) > 0 else 1
         turn = index_of(gyro @ accel.T)  # takes measured forces to the axes of the measured rates
         for place, reading in enumerate(_READINGS):
-            mounting = Rotation.from_matrix(self.rates[place][1][parity] @ gyro)
+            mounting = self._mountings[place][index_of(gyro)]
             mean = self._force_table(place, parity)[1][turn]
             misfit = float(self.rate_misfit[place, parity])
             up_n = np.array([0.0, 0.0, 1.0])

@@ -24,7 +24,7 @@ from stillpoint.datasets.doctor.truth import ask_truth, check_slips, check_truth
 from stillpoint.datasets.doctor.units import check_field_unit, check_gravity, check_gyro_size
 from stillpoint.datasets.doctor.values import check_steps, check_values
 from stillpoint.datasets.doctor.witness import Witness, accel_lag, ask_accel, ask_mag
-from stillpoint.datasets.recording import Floats, Imu, Recording, Times
+from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times
 
 _MOST_FAULTS = 6  # of axes and scales in one recording
 _UNUSABLE = ("gyro-stuck", "accel-stuck", "imu-short")  # nothing about motion can be tested after these
@@ -93,10 +93,13 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
 
     Returns what the sensors say of the gyro, and the lag of the accelerometer by the positions of the truth.
     """
+    asked: tuple[Imu | None, Mag | None] = (None, None)
+    of_sensors: list[Witness] = []
     for _ in range(_MOST_FAULTS):
         imu = case.now.require_imu()
-        witnesses = [] if case.now.mag is None else [ask_mag(imu, case.now.mag)]
-        witnesses.insert(0, ask_accel(imu, _bias(imu, case.rests_ns, witnesses)))
+        if asked[0] is not imu or asked[1] is not case.now.mag:  # a remedy of the truth changes neither
+            asked, of_sensors = (imu, case.now.mag), _ask_sensors(case)
+        witnesses = list(of_sensors)
         fits = None if case.now.truth is None else TruthFits(imu, case.now.truth)
         mag = next((one for one in witnesses if one.name == "mag"), None)
         dips = find_dips(case.now, case.rests_ns, mag)
@@ -119,6 +122,13 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
     return witnesses, _compare_truth(case, verdict, witnesses)
 
 
+def _ask_sensors(case: _Case) -> list[Witness]:
+    """Return what the accelerometer and, where there is one, the magnetometer say of the gyro."""
+    imu = case.now.require_imu()
+    witnesses = [] if case.now.mag is None else [ask_mag(imu, case.now.mag)]
+    return [ask_accel(imu, _bias(imu, case.rests_ns, witnesses)), *witnesses]
+
+
 def _compare_truth(case: _Case, verdict: Verdict, witnesses: list[Witness]) -> Lag | None:
     """Look for slips, and return the lag of the accelerometer; the truth is turned to the IMU's body for the tests."""
     view, truth = verdict.best.view, case.now.truth
@@ -128,7 +138,7 @@ def _compare_truth(case: _Case, verdict: Verdict, witnesses: list[Witness]) -> L
     gyro = next(one for one in witnesses if one.name == "truth")
     if gyro.choice is not None:
         case.found(check_slips(imu, turned, gyro.lag.lag_s if gyro.lag is not None else 0.0))
-    return None if view.wrong or verdict.best.fault.corrections() else find_accel_lag(imu, turned)
+    return None if view.wrong or verdict.best.fault.corrections else find_accel_lag(imu, turned)
 
 
 def _convert_iron(mag: Witness | None, findings: list[Finding]) -> Witness | None:

@@ -1,6 +1,7 @@
 """The magnetic field: hard iron, size, disturbances, and its dip, whose sign shows whether gravity is inverted."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,11 @@ class Dips:
     def sines(self, accel: Floats, mag: Floats) -> Floats:
         """Return the sine of the field's elevation in each group when the sensors measure in these wrong axes."""
         up = ((self.force @ accel) * (self.field @ mag)).sum(axis=1)
-        return np.array([np.median(up[self.group == each]) for each in np.unique(self.group)])
+        return np.array([np.median(up[rows]) for rows in self._groups])
+
+    @cached_property
+    def _groups(self) -> list[NDArray[np.bool_]]:
+        return [self.group == each for each in np.unique(self.group)]
 
     def dips_deg(self) -> Floats:
         """Return the dip below the horizon in each group, as measured."""

@@ -15,6 +15,7 @@ with another remedy. Otherwise the finding names the rivals and changes nothing.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -48,6 +49,7 @@ class Fault:
     mag: Floats
     penalty: float
 
+    @cached_property
     def corrections(self) -> list[tuple[str, Floats]]:
         """Return each wrong sensor with the matrix that corrects it."""
         wrong = (("gyro", self.gyro), ("accel", self.accel), ("mag", self.mag))
@@ -80,7 +82,7 @@ class Hypothesis:
     @property
     def changes_nothing(self) -> bool:
         """Return whether nothing is wrong under this hypothesis; a mounting is no fault."""
-        return not self.fault.corrections() and (self.view is None or not self.view.wrong)
+        return not self.fault.corrections and (self.view is None or not self.view.wrong)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def compare_hypotheses(
         for view in truth.views(fault.gyro, fault.accel):
             total = misfit + view.misfit
             found.append(Hypothesis(fault, view, total, total + penalty + _truth_penalty(fault, view)))
-    found.sort(key=lambda one: (one.cost, len(one.fault.corrections())))
+    found.sort(key=lambda one: (one.cost, len(one.fault.corrections)))
     best = found[0]
     rivals = [one for one in found[1:] if one.cost < best.cost + _CLEAR and one.key != best.key]
     return Verdict(best, tuple(rivals))
@@ -128,10 +130,10 @@ def _truth_penalty(fault: Fault, view: TruthView) -> float:
     axis is another one seen through a mounting: what is explained by one convention need not be by a chain of them.
     """
     penalty = _TRUTH * view.changes + _MOUNTING * view.mounted
-    if view.wrong and fault.corrections():
+    if view.wrong and fault.corrections:
         penalty += _COINCIDENCE
     unnamed = view.frame == "turned"
-    chained = view.changes > 1 or (view.mounted and len(fault.corrections()) > 1)
+    chained = view.changes > 1 or (view.mounted and len(fault.corrections) > 1)
     return penalty + _CHAIN * (unnamed + chained)
 
 
@@ -182,7 +184,7 @@ def report_axes_faults(verdict: Verdict, witnesses: Sequence[Witness]) -> list[F
         return ([] if best.view is None else best.view.findings()) + _report_signs(verdict)
     findings = [] if best.view is None else best.view.findings()
     agreeing = _name_agreeing(best, witnesses)
-    findings += [_report_sensor(name, matrix, agreeing) for name, matrix in best.fault.corrections()]
+    findings += [_report_sensor(name, matrix, agreeing) for name, matrix in best.fault.corrections]
     others = list(dict.fromkeys(map(_describe, verdict.rivals)))[:3]
     why = "the pairs of sensors contradict each other" if best.misfit > 0 else "the evidence does not decide"
     advice = f"; {why}" + (f": it could also be that {' or that '.join(others)}" if others else "")
@@ -198,7 +200,7 @@ def _report_signs(verdict: Verdict) -> list[Finding]:
     """Warn where nothing need be wrong but an inverted accelerometer or magnetometer would explain as much."""
     if verdict.best.cost <= 0 or not verdict.rivals:
         return []
-    described = [_describe(rival) for rival in verdict.rivals if rival.fault.corrections()]
+    described = [_describe(rival) for rival in verdict.rivals if rival.fault.corrections]
     if not described:
         return []
     message = (
@@ -230,7 +232,7 @@ def _report_sensor(sensor: str, correction: Floats, agreeing: str) -> Finding:
 
 def _name_agreeing(best: Hypothesis, witnesses: Sequence[Witness]) -> str:
     """Name the sensors that agree among themselves under a hypothesis."""
-    wrong = {name for name, _ in best.fault.corrections()}
+    wrong = {name for name, _ in best.fault.corrections}
     names = [one.name for one in witnesses if one.choice is not None and one.name not in wrong]
     names += ["truth"] if best.view is not None and best.view.frame is None and not best.view.wrong else []
     if wrong & {"accel", "mag"} and not wrong & {"gyro"}:
@@ -240,7 +242,7 @@ def _name_agreeing(best: Hypothesis, witnesses: Sequence[Witness]) -> str:
 
 def _describe(hypothesis: Hypothesis) -> str:
     """Say in a few words what is wrong under a hypothesis."""
-    parts = [f"the {_NAMES[name]} is wrong ({describe(name, m)})" for name, m in hypothesis.fault.corrections()]
+    parts = [f"the {_NAMES[name]} is wrong ({describe(name, m)})" for name, m in hypothesis.fault.corrections]
     if hypothesis.view is not None and hypothesis.view.wrong:
         parts.append(f"the truth is wrong ({hypothesis.view.words})")
     elif hypothesis.view is not None and hypothesis.view.mounted:

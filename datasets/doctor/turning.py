@@ -257,61 +257,58 @@ def displacement(seen: Seen, matrices: Floats) -> Floats:
     """Return the mean square displacement (K, n) in m^2, per matrix and window, if true rate = matrix @ measured."""
     count, n, length = len(matrices), *seen.turn.shape[:2]
     modes, _ = displacement_modes(length, seen.step_s)
-    q = np.zeros((count, n, 4))
-    q[..., 0] = 1.0
-    total = np.zeros((MODES, count, n, 3))
+    # One array (K, L, n) per component: numpy is several times slower on a last axis of three or four.
+    half = matrices.reshape(-1, 3) @ (0.5 * seen.turn).transpose(2, 1, 0).reshape(3, -1)
+    rx, ry, rz = np.moveaxis(half.reshape(count, 3, length, n), 1, 0)
+    angle = np.sqrt(rx * rx + ry * ry + rz * rz)
+    sine, dw = np.sinc(angle / np.pi), np.cos(angle)
+    dx, dy, dz = rx * sine, ry * sine, rz * sine
+    w, x, y, z = np.ones((count, n)), np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n))
+    carried = np.empty((length, 3, count, n))
+    for k in range(length):
+        before = w, x, y, z
+        aw, ax, ay, az = dw[:, k], dx[:, k], dy[:, k], dz[:, k]
+        w, x, y, z = (
+            w * aw - x * ax - y * ay - z * az,
+            w * ax + x * aw + y * az - z * ay,
+            w * ay - x * az + y * aw + z * ax,
+            w * az + x * ay - y * ax + z * aw,
+        )
+        mw, mx, my, mz = (a + b for a, b in zip(before, (w, x, y, z), strict=True))  # in the middle, of any length
+        fx, fy, fz = seen.force[:, k].T
+        twice = 2 / (mw * mw + mx * mx + my * my + mz * mz + 1e-300)
+        tx, ty, tz = twice * (my * fz - mz * fy), twice * (mz * fx - mx * fz), twice * (mx * fy - my * fx)
+        carried[k, 0] = fx + mw * tx + my * tz - mz * ty
+        carried[k, 1] = fy + mw * ty + mz * tx - mx * tz
+        carried[k, 2] = fz + mw * tz + mx * ty - my * tx
+    total = (modes @ carried.reshape(length, -1)).reshape(MODES, 3, count, n)
+    return np.asarray((total**2).sum(axis=(0, 1)))
+
+
+def integrate_attitudes(seen: Seen, matrix: Floats) -> Floats:
+    """Return the attitudes (n, L, 3, 3) in the middle of each step since the start of a window, if true rate =
+    matrix @ measured.
+    """
+    n, length = seen.turn.shape[:2]
+    halves = Rotation.from_rotvec((0.5 * seen.turn @ matrix.T).reshape(-1, 3)).as_matrix().reshape(n, length, 3, 3)
+    attitudes = np.empty((n, length, 3, 3))
+    at_start = np.broadcast_to(np.eye(3), (n, 3, 3))
     for step in range(length):
-        half = 0.5 * np.einsum("kij,nj->kni", matrices, seen.turn[:, step])
-        angle = np.linalg.norm(half, axis=-1, keepdims=True)
-        following = _times(q, np.concatenate([np.cos(angle), half * np.sinc(angle / np.pi)], axis=-1))
-        between = q + following
-        between /= np.linalg.norm(between, axis=-1, keepdims=True) + 1e-300
-        total += modes[:, step, None, None, None] * _turn(between, seen.force[None, :, step])
-        q = following
-    return np.asarray((total**2).sum(axis=(0, 3)))
+        attitudes[:, step] = at_start @ halves[:, step]
+        at_start = attitudes[:, step] @ halves[:, step]
+    return attitudes
 
 
-def displacement_about_pivot(seen: Seen, matrix: Floats) -> Floats:
-    """Return :func:`displacement` for one matrix, (n,), without what a turn about one fixed pivot in the body
-    explains.
+def displacement_about_pivot(seen: Seen, attitudes: Floats) -> Floats:
+    """Return :func:`displacement` for these attitudes (n, L, 3, 3), (n,), without what a turn about one fixed pivot
+    in the body explains.
 
     A hand turns about its wrist: the sensor then swings by R r with the arm r, which looks like a lag of gravity.
     """
     n, length = seen.turn.shape[:2]
     of_force, of_path = displacement_modes(length, seen.step_s)
-    attitude = np.broadcast_to(np.eye(3), (n, 3, 3))
-    moved = np.zeros((n, MODES, 3))
-    swung = np.zeros((n, MODES, 3, 3))
-    for step in range(length):
-        half = _rotation_matrices(0.5 * seen.turn[:, step] @ matrix.T)
-        attitude = attitude @ half
-        moved += of_force[:, step, None] * np.einsum("nij,nj->ni", attitude, seen.force[:, step])[:, None]
-        swung += of_path[:, step, None, None] * attitude[:, None]
-        attitude = attitude @ half
-    _, residual, _ = robust_solve(swung.reshape(n, MODES * 3, 3), moved.reshape(n, MODES * 3), np.ones(n), rounds=2)
+    felt = (attitudes @ seen.force[..., None])[..., 0]
+    moved = (of_force @ felt).reshape(n, MODES * 3)
+    swung = (of_path @ attitudes.reshape(n, length, 9)).reshape(n, MODES * 3, 3)
+    _, residual, _ = robust_solve(swung, moved, np.ones(n), rounds=2)
     return np.asarray(residual**2)
-
-
-def _rotation_matrices(rotvec: Floats) -> Floats:
-    """Return the matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
-
-
-def _times(a: Floats, b: Floats) -> Floats:
-    """Return the Hamilton product of arrays of quaternions wxyz; scipy's cannot broadcast (K, n)."""
-    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    scalar = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, aw * bv + bw * av + _cross(av, bv)], axis=-1)
-
-
-def _turn(q: Floats, vector: Floats) -> Floats:
-    """Rotate vectors by quaternions."""
-    twice = 2 * _cross(q[..., 1:], vector)
-    return np.asarray(vector + q[..., :1] * twice + _cross(q[..., 1:], twice))
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross product that broadcasts; numpy's is several times slower."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

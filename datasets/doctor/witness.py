@@ -21,6 +21,7 @@ from stillpoint.datasets.doctor.turning import (
     displacement,
     displacement_about_pivot,
     gyro_series,
+    integrate_attitudes,
     robust_solve,
     solve,
     vector_series,
@@ -207,8 +208,10 @@ def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
     origin = int(imu.t_ns[0])
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
-    usual = float(np.median(displacement_about_pivot(swings.at_lag(0.0), matrix))) + 1e-300
-    return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), matrix) / usual))
+    unshifted = swings.at_lag(0.0)
+    attitudes = integrate_attitudes(unshifted, matrix)  # of the gyro alone, at whatever lag
+    usual = float(np.median(displacement_about_pivot(unshifted, attitudes))) + 1e-300
+    return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), attitudes) / usual))
 
 
 def _sphere_centre(vectors: Floats) -> Floats:
