@@ -1,6 +1,7 @@
-"""Where the real recordings are, for the tests that need them."""
+"""Fixtures of all tests, the choice of real data, and the order of files."""
 
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,7 +62,12 @@ def call() -> Callable[..., int]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Every test that takes ``data_dir`` can be chosen with ``-m real_data``."""
+    """Every test that takes ``data_dir`` can be chosen with ``-m real_data``; files with slow tests come first.
+
+    A worker takes whole files: were a long one the last, one worker would end alone.
+    """
     for item in items:
         if "data_dir" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.real_data)
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])

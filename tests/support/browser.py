@@ -15,6 +15,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+LONGEST_S = 120.0  # for any answer: a busy machine draws a page in tens of seconds
 OFFLINE = (
     "--headless",
     "--no-sandbox",
@@ -42,7 +43,7 @@ class Page:
         self._count += 1
         self._connection.send(json.dumps({"id": self._count, "method": method, "params": params}))
         while True:
-            message = json.loads(self._connection.recv(timeout=60))
+            message = json.loads(self._connection.recv(timeout=LONGEST_S))
             if message.get("id") == self._count:
                 assert "error" not in message, message
                 answer: dict[str, Any] = message["result"]
@@ -55,7 +56,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait(self, condition: str, timeout_s: float = 20.0) -> None:
+    def wait(self, condition: str, timeout_s: float = LONGEST_S) -> None:
         """Wait until a JavaScript expression is true."""
         end = time.monotonic() + timeout_s
         while not self.evaluate(f"Boolean({condition})"):
@@ -133,7 +134,7 @@ def open_page(file: Path, profile: Path, width_px: int = 1280) -> Iterator[Page]
             yield page
     finally:
         process.terminate()
-        process.wait(timeout=20)
+        process.wait(timeout=LONGEST_S)
         if process.stderr is not None:
             process.stderr.close()
 
@@ -146,7 +147,7 @@ def _page_address(process: subprocess.Popen[str], profile: Path) -> str:
     for line in process.stderr:
         found = re.search(r"DevTools listening on ws://([^/]+)/", line)
         if found:
-            with build_opener(ProxyHandler({})).open(f"http://{found[1]}/json/list", timeout=20) as answer:
+            with build_opener(ProxyHandler({})).open(f"http://{found[1]}/json/list", timeout=LONGEST_S) as answer:
                 tabs = json.load(answer)
             address: str = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
             return address
