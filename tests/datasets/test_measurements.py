@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quick import mark_slow_except
 
 from stillpoint.datasets import Imu, Mag
 from stillpoint.datasets.measurements import FROZEN_S, drop_non_measurements
@@ -91,7 +92,7 @@ def test_the_reference_is_as_good_with_a_magnetometer_that_starts_late(hand, val
     assert score(made, hand.truth).total_rmse_deg < score(reference(hand), hand.truth).total_rmse_deg + 0.1
 
 
-@pytest.mark.parametrize("name", PEERS)
+@pytest.mark.parametrize("name", mark_slow_except(PEERS, "mahony"))
 def test_peers_start_with_the_first_field_that_is_one(hand, name):
     pytest.importorskip(PEERS[name])
     broken, count = first_20_s(hand, 0.0)

@@ -306,14 +306,7 @@ def test_a_clean_recording_has_no_findings(phone: Recording) -> None:
     assert examine(replace(phone, truth=None, base_pose=None)).clean
 
 
-QUICK = (  # one of each kind: axes, units, stamps, range, offset, noise
-    "gyro x flipped",
-    "magnetometer in gauss",
-    "stamps in bursts",
-    "gyro clipped",
-    "hard iron of 60 uT",
-    "noisy gyro",
-)
+QUICK = ("gyro x flipped", "stamps in bursts", "gyro clipped")  # of axes, stamps and values
 
 
 @pytest.mark.parametrize(
@@ -334,6 +327,7 @@ def test_a_planted_fault_is_named_and_mended(phone: Recording, fault: Fault) -> 
     assert fault.code not in examine(mended).codes("error", "warning")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["phone-1", "phone-2"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_slow_and_planar_motion_raises_no_alarm(kind: str, seed: int) -> None:

@@ -17,6 +17,7 @@ from stillpoint.datasets.doctor.witness import CANDIDATES, choose, describe
 from stillpoint.datasets.simulate import simulate
 
 
+@pytest.mark.slow
 @given(st.integers(0, 47), st.integers(0, 1000))
 def test_a_vector_fixed_in_the_world_changes_as_the_true_rate_says(k, seed):
     """With the gyro's axes wrong by a candidate, that candidate's inverse predicts the change, exactly."""
@@ -87,6 +88,7 @@ def test_white_noise_is_told_from_drift_and_jolts(sd, seed):
     assert white_noise(values, np.ones(5000, dtype=bool)) == pytest.approx([sd] * 3, rel=0.1)
 
 
+@pytest.mark.slow
 @given(st.floats(1e-3, 1e3))
 def test_calm_seconds_do_not_depend_on_the_unit(factor):
     recording = simulate("phone-1", seed=0, minutes=0.6)

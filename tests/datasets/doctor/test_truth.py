@@ -97,6 +97,7 @@ def test_an_imu_turned_against_the_truths_body_is_no_fault(phone, turn):
     assert "--align heading+mounting" in finding.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", ["last", "identity"])
 def test_a_held_truth_is_found_and_dropped(phone, held):
     def hold(q):
@@ -112,6 +113,7 @@ def test_a_held_truth_is_found_and_dropped(phone, held):
     require_untouched(phone, mended)
 
 
+@pytest.mark.slow
 def test_a_truth_of_another_body_is_dropped_when_the_sensors_agree(phone):
     other = cut(simulate("phone-3", seed=7, minutes=1.9), 45, 105).truth
     n = min(len(other.t_ns), len(phone.truth.t_ns))
@@ -143,6 +145,7 @@ def test_odometry_is_named_when_the_source_says_so(phone):
     assert examine(noted).codes("error", "warning") == ("truth-is-odometry",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixes", [True, False])
 def test_a_southern_field_points_up_and_nothing_is_inverted(phone, fixes):
     """Turned upside down about east, gravity and field together are those of the southern hemisphere."""
@@ -163,6 +166,7 @@ def southern_field(recording: Recording) -> np.ndarray:
     return q.inv().apply(field_n * [1.0, 1.0, -1.0])
 
 
+@pytest.mark.slow
 def test_a_dip_that_differs_between_rests_is_no_question_of_a_sign(phone):
     """-49 deg in one rest and +76 deg in the other: no sign mends that, so nothing is inverted."""
     imu, mag = phone.imu, phone.mag

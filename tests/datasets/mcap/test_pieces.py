@@ -162,6 +162,7 @@ def test_damage_is_found_as_in_a_file_read_whole(hour, tmp_path):
         list(PieceReader(target, most=10_000).recording())
 
 
+@pytest.mark.slow
 def test_units_are_judged_over_the_whole_recording_not_over_a_piece(tmp_path):
     """Ten minutes beside a magnet are no reason to refuse an hour; a field in gauss is."""
     near, gauss = phone(), phone()

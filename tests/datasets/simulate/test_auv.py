@@ -136,6 +136,7 @@ def test_a_receiver_waits_after_surfacing():
     assert found.tolist() == [True, True, False, False, False, True, True, True]
 
 
+@pytest.mark.slow
 def test_the_gyro_drifts_about_ten_degrees_in_ten_minutes(recorded, perfect):
     """60 deg/h that swing by a quarter: the paper's gyro is 10 deg off after 600 s."""
     for seed in range(3):
@@ -178,6 +179,7 @@ def test_roll_is_larger_on_the_surface(recorded):
     assert roll[below].std() == pytest.approx(0.12 * expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_same_arguments_same_bytes_and_other_seeds_others(recorded):
     again, other = simulate("auv-dolphin", seed=0), simulate("auv-dolphin", seed=1)
     for stream, name in (("imu", "gyro_b_radps"), ("mag", "mag_b_ut"), ("gps", "course_rad"), ("truth", "q_nb")):

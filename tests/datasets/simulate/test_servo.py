@@ -111,6 +111,7 @@ def test_the_drift_of_a_recording_is_its_bias_times_the_time() -> None:
     assert np.rad2deg(turned.magnitude()) == pytest.approx(np.rad2deg(np.linalg.norm(bias)) * 59.99, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_bias_changes_while_the_device_warms_up() -> None:
     recording = simulate("servo-bench", seed=2, minutes=30)
     drawn = json.loads(recording.info.extra["sensor_drawn"])["gyro"]
