@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from warm_command import warm_command
 
 from stillpoint.datasets import write
 from stillpoint.datasets.cut import cut_recording, find_start_ns
@@ -64,25 +65,27 @@ def readers_folder(tmp_path_factory):
     names = "t,gx,gy,gz,ax,ay,az,mx,my,mz"
     np.savetxt(folder / "log.csv", log, fmt="%.6f", delimiter=",", header=names, comments="")
     (folder / "mine.py").write_text(blocks(DOCS / "how-to" / OWN, "python")[0], encoding="utf-8")
-    commands = folder / "bin"
-    commands.mkdir()
-    (commands / "stillpoint").write_text(
-        f"#!{sys.executable}\nfrom stillpoint.scripts.main import main\nmain()\n", encoding="utf-8"
-    )
-    # No link: a Python that is called by another path does not find its environment.
-    (commands / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
-    for command in commands.iterdir():
-        command.chmod(0o755)
     return folder
+
+
+@pytest.fixture(scope="module")
+def commands(tmp_path_factory):
+    """A folder with the commands that the pages call."""
+    folder = tmp_path_factory.mktemp("bin")
+    # No link: a Python that is called by another path does not find its environment.
+    (folder / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
+    (folder / "python").chmod(0o755)
+    with warm_command(folder):
+        yield folder
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda page: page.stem)
-def test_the_commands_of_a_page_run(page, readers_folder, tmp_path):
+def test_the_commands_of_a_page_run(page, readers_folder, commands, tmp_path):
     folder = tmp_path / "reader"
     shutil.copytree(readers_folder, folder, symlinks=True)
     script = "\n".join(["set -e", *blocks(page, "bash")])
-    environment = os.environ | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}"}
+    environment = os.environ | {"PATH": f"{commands}:{os.environ['PATH']}"}
     ran = subprocess.run(["bash", "-c", script], cwd=folder, env=environment, capture_output=True, text=True)
     assert ran.returncode == 0, f"{page.name}: {ran.stderr[-2000:]}\n{ran.stdout[-1000:]}"
 

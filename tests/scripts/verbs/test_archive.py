@@ -4,13 +4,12 @@ import io
 import json
 import os
 import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from shelf import write_family, write_recording
+from warm_command import warm_command
 
 from stillpoint.datasets import read, write
 from stillpoint.datasets.simulate import simulate
@@ -190,8 +189,9 @@ def test_the_script_of_a_bundle_makes_everything_anew(call, tmp_path, monkeypatc
     assert call("archive", "init", home) == 0
     assert call("archive", "add", "--archive", home, recordings, tmp_path / "board" / "leaderboard.json") == 0
     assert call("archive", "export", "all", "--archive", home, "-o", bundle, "--allow-unlicensed") == 0
-    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    ended = subprocess.run(["sh", "reproduce.sh"], cwd=bundle, capture_output=True, text=True)
+    with warm_command(tmp_path / "bin") as command:
+        monkeypatch.setenv("PATH", f"{command.parent}{os.pathsep}{os.environ['PATH']}")
+        ended = subprocess.run(["sh", "reproduce.sh"], cwd=bundle, capture_output=True, text=True)
     assert ended.returncode == 1
     assert "2 made anew, 1 differ" in ended.stdout
     assert "run.gyro.estimate.mcap differs" in ended.stdout
