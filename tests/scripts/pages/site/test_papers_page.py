@@ -120,8 +120,9 @@ def test_tables_2_to_4_of_elmi_aziz_and_mohseni_araste(name: str, monkeypatch: p
 
 
 @pytest.mark.slow
-def test_two_hours_of_cf_against_kalman_filters() -> None:
+def test_two_hours_of_cf_against_kalman_filters(monkeypatch: pytest.MonkeyPatch) -> None:
     """The accuracy only; the time depends on the machine."""
+    monkeypatch.setattr(phone, "RUNS", 1)
     runs = phone.time_long_run(120, "carried", (phone.CF, phone.KALMAN))
     lines = papers_page.list_long_run([{"minutes": 120.0, **asdict(run)} for run in runs])
     check_lines("long", lines, columns=slice(0, 2))
