@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stillpoint.datasets.errors import BadParameter, BadRecording, Unobservable, require_known
 from stillpoint.datasets.measurements import drop_non_measurements
@@ -16,6 +16,9 @@ from stillpoint.smoother.long_reference import LongReference, as_long_reference
 from stillpoint.smoother.preset import choose_preset
 from stillpoint.smoother.redistribution import RedistributionParams, redistribution, redistribution_earth
 from stillpoint.smoother.spin.params import SpinGraphParams
+
+if TYPE_CHECKING:
+    from stillpoint.smoother.attitude.kept_windows import KeptWindows
 
 DEFAULT_METHOD = "graph"
 DEFAULT_ROLL_METHOD = "roll-graph"
@@ -30,7 +33,12 @@ class Method:
     summary: str
 
 
-def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] = ()) -> LongReference:
+def _graph(
+    recording: Recording,
+    params: GraphParams,
+    generators: Sequence[Any] = (),
+    kept: "KeptWindows | None" = None,
+) -> LongReference:
     """Make the reference by the factor graph; gtsam is loaded when it is needed, as it is not available everywhere."""
     try:
         from stillpoint.smoother.attitude.method import make_graph_reference
@@ -39,7 +47,7 @@ def _graph(recording: Recording, params: GraphParams, generators: Sequence[Any] 
             f"method graph: needs gtsam ({error}), which has packages for Linux x86-64 and macOS; "
             "use --method redistribution here"
         ) from error
-    return make_graph_reference(recording, params, generators)
+    return make_graph_reference(recording, params, generators, kept)
 
 
 def _spin_graph(recording: Recording, params: SpinGraphParams) -> SpinReference:
@@ -144,14 +152,21 @@ def make_reference_in_pieces(
     params: Settings | Mapping[str, Any] | None = None,
     calibration: Calibration | None = None,
     factors: Sequence[Any] = (),
+    kept: "KeptWindows | None" = None,
 ) -> LongReference | SpinReference:
-    """Return :func:`reference`, of which an attitude comes in pieces, for files; arguments and errors are the same."""
+    """Return :func:`reference`, of which an attitude comes in pieces, for files; arguments and errors are the same.
+
+    Windows that are ``kept``, of a run on the same recording by the same code, are not solved again, and others are
+    added to them as they are solved. Where there are ``factors`` of users, none is kept.
+    """
     name = _default_method(recording) if method is None else method
     function = _method_of(name).function
     if factors:
         if name != "graph":
             raise BadParameter(f"factors: are for the method graph, not {name}")
         function = partial(_graph, generators=factors)
+    elif name == "graph":
+        function = partial(_graph, kept=kept)
     settings = settings_of(name, params)  # first: a wrong setting needs no recording to be refused
     recording, dropped = drop_non_measurements(recording)
     chosen: dict[str, str] = {}

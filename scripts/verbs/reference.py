@@ -1,5 +1,6 @@
 """``stillpoint reference``: make the reference trajectory of recordings."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +12,7 @@ import numpy as np
 
 from stillpoint.datasets import SpinReference, write
 from stillpoint.datasets.calibration.apply import load_calibration
-from stillpoint.datasets.errors import BadParameter, require_known
+from stillpoint.datasets.errors import BadParameter, Unobservable, require_known
 from stillpoint.datasets.mcap.store import sha256, write_trajectory_pieces
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
@@ -19,13 +20,14 @@ from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
-from stillpoint.scripts.shared.output import STDOUT, JsonFile
+from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.long_reference import LongReference
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, make_reference_in_pieces, settings_of
+from stillpoint.studies.window_folder import WindowFolder
 
 _AUTO = "auto"  # the preset that each recording's streams speak for
 
@@ -131,7 +133,7 @@ def reference(
     if calibration is not None:
         known = _Known(calibration.name, calibration=_read_calibration(calibration), sha256=sha256(calibration))
     outcomes = run_kept(
-        partial(_make_one, settings=settings, known=known),
+        partial(_make_one, settings=settings, known=known, force=keeping.force),
         work,
         partial(_decide, settings=settings, known=known),
         workers,
@@ -206,14 +208,24 @@ def _decide(job: _Job, settings: Mapping[str, Settings | Mapping[str, str]], kno
 
 
 def _make_one(
-    task: Task[_Job], settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None
+    task: Task[_Job], settings: Mapping[str, Settings | Mapping[str, str]], known: _Known | None, force: bool
 ) -> dict[str, Any]:
     """Read a recording, make its reference, write it, and return the facts of the table."""
     job = task.item
     recording, digest = open_recording(job.source), sha256(job.source)
     task.require_unchanged(job.source.name, digest)
     begun = perf_counter()
-    made = make_reference_in_pieces(recording, job.method, settings[job.method], known.calibration if known else None)
+    windows = WindowFolder(job.target, task.origin["key"]) if task.origin else None
+    if windows is not None:
+        _say_kept(windows, job.source.name, force)
+    try:
+        made = make_reference_in_pieces(
+            recording, job.method, settings[job.method], known.calibration if known else None, kept=windows
+        )
+    except Unobservable:
+        if windows is not None:
+            windows.remove()  # the refusal is kept
+        raise
     seconds = perf_counter() - begun
     made_from = {job.source.name: digest} | ({known.name: known.sha256} if known else {})
     if isinstance(made, SpinReference):
@@ -224,7 +236,19 @@ def _make_one(
         made = made.with_facts(made_from=made_from)
         facts = _list_facts(made)
         write_trajectory_pieces(job.target, made.pieces(), made.samples, origin=_say_origin(task, facts))
+    if windows is not None:
+        windows.remove()
     return {**facts, "seconds": seconds}
+
+
+def _say_kept(windows: WindowFolder, name: str, force: bool) -> None:
+    """Say how many windows an earlier run left that was stopped; with ``force``, remove them instead."""
+    if force:
+        windows.remove()
+    elif len(windows):
+        # More than there are windows: an earlier run has solved the recording more than once.
+        found, of_all = len(windows), windows.count_windows()
+        print_line(f"reference: {name}: {min(found, of_all)} of {of_all} windows kept from an earlier run", sys.stderr)
 
 
 def _say_origin(task: Task[_Job], facts: Mapping[str, Any]) -> Mapping[str, str]:

@@ -17,6 +17,7 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Calibration, Reference
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence
+from stillpoint.smoother.attitude.kept_windows import KeptWindows
 from stillpoint.smoother.attitude.outside.added import Generator
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.plausibility import (
@@ -45,13 +46,17 @@ _RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the mot
 
 
 def make_attitude_reference(
-    recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()
+    recording: Recording,
+    params: GraphParams,
+    generators: Sequence[Generator] = (),
+    kept: KeptWindows | None = None,
 ) -> LongReference:
     """Return the reference trajectory of a recording by the calibrating factor graph.
 
     If the magnetometer contradicts gyro and accelerometer, but its axes are right, the field is disturbed. The
     reference is then made without the magnetometer if a return to the base pose or satellites test the gyro instead,
-    and otherwise with the readings that fit. ``generators`` add factors (outside/added.py).
+    and otherwise with the readings that fit. ``generators`` add factors (outside/added.py). Of a recording of several
+    windows those that are ``kept`` are not solved again, and others are added to them as they are solved.
 
     Raises :class:`Unobservable` when the recording does not determine the attitude, and its subclass
     :class:`Contradiction` when the sensors contradict each other.
@@ -64,23 +69,23 @@ def make_attitude_reference(
     try:
         if disturbed:
             raise Contradiction(recording.name, disturbed, of_field=True)
-        solved = _solve_with_priors(recording, evidence, priors)
+        solved = _solve_with_priors(recording, evidence, priors, kept)
         refuse_disturbed_field(solved.fit, recording.name, solved.params)
     except (Contradiction, NoOptimum) as contradiction:
         try:
             recording, evidence, solved, left_out = _solve_without_magnetometer(
-                recording, params, generators, contradiction
+                recording, params, generators, contradiction, kept
             )
         except Unobservable:
             if solved is None and not disturbed:
                 raise
-            solved = solved or _solve_with_priors(recording, evidence, priors)
+            solved = solved or _solve_with_priors(recording, evidence, priors, kept)
     refuse_wrong_axes(recording, solved.fit.field_inlier_share)
     known = _find_far_calibration(evidence, solved)
     if known is not None:
-        recording, evidence, solved = _solve_corrected(recording, generators, solved, known)
-    evidence, solved = _try_restored(recording, evidence, solved)
-    evidence, solved = _test_lone_return(recording, evidence, solved)
+        recording, evidence, solved = _solve_corrected(recording, generators, solved, known, kept)
+    evidence, solved = _try_restored(recording, evidence, solved, kept)
+    evidence, solved = _test_lone_return(recording, evidence, solved, kept)
     made = report_reference(recording, evidence, solved, left_out)
     return made if known is None else express_in_raw_readings(made, known)
 
@@ -90,9 +95,9 @@ def reference_from_evidence(recording: Recording, evidence: Evidence, params: Gr
 
     Raises :class:`Unobservable` as :func:`make_attitude_reference` does, and never leaves out the magnetometer.
     """
-    solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence))
-    evidence, solved = _try_restored(recording, evidence, solved)
-    evidence, solved = _test_lone_return(recording, evidence, solved)
+    solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence), None)
+    evidence, solved = _try_restored(recording, evidence, solved, None)
+    evidence, solved = _test_lone_return(recording, evidence, solved, None)
     return report_reference(recording, evidence, solved, None).whole()
 
 
@@ -105,7 +110,11 @@ def _find_far_calibration(evidence: Evidence, solved: Solved) -> Calibration | N
 
 
 def _solve_corrected(
-    recording: Recording, generators: Sequence[Generator], solved: Solved, known: Calibration
+    recording: Recording,
+    generators: Sequence[Generator],
+    solved: Solved,
+    known: Calibration,
+    kept: KeptWindows | None,
 ) -> tuple[Recording, Evidence, Solved]:
     """Return recording, evidence and solution with the gyro corrected by the matrix that was found, priors unchanged.
 
@@ -114,10 +123,12 @@ def _solve_corrected(
     """
     nearer = correct_recording(recording, known)
     evidence = gather_evidence(nearer, solved.params, generators)
-    return nearer, evidence, solve_both_headings(nearer, evidence, solved.params)
+    return nearer, evidence, solve_both_headings(nearer, evidence, solved.params, kept)
 
 
-def _test_lone_return(recording: Recording, evidence: Evidence, solved: Solved) -> tuple[Evidence, Solved]:
+def _test_lone_return(
+    recording: Recording, evidence: Evidence, solved: Solved, kept: KeptWindows | None
+) -> tuple[Evidence, Solved]:
     """Return evidence and solution without a lone return that was put back turned.
 
     Where there is one return only, the first solution counts the magnetometer in full to test it. A return that stands
@@ -130,7 +141,7 @@ def _test_lone_return(recording: Recording, evidence: Evidence, solved: Solved) 
     returns = Returns(evidence.returns.verdicts, (), ()) if turned else evidence.returns
     tested = evidence.with_returns(returns, solved.params, tested=True)
     try:
-        again = solve_both_headings(recording, tested, solved.params)
+        again = solve_both_headings(recording, tested, solved.params, kept)
     except Unobservable:
         return evidence, solved
     if turned:
@@ -139,7 +150,9 @@ def _test_lone_return(recording: Recording, evidence: Evidence, solved: Solved) 
     return tested, again
 
 
-def _try_restored(recording: Recording, evidence: Evidence, solved: Solved) -> tuple[Evidence, Solved]:
+def _try_restored(
+    recording: Recording, evidence: Evidence, solved: Solved, kept: KeptWindows | None
+) -> tuple[Evidence, Solved]:
     """Return evidence and solution of a slow log with the motion between readings restored, if the data allow it.
 
     Readings of single moments in a violent motion contradict the smaller error: on copies of BROAD at 24 Hz the cost
@@ -150,7 +163,7 @@ def _try_restored(recording: Recording, evidence: Evidence, solved: Solved) -> t
         return evidence, solved
     restored = evidence.as_restored()
     try:
-        again = solve_both_headings(recording, restored, solved.params)
+        again = solve_both_headings(recording, restored, solved.params, kept)
     except Unobservable:
         return evidence, solved
     rise = sum(piece.cost for piece in again.pieces) - sum(piece.cost for piece in solved.pieces)
@@ -169,7 +182,7 @@ def _choose_priors(
     if trial is None:
         return priors, ""
     try:
-        tried = _solve_with_priors(recording, trial, priors)
+        tried = _solve_with_priors(recording, trial, priors, None)
     except Unobservable:
         return priors, ""
     chosen = next(k for k, prior in enumerate(priors) if prior.params is tried.params)
@@ -180,7 +193,9 @@ def _choose_priors(
     return priors[chosen : chosen + 1], f"in its first {seconds:.0f} s {found}"
 
 
-def _solve_with_priors(recording: Recording, evidence: Evidence, priors: list[SensorPriors]) -> Solved:
+def _solve_with_priors(
+    recording: Recording, evidence: Evidence, priors: list[SensorPriors], kept: KeptWindows | None
+) -> Solved:
     """Solve the graph with the first of several sensor priors that the data do not contradict.
 
     If the field is disturbed with all priors, the narrowest ones are used. Raises :class:`Unobservable` when the data
@@ -190,7 +205,7 @@ def _solve_with_priors(recording: Recording, evidence: Evidence, priors: list[Se
     failure: Unobservable | None = None
     for prior in priors:
         try:
-            solved = _solve_and_judge(recording, evidence, prior)
+            solved = _solve_and_judge(recording, evidence, prior, kept)
         except Unobservable as error:
             blames_field = isinstance(error, Contradiction) and error.of_field
             if failure is None or (blames_field and not (isinstance(failure, Contradiction) and failure.of_field)):
@@ -210,6 +225,7 @@ def _solve_without_magnetometer(
     params: GraphParams,
     generators: Sequence[Generator],
     contradiction: Contradiction | NoOptimum,
+    kept: KeptWindows | None,
 ) -> tuple[Recording, Evidence, Solved, str]:
     """Return recording, evidence and solution without the magnetometer, and why it is left out.
 
@@ -221,13 +237,13 @@ def _solve_without_magnetometer(
     # Only the returns show the gyro's scale then, so the priors of a raw sensor are used without a test of the gyro.
     raw = replace(priors_to_try(params, evidence)[:2][-1], surprise_limit_sd=None)
     try:
-        return recording, evidence, _solve_with_priors(recording, evidence, [raw]), why
+        return recording, evidence, _solve_with_priors(recording, evidence, [raw], kept), why
     except Unobservable:
         raise contradiction from None
 
 
-def _solve_and_judge(recording: Recording, evidence: Evidence, prior: SensorPriors) -> Solved:
-    solved = solve_both_headings(recording, evidence, prior.params)
+def _solve_and_judge(recording: Recording, evidence: Evidence, prior: SensorPriors, kept: KeptWindows | None) -> Solved:
+    solved = solve_both_headings(recording, evidence, prior.params, kept)
     if prior.surprise_limit_sd is not None:
         refuse_surprise(solved.pieces[-1].calibration, prior.surprise_limit_sd, recording.name, prior.params)
     return solved

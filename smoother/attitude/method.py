@@ -12,6 +12,7 @@ import numpy as np
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.smoother.attitude.graph import make_attitude_reference
+from stillpoint.smoother.attitude.kept_windows import KeptWindows
 from stillpoint.smoother.attitude.outside.added import Generator, name_generator
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.plausibility import find_contradicting_factors
@@ -22,11 +23,16 @@ _PUNCTUAL_S = 0.1  # a larger delay of the fixes is corrected, unless gps.late_s
 
 
 def make_graph_reference(
-    recording: Recording, params: GraphParams, generators: Sequence[Generator] = ()
+    recording: Recording,
+    params: GraphParams,
+    generators: Sequence[Generator] = (),
+    kept: KeptWindows | None = None,
 ) -> LongReference:
     """Return the reference of a recording by the calibrating factor graph, with added factors.
 
-    Raises :class:`Unobservable` as :func:`~stillpoint.smoother.attitude.graph.make_attitude_reference` does.
+    Of a recording of several windows those that are ``kept`` are not solved again, and others are added to them as
+    they are solved; factors that are added are not known by their content, so give none then. Raises
+    :class:`Unobservable` as :func:`~stillpoint.smoother.attitude.graph.make_attitude_reference` does.
     """
     if _is_blind_vehicle(recording, params, generators):
         raise Unobservable(
@@ -35,7 +41,7 @@ def make_graph_reference(
         )
     whole, islands = leave_out_islands(recording)
     try:
-        made = _correct_delay(whole, params, generators)
+        made = _correct_delay(whole, params, generators, kept)
     except Unobservable as error:
         raise _blame_generator(whole, params, generators, error) from error
     doubtful = find_contradicting_factors(made.facts["diagnostics"]["residuals"])
@@ -69,14 +75,16 @@ def _blame_generator(
     return error
 
 
-def _correct_delay(recording: Recording, params: GraphParams, generators: Sequence[Generator]) -> LongReference:
+def _correct_delay(
+    recording: Recording, params: GraphParams, generators: Sequence[Generator], kept: KeptWindows | None
+) -> LongReference:
     """Return the reference, made once more with the delay of the fixes that the first one shows if it is large."""
-    made = make_attitude_reference(recording, params, generators)
+    made = make_attitude_reference(recording, params, generators, kept)
     delay_s = made.facts["diagnostics"].get("fixes", {}).get("delay_s")
     if params.gps.late_s != 0.0 or delay_s is None or abs(delay_s) <= _PUNCTUAL_S:
         return made
     late = replace(params, gps=replace(params.gps, late_s=float(np.clip(delay_s, -2.0, 5.0))))
-    again = make_attitude_reference(recording, late, generators)
+    again = make_attitude_reference(recording, late, generators, kept)
     left_s = again.facts["diagnostics"]["fixes"]["delay_s"]
     if left_s is None or abs(left_s) >= abs(delay_s):
         return made

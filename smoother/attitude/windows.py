@@ -15,24 +15,19 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, H, L, M, V, X
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from gtsam.symbol_shorthand import C
 
 from stillpoint.datasets.earth import local_declination
-from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.smoother.attitude.build import Graph, build_graph, build_start_values
 from stillpoint.smoother.attitude.chain import join_chains
 from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
-from stillpoint.smoother.attitude.factors import bias_steps
+from stillpoint.smoother.attitude.kept_windows import KeptWindows, Window, name_windows, pack_window, unpack_window
 from stillpoint.smoother.attitude.keys import Keys
-from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate
-from stillpoint.smoother.attitude.linear.inherited import Inherited, remaining_rows
-from stillpoint.smoother.attitude.linear.structure import find_structure
 from stillpoint.smoother.attitude.outside.added import Added, find_effective, measure_added, select_added
 from stillpoint.smoother.attitude.outside.satellite import find_believed_fixes
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
+from stillpoint.smoother.attitude.past import Past, continue_attitudes, hand_over, resume_values
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
     Fit,
@@ -43,7 +38,7 @@ from stillpoint.smoother.attitude.plausibility import (
 )
 from stillpoint.smoother.attitude.returns import Votes, vote_factors, with_wide_votes
 from stillpoint.smoother.attitude.samples.every_sample import Piece, make_piece
-from stillpoint.smoother.attitude.solve import SIZES, Solution, begin, iterate, linearise, make_unobservable, solve
+from stillpoint.smoother.attitude.solve import begin, iterate, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,74 +54,83 @@ class Solved:
 _LEAST_OVERLAP = 2  # states
 
 
-@dataclass(frozen=True, eq=False)
-class Past:
-    """The information that a window hands over to the next one."""
-
-    inherited: Inherited  # factors on the unknowns that both share
-    values: gtsam.Values  # of all unknowns of the window but the effective biases
-    interval: NDArray[np.int64]  # (m,) its intervals
-    effective: Floats  # (m, 6) and their effective biases
-    held: range  # its states in the overlap
-    gyro_bias_b_radps: Floats  # (3,) at the first state of the next window
-
-
-def solve_both_headings(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
+def solve_both_headings(
+    recording: Recording, evidence: Evidence, params: GraphParams, kept: KeptWindows | None = None
+) -> Solved:
     """Solve from the start value, and once more with its heading rotated by 180 deg if the field then points south.
 
     This happens where the magnetometer covers little of the recording, so that the start value has no heading.
-    Raises :class:`Contradiction` when the field points south from both headings.
+    Windows that are ``kept`` are not solved again, and others are added to them as they are solved. Raises
+    :class:`Contradiction` when the field points south from both headings.
     """
-    solved = _solve_windows(recording, evidence, params)
+    solved = _solve_windows(recording, evidence, params, kept)
     if _field_points_north(solved.pieces, recording, evidence):
         return solved
-    solved = _solve_windows(recording, turn_start_round(evidence), params)
+    solved = _solve_windows(recording, turn_start_round(evidence), params, kept)
     if not _field_points_north(solved.pieces, recording, evidence):
         raise Contradiction(recording.name, "the field points away from north, wherever the heading begins")
     return solved
 
 
-def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams) -> Solved:
+def _solve_windows(recording: Recording, evidence: Evidence, params: GraphParams, kept: KeptWindows | None) -> Solved:
     """Solve window by window; each window begins with everything that the windows before it have found.
 
     Raises :class:`Unobservable` when a window has no unique optimum or one that no sensor can have produced.
     """
-    pieces: list[Piece] = []
-    fits: list[Fit] = []
+    bounds = split_windows(evidence.keys, params.keys)
+    solved: list[Window] = []
     past: Past | None = None
+    store = kept if len(bounds) > 1 else None
+    names = [""] * len(bounds) if store is None else name_windows(evidence, params, len(bounds))
+    for name, bound in zip(names, bounds, strict=True):
+        found = None if store is None else store.get(name)
+        window = unpack_window(found) if found else _solve_window(recording, evidence, bound, past, params)
+        if store is not None and found is None:
+            store[name] = pack_window(window, len(bounds))
+        past = window.past
+        solved.append(replace(window, past=None))
+    fit = average_fits([window.fit for window in solved])
+    return Solved([window.piece for window in solved], fit, params, sum(one.n_doubtful_fixes for one in solved))
+
+
+def _solve_window(
+    recording: Recording, evidence: Evidence, bound: tuple[int, int, int], past: Past | None, params: GraphParams
+) -> Window:
+    """Return the solution of one window, after its ``past``; errors as of :func:`_solve_windows`."""
+    first, until, end = bound
+    window, closed = evidence.within(first, end), evidence.within(first, until)
+    start_bias = evidence.start.gyro_bias_b_radps
+    bias = start_bias if past is None else past.gyro_bias_b_radps
+    before = build_graph(recording, closed, bias, params)
+    parts = [before]
+    if until < end:
+        parts.append(build_graph(recording, evidence.within(until, end), bias, params))
+    added = select_added(evidence.added, window.keys.states, window.keys.held)
+    votes = window.find_votes()
+    problem = window.keys.held, window.measured, recording.name
+    approach = begin(*start_window(window, past, added, params), params)
+    if votes is not None:
+        wide = with_wide_votes(params)
+        graph = _push_added(join_graphs(parts, votes, past, wide), added)
+        approach = iterate(graph, approach, *problem, wide)
+    graph = _push_added(join_graphs(parts, votes, past, params), added)
+    solution = solve(graph, approach, *problem, params)
+    fit = measure_fit(graph, len(added), solution, window.keys, params)
+    fit = replace(fit, squares=fit.squares | measure_added(added, solution.values))
+    refuse_contradictions(fit, solution, start_bias, recording.info, recording.name, params)
     n_doubtful_fixes = 0
-    for first, until, end in split_windows(evidence.keys, params.keys):
-        window, closed = evidence.within(first, end), evidence.within(first, until)
-        start_bias = evidence.start.gyro_bias_b_radps
-        bias = start_bias if past is None else past.gyro_bias_b_radps
-        before = build_graph(recording, closed, bias, params)
-        parts = [before]
-        if until < end:
-            parts.append(build_graph(recording, evidence.within(until, end), bias, params))
-        added = select_added(evidence.added, window.keys.states, window.keys.held)
-        votes = window.find_votes()
-        problem = window.keys.held, window.measured, recording.name
-        approach = begin(*start_window(window, past, added, params), params)
-        if votes is not None:
-            wide = with_wide_votes(params)
-            graph = _push_added(join_graphs(parts, votes, past, wide), added)
-            approach = iterate(graph, approach, *problem, wide)
-        graph = _push_added(join_graphs(parts, votes, past, params), added)
-        solution = solve(graph, approach, *problem, params)
-        fit = measure_fit(graph, len(added), solution, window.keys, params)
-        fits.append(replace(fit, squares=fit.squares | measure_added(added, solution.values)))
-        refuse_contradictions(fits[-1], solution, start_bias, recording.info, recording.name, params)
-        if window.fixes is not None:
-            kept = find_believed_fixes(window.fixes, solution.values, params.gps)
-            refuse_fixes(kept, recording.name)
-            n_doubtful_fixes += int((~kept).sum())
-        pieces.append(make_piece(window, solution, until, recording.name, params))
-        if until < end:
-            closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
-            graph = _push_added(join_graphs([before], closed.find_votes(), past, params), closing)
-            interval = join_chains([part.chain for part in parts]).interval
-            past = hand_over(graph, closed, window.keys.held, interval, solution, recording.name, params)
-    return Solved(pieces, average_fits(fits), params, n_doubtful_fixes)
+    if window.fixes is not None:
+        believed = find_believed_fixes(window.fixes, solution.values, params.gps)
+        refuse_fixes(believed, recording.name)
+        n_doubtful_fixes = int((~believed).sum())
+    piece = make_piece(window, solution, until, recording.name, params)
+    after: Past | None = None
+    if until < end:
+        closing = select_added(evidence.added, closed.keys.states, closed.keys.held)
+        graph = _push_added(join_graphs([before], closed.find_votes(), past, params), closing)
+        interval = join_chains([part.chain for part in parts]).interval
+        after = hand_over(graph, closed, window.keys.held, interval, solution, recording.name, params)
+    return Window(piece, fit, n_doubtful_fixes, after)
 
 
 def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
@@ -172,54 +176,19 @@ def start_window(
 
     They are those of the evidence, overwritten by the past where the two overlap.
     """
-    q_nb = window.q_nb if past is None else _continue_attitudes(past, window)
+    q_nb = window.q_nb if past is None else continue_attitudes(past, window)
     bias = window.start.gyro_bias_b_radps if past is None else past.gyro_bias_b_radps
     of_added = find_effective(added)
     values = build_start_values(window, q_nb, bias, of_added, params)
     intervals = window.keys.intervals(~window.keys.gap)
     effective = np.tile(np.concatenate([np.zeros(3), bias]), (len(intervals), 1))
     if past is not None:
-        _resume(values, past, window.keys, params)
+        resume_values(values, past, window.keys, params)
         _, here, before = np.intersect1d(intervals, past.interval, assume_unique=True, return_indices=True)
         effective[here] = past.effective[before]
     for i, each in zip(of_added, effective[np.searchsorted(intervals, of_added)], strict=True):
         values.update(C(i), gtsam.imuBias.ConstantBias(each[:3], each[3:]))
     return values, effective
-
-
-def hand_over(
-    graph: Graph,
-    closed: Evidence,
-    held: range,
-    interval: NDArray[np.int64],
-    solution: Solution,
-    name: str,
-    params: GraphParams,
-) -> Past:
-    """Reduce the factors of a window's past to the unknowns that it shares with the next window.
-
-    ``graph`` holds the factors of ``closed``, the part of the window before the next one; ``held`` are all states
-    and ``interval`` (m,) all intervals of the window.
-    """
-    keys, values = closed.keys, solution.values
-    until = keys.states.stop
-    effective = solution.effective[np.isin(interval, graph.chain.interval)]
-    field = closed.measured, solution.field_scale_ut
-    rows, _ = linearise(graph, values, effective, held, *field, params, solution.field_widening)
-    step = int(bias_steps(keys, params)[until])
-    common = [X(until), V(until), B(step), M(0), H(0), L(0)]
-    try:
-        rest = remaining_rows(eliminate(find_structure(rows, SIZES, last=common), rows), common)
-    except SingularSystem as error:
-        raise make_unobservable(name) from error
-    return Past(
-        inherited=Inherited(rest, values),
-        values=values,
-        interval=interval,
-        effective=solution.effective,
-        held=range(until, held.stop),
-        gyro_bias_b_radps=values.atConstantBias(B(step)).gyroscope(),
-    )
 
 
 def _field_points_north(pieces: list[Piece], recording: Recording, evidence: Evidence) -> bool:
@@ -229,30 +198,3 @@ def _field_points_north(pieces: list[Piece], recording: Recording, evidence: Evi
         return True
     azimuth, _ = local_declination(recording.info)
     return bool(field_n_ut[0] * np.sin(azimuth) + field_n_ut[1] * np.cos(azimuth) > 0)
-
-
-def _continue_attitudes(past: Past, window: Evidence) -> Floats:
-    """Return the start attitudes (n, 4), rotated to the heading of the past if no magnetometer shows the heading."""
-    if window.measured is not None:
-        return window.q_nb
-    last = past.held[-1]
-    turn = rotation(window.q_nb[last]).inv()
-    difference = quaternion(Rotation.from_matrix(past.values.atPose3(X(last)).rotation().matrix()) * turn)
-    angle_rad = float(2 * np.arctan2(difference[3], difference[0]))
-    return quaternion(heading_rotation(angle_rad) * rotation(window.q_nb))
-
-
-def _resume(values: gtsam.Values, past: Past, keys: Keys, params: GraphParams) -> None:
-    """Overwrite start values with the optimum of the window before, for all unknowns that both windows have."""
-    before = past.values
-    for i in past.held:
-        values.update(X(i), before.atPose3(X(i)))
-        values.update(V(i), before.atVector(V(i)))
-    step = bias_steps(keys, params)[past.held]
-    for k in range(step[0], step[-1] + 1):
-        values.update(B(k), before.atConstantBias(B(k)))
-    values.update(M(0), before.atVector(M(0)))
-    if values.exists(H(0)):
-        values.update(H(0), before.atVector(H(0)))
-    if before.exists(L(0)):
-        values.insert_or_assign(L(0), before.atPose3(L(0)))

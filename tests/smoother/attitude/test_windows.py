@@ -18,8 +18,9 @@ from stillpoint.smoother.attitude.linear.elimination import eliminate, optimise
 from stillpoint.smoother.attitude.linear.inverse import compute_covariances
 from stillpoint.smoother.attitude.linear.structure import find_structure
 from stillpoint.smoother.attitude.params import HANDHELD
+from stillpoint.smoother.attitude.past import Past, hand_over
 from stillpoint.smoother.attitude.solve import SIZES, begin, linearise, solve
-from stillpoint.smoother.attitude.windows import Past, hand_over, join_graphs, split_windows, start_window
+from stillpoint.smoother.attitude.windows import join_graphs, split_windows, start_window
 
 WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
 
