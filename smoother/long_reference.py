@@ -5,11 +5,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillpoint.datasets.trajectory import Reference
 
-Columns = Mapping[str, NDArray[Any]]
+Columns = Mapping[str, Any]  # arrays by the names of their fields
 
 _COLUMNS = (
     "t_ns",
@@ -38,7 +37,7 @@ class LongReference:
 
     def whole(self) -> Reference:
         """Return the reference in one piece."""
-        whole: dict[str, NDArray[Any]] = {}
+        whole: dict[str, Any] = {}
         done = 0
         for columns in self.make_columns():
             here = len(columns["t_ns"])

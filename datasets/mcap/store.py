@@ -117,7 +117,7 @@ def write_pieces(path: Path | str, head: Head, pieces: Callable[[], Iterator[Pie
 
 def write_trajectory_pieces(
     path: Path | str,
-    pieces: Iterator[Reference] | Iterator[Estimate],
+    pieces: Iterator[Reference | Estimate],
     samples: int,
     origin: Mapping[str, str] | None = None,
 ) -> None:

@@ -84,18 +84,28 @@ def find_start(
         iron = np.zeros(3)
         return Start(_compute_attitudes(motion, None, rest_bias_b_radps, iron), rest_bias_b_radps, iron, 0.0)
     field_b = None if mag is None else _interpolate_field(motion, mag, t0_ns)
+    bias, iron, misfit = _find_bias_and_iron(motion, field_b, rest_bias_b_radps)
+    return Start(_compute_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
+
+
+def _find_bias_and_iron(
+    motion: Motion, field_b: Floats | None, rest_bias_b_radps: Floats | None
+) -> tuple[Floats, Floats, float]:
+    """Return gyro bias, hard iron and misfit of the best fit, from the rest bias or from two guesses."""
     guesses = [rest_bias_b_radps] if rest_bias_b_radps is not None else [np.median(motion.gyro_b_radps, axis=0)]
     if rest_bias_b_radps is None:
         guesses.append(np.zeros(3))
     samples = _average_samples(motion, field_b)
     found = [_fit_bias_and_iron(samples, guess, field_b is not None) for guess in guesses]
-    bias, iron, misfit = min(found, key=lambda each: each[2])
-    return Start(_compute_attitudes(motion, field_b, bias, iron), bias, iron, misfit)
+    return min(found, key=lambda each: each[2])
 
 
 def _interpolate_field(motion: Motion, mag: Mag, t0_ns: int) -> Floats:
     t_s = (mag.t_ns - t0_ns) / 1e9
-    return np.stack([np.interp(motion.t_s, t_s, axis) for axis in mag.mag_b_ut.T], axis=1)
+    field_b = np.empty((len(motion.t_s), 3))
+    for axis in range(3):
+        field_b[:, axis] = np.interp(motion.t_s, t_s, mag.mag_b_ut[:, axis])
+    return field_b
 
 
 def _average_samples(motion: Motion, field_b: Floats | None) -> _Samples:
@@ -293,17 +303,17 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
     stride = max(1, int(_SAMPLE_S / max(float(np.median(motion.dt_s)), 1e-9)))
     step_s = motion.dt_s.copy()
     step_s[starts] = 0.0
-    rate = motion.gyro_b_radps - bias
     turn = np.empty((len(motion.t_s), 4))
     levels: list[Rotation] = []
     offsets = np.zeros(len(starts))
     before: Rotation | None = None
     for block, (first, last) in enumerate(zip(starts, ends, strict=True)):
-        turn[first:last] = integrate(np.array([1.0, 0.0, 0.0, 0.0]), rate[first:last], step_s[first:last])
+        rate = motion.gyro_b_radps[first:last] - bias
+        turn[first:last] = integrate(np.array([1.0, 0.0, 0.0, 0.0]), rate, step_s[first:last])
         rows = slice(first, last, stride)
         some = rotation(turn[rows])
         up = np.median(some.apply(motion.accel_b_mps2[rows].copy()), axis=0)
-        level = _level_block(up, before, rate[first], motion.dt_s[first])
+        level = _level_block(up, before, rate[0], motion.dt_s[first])
         levels.append(level)
         before = level * rotation(turn[last - 1])
         if field_b is not None:
@@ -314,13 +324,13 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
         offsets = np.concatenate([_take_circular_median(offsets[piece == number]) for number in np.unique(piece)])
     pairs = zip(offsets.tolist(), levels, strict=True)
     of_block = np.array([quaternion(heading_rotation(angle) * level) for angle, level in pairs])
-    return _turn_blocks(of_block, starts, turn)
+    _turn_blocks(of_block, starts, turn)
+    return turn
 
 
 @compiled
-def _turn_blocks(of_block: Floats, starts: NDArray[np.int64], turn: Floats) -> Floats:
-    """Return the attitudes (N, 4) of samples that turned by ``turn`` (N, 4) since their block began, with w >= 0."""
-    q_nb = np.empty_like(turn)
+def _turn_blocks(of_block: Floats, starts: NDArray[np.int64], turn: Floats) -> None:
+    """Make attitudes with w >= 0 of what samples have turned since their block began, in place (N, 4)."""
     block = -1
     for k in range(len(turn)):
         if block + 1 < len(starts) and k == starts[block + 1]:
@@ -329,8 +339,7 @@ def _turn_blocks(of_block: Floats, starts: NDArray[np.int64], turn: Floats) -> F
         q = multiply(left, (turn[k, 0], turn[k, 1], turn[k, 2], turn[k, 3]))
         sign = 1.0 if q[0] >= 0 else -1.0
         for axis in range(4):
-            q_nb[k, axis] = sign * q[axis]
-    return q_nb
+            turn[k, axis] = sign * q[axis]
 
 
 def _take_circular_median(angles: Floats) -> Floats:
