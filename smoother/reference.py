@@ -18,7 +18,7 @@ from stillpoint.smoother.redistribution import RedistributionParams, redistribut
 from stillpoint.smoother.spin.params import SpinGraphParams
 
 if TYPE_CHECKING:
-    from stillpoint.smoother.attitude.kept_windows import KeptWindows
+    from stillpoint.smoother.attitude.long.kept_windows import KeptWindows
 
 DEFAULT_METHOD = "graph"
 DEFAULT_ROLL_METHOD = "roll-graph"

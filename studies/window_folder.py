@@ -9,7 +9,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.studies.result_store import ResultStore
 
 if TYPE_CHECKING:
-    from stillpoint.smoother.attitude.kept_windows import PackedWindow
+    from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 
 _SUFFIX = ".parts"
 
@@ -31,7 +31,7 @@ class WindowFolder(MutableMapping[str, "PackedWindow"]):
                 shutil.rmtree(other, ignore_errors=True)
 
     def __getitem__(self, name: str) -> "PackedWindow":
-        from stillpoint.smoother.attitude.kept_windows import PackedWindow
+        from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 
         found = self._store.get(name)
         if found is None:

@@ -17,7 +17,7 @@ from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.trajectory import Calibration, Reference
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence
-from stillpoint.smoother.attitude.kept_windows import KeptWindows
+from stillpoint.smoother.attitude.long.kept_windows import KeptWindows
 from stillpoint.smoother.attitude.outside.added import Generator
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.plausibility import (

@@ -12,7 +12,7 @@ import numpy as np
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Recording
 from stillpoint.smoother.attitude.graph import make_attitude_reference
-from stillpoint.smoother.attitude.kept_windows import KeptWindows
+from stillpoint.smoother.attitude.long.kept_windows import KeptWindows
 from stillpoint.smoother.attitude.outside.added import Generator, name_generator
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.plausibility import find_contradicting_factors

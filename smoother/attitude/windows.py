@@ -22,12 +22,12 @@ from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.smoother.attitude.build import Graph, build_graph, build_start_values
 from stillpoint.smoother.attitude.chain import join_chains
 from stillpoint.smoother.attitude.evidence import Evidence, has_known_base_pose, turn_start_round
-from stillpoint.smoother.attitude.kept_windows import KeptWindows, Window, name_windows, pack_window, unpack_window
 from stillpoint.smoother.attitude.keys import Keys
+from stillpoint.smoother.attitude.long.kept_windows import KeptWindows, Window, name_windows, pack_window, unpack_window
+from stillpoint.smoother.attitude.long.past import Past, continue_attitudes, hand_over, resume_values
 from stillpoint.smoother.attitude.outside.added import Added, find_effective, measure_added, select_added
 from stillpoint.smoother.attitude.outside.satellite import find_believed_fixes
 from stillpoint.smoother.attitude.params import GraphParams, KeyParams
-from stillpoint.smoother.attitude.past import Past, continue_attitudes, hand_over, resume_values
 from stillpoint.smoother.attitude.plausibility import (
     Contradiction,
     Fit,

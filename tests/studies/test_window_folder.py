@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillpoint.smoother.attitude.kept_windows import PackedWindow
+from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 from stillpoint.studies.window_folder import WindowFolder
 
 WINDOW = PackedWindow({"windows": 3, "window": {"cost": 0.1}}, {"a0": np.arange(3.0), "a1": np.eye(2, order="F")})

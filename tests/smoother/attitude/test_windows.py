@@ -17,8 +17,8 @@ from stillpoint.smoother.attitude.graph import reference_from_evidence
 from stillpoint.smoother.attitude.linear.elimination import eliminate, optimise
 from stillpoint.smoother.attitude.linear.inverse import compute_covariances
 from stillpoint.smoother.attitude.linear.structure import find_structure
+from stillpoint.smoother.attitude.long.past import Past, hand_over
 from stillpoint.smoother.attitude.params import HANDHELD
-from stillpoint.smoother.attitude.past import Past, hand_over
 from stillpoint.smoother.attitude.solve import SIZES, begin, linearise, solve
 from stillpoint.smoother.attitude.windows import join_graphs, split_windows, start_window
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.smoother.attitude.evidence import Evidence
+from stillpoint.smoother.attitude.long.past import Past, pack_values, unpack_values
 from stillpoint.smoother.attitude.params import GraphParams
-from stillpoint.smoother.attitude.past import Past, pack_values, unpack_values
 from stillpoint.smoother.attitude.plausibility import Fit
 from stillpoint.smoother.attitude.samples.every_sample import Piece
 

@@ -10,7 +10,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.smoother.attitude import windows
-from stillpoint.smoother.attitude.kept_windows import PackedWindow
+from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 from stillpoint.smoother.attitude.method import make_graph_reference
 from stillpoint.smoother.attitude.params import HANDHELD, PRESETS, GraphParams
 
