@@ -23,10 +23,10 @@ class WindowFolder(MutableMapping[str, "PackedWindow"]):
     """
 
     def __init__(self, target: Path, key: str) -> None:
-        self._whole = target.with_name(f"{target.name}{_SUFFIX}")
-        self._folder = self._whole / key[:16]
+        whole = _name_folder(target)
+        self._folder = whole / key[:16]
         self._store = ResultStore(self._folder)
-        for other in self._whole.glob("*"):
+        for other in whole.glob("*"):
             if other != self._folder:
                 shutil.rmtree(other, ignore_errors=True)
 
@@ -55,10 +55,16 @@ class WindowFolder(MutableMapping[str, "PackedWindow"]):
         facts = (self._store.facts(name) for name in self)
         return next((int(one["windows"]) for one in facts if one is not None), 0)
 
-    def remove(self) -> None:
-        """Remove all windows; raises :class:`BadParameter` when the folder cannot be changed."""
-        if self._whole.exists():
-            try:
-                shutil.rmtree(self._whole)
-            except OSError as error:
-                raise BadParameter(f"{self._whole}: cannot be removed ({error.strerror}); remove it by hand") from None
+
+def remove_windows(target: Path) -> None:
+    """Remove all windows of a reference; raises :class:`BadParameter` when their folder cannot be changed."""
+    whole = _name_folder(target)
+    if whole.exists():
+        try:
+            shutil.rmtree(whole)
+        except OSError as error:
+            raise BadParameter(f"{whole}: cannot be removed ({error.strerror}); remove it by hand") from None
+
+
+def _name_folder(target: Path) -> Path:
+    return target.with_name(f"{target.name}{_SUFFIX}")

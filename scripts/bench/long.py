@@ -3,6 +3,9 @@
     python -m stillpoint.scripts.bench.long FOLDER --hours 24 --rate 200 'estimate -e cf' 'export --format csv'
 
 The recording (noise in all digits: the worst case for compression) is made in FOLDER piece by piece, and stays there.
+With ``--phone`` it is a simulated phone in the hand without its truth, which has a reference:
+
+    python -m stillpoint.scripts.bench.long FOLDER --hours 24 --rate 100 --phone reference
 """
 
 import argparse
@@ -11,12 +14,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from stillpoint.datasets.mcap.store import open_recording
+from stillpoint.datasets.mcap.store import open_recording, write
 from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece, Truth
+from stillpoint.datasets.simulate import simulate
 from stillpoint.scripts.shared.output import print_line
 
 _START_NS = 1_700_000_000_000_000_000
@@ -59,6 +64,13 @@ def write_long_recording(path: Path, hours: float, rate_hz: int, seed: int = 0, 
             piece = next(pieces, None)
         out.close(head)
     return samples
+
+
+def write_phone_recording(path: Path, hours: float, rate_hz: int, seed: int = 0) -> int:
+    """Write a simulated phone in the hand without its truth; return the samples of its IMU."""
+    recording = replace(simulate("phone-3", seed=seed, minutes=60 * hours, rate_hz=rate_hz), truth=None)
+    write(path, replace(recording, name=path.stem))
+    return len(recording.require_imu().t_ns)
 
 
 def _make_pieces(hours: float, rate_hz: int, seed: int, with_truth: bool) -> Iterator[Piece]:
@@ -109,12 +121,17 @@ def _main() -> None:
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--rate", type=int, default=200)
     parser.add_argument("--truth", action="store_true", help="with a truth, for score")
+    parser.add_argument("--phone", action="store_true", help="a simulated phone in the hand, for reference")
     parser.add_argument("verbs", nargs="*", help="a verb with its options, in quotes")
     given = parser.parse_intermixed_args()
-    path = given.folder / f"long-{given.hours:g}h-{given.rate}hz{'-truth' * given.truth}.mcap"
+    kind = "phone" if given.phone else "long"
+    path = given.folder / f"{kind}-{given.hours:g}h-{given.rate}hz{'-truth' * given.truth}.mcap"
     if not path.exists():
         begun = time.perf_counter()
-        count = write_long_recording(path, given.hours, given.rate, with_truth=given.truth)
+        if given.phone:
+            count = write_phone_recording(path, given.hours, given.rate)
+        else:
+            count = write_long_recording(path, given.hours, given.rate, with_truth=given.truth)
         seconds, size_mb = time.perf_counter() - begun, path.stat().st_size / 1e6
         print_line(f"{path.name}: {count} samples, {size_mb:.0f} MB in {seconds:.0f} s", flush=True)
     for verb in given.verbs:

@@ -27,7 +27,7 @@ from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.long_reference import LongReference
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, make_reference_in_pieces, settings_of
-from stillpoint.studies.window_folder import WindowFolder
+from stillpoint.studies.window_folder import WindowFolder, remove_windows
 
 _AUTO = "auto"  # the preset that each recording's streams speak for
 
@@ -95,6 +95,9 @@ def reference(
     recording that does not fix a reference is named with the reason and what to do; the exit code is then 2, and the
     others are made.
 
+    A recording of more than half an hour is solved in windows. Each is kept in NAME.reference.mcap.parts until the
+    reference is there, so that a run that was stopped goes on with the next window.
+
     Parameters
     ----------
     paths
@@ -141,6 +144,9 @@ def reference(
         "reference",
         dict,
     )
+    for job, outcome in zip(work, outcomes, strict=True):
+        if outcome.error is None:
+            remove_windows(job.target)  # of a run that was killed when the file was there
     rows = [
         made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
@@ -215,16 +221,17 @@ def _make_one(
     recording, digest = open_recording(job.source), sha256(job.source)
     task.require_unchanged(job.source.name, digest)
     begun = perf_counter()
+    if force:
+        remove_windows(job.target)
     windows = WindowFolder(job.target, task.origin["key"]) if task.origin else None
-    if windows is not None:
-        _say_kept(windows, job.source.name, force)
+    if windows:
+        _say_kept(windows, job.source.name)
     try:
         made = make_reference_in_pieces(
             recording, job.method, settings[job.method], known.calibration if known else None, kept=windows
         )
     except Unobservable:
-        if windows is not None:
-            windows.remove()  # the refusal is kept
+        remove_windows(job.target)  # the refusal is kept
         raise
     seconds = perf_counter() - begun
     made_from = {job.source.name: digest} | ({known.name: known.sha256} if known else {})
@@ -236,19 +243,15 @@ def _make_one(
         made = made.with_facts(made_from=made_from)
         facts = _list_facts(made)
         write_trajectory_pieces(job.target, made.pieces(), made.samples, origin=_say_origin(task, facts))
-    if windows is not None:
-        windows.remove()
+    remove_windows(job.target)
     return {**facts, "seconds": seconds}
 
 
-def _say_kept(windows: WindowFolder, name: str, force: bool) -> None:
-    """Say how many windows an earlier run left that was stopped; with ``force``, remove them instead."""
-    if force:
-        windows.remove()
-    elif len(windows):
-        # More than there are windows: an earlier run has solved the recording more than once.
-        found, of_all = len(windows), windows.count_windows()
-        print_line(f"reference: {name}: {min(found, of_all)} of {of_all} windows kept from an earlier run", sys.stderr)
+def _say_kept(windows: WindowFolder, name: str) -> None:
+    """Say how many windows an earlier run left that was stopped."""
+    of_all = windows.count_windows()
+    found = min(len(windows), of_all)  # a recording that is solved more than once leaves more
+    print_line(f"reference: {name}: {found} of {of_all} windows kept from an earlier run", sys.stderr)
 
 
 def _say_origin(task: Task[_Job], facts: Mapping[str, Any]) -> Mapping[str, str]:

@@ -67,6 +67,14 @@ def test_a_killed_run_goes_on_and_ends_in_the_same_bytes(recording: Path, wanted
     assert (tmp_path / "walk.reference.mcap").read_bytes() == wanted
 
 
+def test_windows_go_when_the_reference_is_there(recording: Path, wanted: bytes, tmp_path: Path) -> None:
+    """A run may be killed between the last byte of its file and the removal of its windows."""
+    kill_after_windows(recording, tmp_path, 1)
+    (tmp_path / "walk.reference.mcap").write_bytes(wanted)
+    assert "nothing to compute" in make(recording, tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["walk.reference.mcap"]
+
+
 def test_force_solves_all_windows_anew(recording: Path, wanted: bytes, tmp_path: Path) -> None:
     kill_after_windows(recording, tmp_path, 1)
     assert "windows kept" not in make(recording, tmp_path, "--force")

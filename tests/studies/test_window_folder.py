@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
-from stillpoint.studies.window_folder import WindowFolder
+from stillpoint.studies.window_folder import WindowFolder, remove_windows
 
 WINDOW = PackedWindow({"windows": 3, "window": {"cost": 0.1}}, {"a0": np.arange(3.0), "a1": np.eye(2, order="F")})
 
@@ -26,7 +26,7 @@ def test_nothing_is_made_before_a_window_is_kept(tmp_path: Path) -> None:
     windows = WindowFolder(tmp_path / "run.reference.mcap", "key")
     assert windows.get("first") is None
     assert windows.count_windows() == 0
-    windows.remove()
+    remove_windows(tmp_path / "run.reference.mcap")
     assert not list(tmp_path.iterdir())
 
 
@@ -47,7 +47,7 @@ def test_a_damaged_window_counts_as_missing(tmp_path: Path) -> None:
 
 
 def test_removing_leaves_nothing(tmp_path: Path) -> None:
-    windows = WindowFolder(tmp_path / "run.reference.mcap", "key")
-    windows["first"] = WINDOW
-    windows.remove()
+    target = tmp_path / "run.reference.mcap"
+    WindowFolder(target, "key")["first"] = WINDOW
+    remove_windows(target)
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Verbs on a long recording take no more memory than on one a fifth as long."""
+"""Verbs on a long recording take no more memory than on one a fifth as long, and a reference little more."""
 
 import json
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from stillpoint.scripts.bench.long import write_long_recording
+from stillpoint.scripts.bench.long import write_long_recording, write_phone_recording
 
 RATE_HZ = 200
 # The columns of one more hour (imu 56 bytes a row, estimate 72) would be 90 MB, each copy of them as much again.
@@ -65,3 +65,13 @@ def test_peak_memory_of_an_estimate_with_covariances_does_not_grow_with_the_reco
 
 def test_peak_memory_of_an_export_does_not_grow_with_the_estimate(estimates, tmp_path):
     require_bounded(*(peak_mb("export", str(path), "--format", "tum", "-o", str(tmp_path)) for path in estimates[0]))
+
+
+def test_a_reference_of_a_day_fits_in_memory(tmp_path):
+    """24 h at 100 Hz within 3 GB are 125 MB an hour; three copies of the columns took twice as much."""
+    peaks = []
+    for hours in (0.25, 0.75):
+        write_phone_recording(tmp_path / f"{hours}.mcap", hours, 100)
+        windows = ("--set", "keys.window_s=300", "--set", "keys.overlap_s=30")  # they hide less of the growth
+        peaks.append(peak_mb("reference", str(tmp_path / f"{hours}.mcap"), *windows))
+    assert peaks[1] < peaks[0] + 125 / 2, f"{peaks[0]:.0f} MB for a quarter of an hour, {peaks[1]:.0f} MB for half more"
