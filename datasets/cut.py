@@ -42,7 +42,9 @@ def cut_recording(recording: Recording, first_ns: int, last_ns: int, name: str) 
             kept[stream] = part
     main = "imu" if recording.imu is not None else "spin"
     if kept[main] is None:
-        raise BadRecording(f"{recording.name}: no sample of {main} from {span}; it lasts {recording.duration_s:.3f} s")
+        raise BadRecording(
+            f"{recording.name}: no sample of {main} from {span}; give times within its {recording.duration_s:.3f} s"
+        )
     notes = [f"cut from {recording.name}: {span}"]
     notes += [f"cut: no sample of {', '.join(empty)} is left"] if empty else []
     return replace(

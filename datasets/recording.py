@@ -49,7 +49,7 @@ def check_floats(owner: str, name: str, values: ArrayLike, shape: tuple[int, ...
     """Return a float64 column of this shape, finite unless its stream allows NaN; raises :class:`BadRecording`."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
-        raise BadRecording(f"{owner}.{name}: has shape {array.shape}; its times ask for {shape}")
+        raise BadRecording(f"{owner}.{name}: has shape {array.shape}; give {shape}, as its times ask for")
     if finite and not np.isfinite(array).all():
         rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
         raise BadRecording(
@@ -333,7 +333,9 @@ class Recording:
             if not _EXTRA_NAME.fullmatch(name):
                 raise BadRecording(f"{self.name}: extra {name!r}: give a name of letters, digits and _")
         if self.imu is None and self.spin is None:
-            raise BadRecording(f"{self.name}: has neither gyro and accelerometer (imu) nor a spin stream")
+            raise BadRecording(
+                f"{self.name}: has neither gyro and accelerometer (imu) nor a spin stream; give one of them"
+            )
         if self.base_pose is not None:
             freeze(self, base_pose=check_quaternions(self.name, "base_pose", self.base_pose, (4,)))
         if not self.info.units_unchecked:

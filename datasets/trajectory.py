@@ -194,7 +194,7 @@ class Estimate:
         t = check_times("estimate", self.t_ns)
         n = len(t)
         if self.q_nb is None and self.angle_rad is None:
-            raise BadRecording(f"estimate {self.name}: has neither an attitude nor an angle")
+            raise BadRecording(f"estimate {self.name}: has neither an attitude nor an angle; give q_nb or angle_rad")
         if self.q_nb is not None:
             freeze(self, q_nb=check_quaternions("estimate", "q_nb", self.q_nb, (n, 4)))
         rolls = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")

@@ -71,7 +71,7 @@ class FusionParams(Settings):
     """Parameters of ``fusion``, with the defaults of the package imufusion, where 0 turns a feature off."""
 
     gain_radps: float = number(0.5, 0.0, 100.0, "gain: weight of the feedback, rad/s")
-    gyroscope_range_radps: float = degrees(0.0, 0.0, 1e4, "gyroscope_range: starts anew beyond 98 % of it")
+    gyroscope_range_radps: float = degrees(0.0, 0.0, 1e4, "gyroscope_range: starts again beyond 98 % of it")
     acceleration_rejection_rad: float = degrees(0.0, 0.0, 90.0, "acceleration_rejection: leaves accelerometer out")
     magnetic_rejection_rad: float = degrees(0.0, 0.0, 90.0, "magnetic_rejection: leaves the magnetometer out")
     rejection_timeout_s: float = number(0.0, 0.0, 1e4, "rejection_timeout: takes them back after so long, s")
@@ -205,7 +205,9 @@ def _ahrs(name: str, data: PeerInput, magnetometer: bool, accel: Floats, setting
     try:
         found: Floats = peer(data.gyro_b_radps, accel, mag, frequency=1 / data.interval_s, **settings).Q
     except ValueError as error:
-        raise BadRecording(f"ahrs {name}: refuses this recording: {' '.join(str(error).split())}") from error
+        raise BadRecording(
+            f"ahrs {name}: refuses this recording ({' '.join(str(error).split())}); use another estimator"
+        ) from error
     return found
 
 

@@ -19,7 +19,7 @@ def to_precision(tree: Any, precision: Precision) -> Any:
     if precision == "double":
         return tree
     if precision != "single":
-        raise BadParameter(f"precision {precision!r}: there are double and single")
+        raise BadParameter(f"precision {precision!r}: give double or single")
     return _single(tree)
 
 

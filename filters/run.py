@@ -132,7 +132,7 @@ def start_run(
         start = partial(SpinRun, head, name, entry, settings)
     else:
         if "imu" not in head.samples:
-            raise BadRecording(f"{head.name}: has no gyro and accelerometer (imu); this needs them")
+            raise BadRecording(f"{head.name}: has no gyro and accelerometer (imu); use an estimator of a spin (roll-…)")
         plan = plan_sources(head, heading, heading_params, ranges)
         plan = plan._replace(facts=plan.facts | record_choices(heading, heading_params, ranges))
         start = partial(_AttitudeRun, head.name, name, entry, settings, plan)

@@ -30,7 +30,9 @@ def from_plain(kept: Any, like: AnySaved) -> AnySaved:
     try:
         saved = _from_plain(kept, like)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadParameter(f"the saved state is not one of {like.name} as it is now ({error}); start anew") from None
+        raise BadParameter(
+            f"the saved state is not one of the present {like.name} ({error}); start without it"
+        ) from None
     assert isinstance(saved, type(like))
     return saved
 

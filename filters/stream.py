@@ -65,7 +65,9 @@ class Stream:
             raise BadParameter(f"{name}: takes whole recordings only; use estimate(recording, {name!r})")
         kind = (name, heading, precision)
         if saved is not None and tuple(saved[:3]) != kind:
-            raise BadParameter(f"the saved state is of {' '.join(saved[:3])}, not of {' '.join(kind)}; go on with that")
+            raise BadParameter(
+                f"the saved state is of {' '.join(saved[:3])}, not of {' '.join(kind)}; continue with the first one"
+            )
         front_c = make_front(heading, heading_params, ranges, declination_rad)
         c = entry.coefficients(choose_settings(entry.params(), params, name), declination_rad or 0.0)
         both = to_precision(front_c, precision), to_precision(c, precision)

@@ -130,7 +130,7 @@ def level_attitude(up_b: Floats, field_b: Floats | None) -> Rotation:
         return Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
     east = np.cross(field_b / np.linalg.norm(field_b), up)
     if np.linalg.norm(east) < _LEVEL_FIELD_SHARE:
-        raise Unobservable("the magnetic field at rest is vertical: it shows no heading")
+        raise Unobservable("the magnetic field at rest is vertical and shows no heading; leave the magnetometer out")
     east /= np.linalg.norm(east)
     return Rotation.from_matrix(np.stack([east, np.cross(up, east), up]))
 

@@ -35,7 +35,7 @@ def require_connected(
     known, number = np.unique(factor_keys, return_inverse=True)
     lost = np.setdiff1d(np.asarray(variables), known)
     if len(lost):
-        raise Unobservable(f"{name}: nothing is measured of {_names(lost.tolist(), describe)}; {_ADVICE}")
+        raise Unobservable(f"{name}: no measurement determines {_names(lost.tolist(), describe)}; {_ADVICE}")
     size = len(lengths) + len(known)
     edges = coo_array((np.ones(len(number)), (of_factor, len(lengths) + number)), shape=(size, size))
     parts, label = connected_components(edges, directed=False)
@@ -44,7 +44,9 @@ def require_connected(
     alone = np.isin(known, may_stand_alone) & (sizes[of_variable] == 1)
     cut_off = (of_variable != sizes.argmax()) & ~alone
     if cut_off.any():
-        raise Unobservable(f"{name}: nothing ties {_names(known[cut_off].tolist(), describe)} to the rest; {_ADVICE}")
+        raise Unobservable(
+            f"{name}: nothing connects {_names(known[cut_off].tolist(), describe)} to the rest; {_ADVICE}"
+        )
     return bool(alone.any())
 
 

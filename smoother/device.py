@@ -101,7 +101,7 @@ def _read_parts(made: Reference) -> _Parts:
     """
     found = made.calibration
     if found.matrix_covariance is None or found.gyro_matrix is None or found.accel_matrix is None:
-        raise BadParameter(f"{made.name}: its reference has no covariance of its calibration; make it anew")
+        raise BadParameter(f"{made.name}: its reference has no covariance of its calibration; make it again")
     to_parts = np.zeros((12, 18))
     for k, (i, j) in enumerate(PAIRS):
         for offset, row in ((9, k), (0, 6 + k)):  # the covariance has the accelerometer first

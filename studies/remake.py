@@ -97,7 +97,7 @@ def remake(job: RemakeJob) -> Remade:
         known = None if job.calibration is None else load_calibration(job.calibration).calibration
         made = reference(recording, kept.method, flatten(kept.params), known)
     else:
-        raise BadParameter(f"{job.file_name}: is neither a reference nor an estimate")
+        raise BadParameter(f"{job.file_name}: is neither a reference nor an estimate; name one")
     return Remade(largest_difference_rad(kept, made), job.version)
 
 

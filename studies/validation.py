@@ -76,9 +76,9 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
     try:
         recording = load()
         if recording.imu is None:
-            raise Unobservable(f"{recording.name}: is of a spinning body; validate those without others beside them")
+            raise Unobservable(f"{recording.name}: is of a spinning body; validate recordings of spins separately")
         if recording.truth is None:
-            raise Unobservable(f"{recording.name}: has no independent truth; validate needs one")
+            raise Unobservable(f"{recording.name}: has no independent truth; import it with one (--truth)")
     except StillpointError as error:
         return [replace(row, error=str(error)) for row in rows]
     return [_validate_row(recording, recording.truth, row, align) for row in rows]

@@ -413,7 +413,7 @@ def create_archive(place: str | Path) -> Archive:
     storage = storage_at(place)
     home = _home(storage)
     if storage.has(MARK):
-        raise BadParameter(f"{storage.name}: is an archive already")
+        raise BadParameter(f"{storage.name}: is already an archive; use it, or name another folder")
     taken = isinstance(storage, FolderStorage) and storage.root.exists()
     if taken and not _is_free(home):
         raise BadParameter(f"{storage.name}: is no empty folder; name a new one for the archive")

@@ -163,7 +163,7 @@ class Catalogue:
     def _migrate(self) -> None:
         version = self.connection.execute("PRAGMA user_version").fetchone()[0]
         if version > len(_MIGRATIONS):
-            raise BadFile(f"{self.path}: is of a newer stillpoint (schema {version}); install that")
+            raise BadFile(f"{self.path}: was written by a newer stillpoint (schema {version}); install that version")
         while version < len(_MIGRATIONS):
             with self.change() as connection:
                 version = connection.execute("PRAGMA user_version").fetchone()[0]  # another process may have done it

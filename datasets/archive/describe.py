@@ -85,7 +85,9 @@ def _describe_mcap(path: Path, file_name: str) -> Description:
         described = _recording_columns(facts) if kind == "recording" else _trajectory_columns(kind, facts, log)
         parents = facts["info"]["sha256"] if kind == "recording" else facts["made_from"]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadFile(f"{path}: its facts cannot be read ({type(error).__name__}: {error})") from error
+        raise BadFile(
+            f"{path}: its facts cannot be read ({type(error).__name__}: {error}); restore it from a copy"
+        ) from error
     name = facts["recording"] if kind == "estimate" else facts["name"]
     clock = _main_clock(log, kind)
     described |= {"version": record.get("version", ""), "samples": len(clock), "rate_hz": rate_hz(clock)}

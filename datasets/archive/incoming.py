@@ -98,7 +98,9 @@ class Incoming:
             ) from error
         if given.sha256 not in ("", digest.hexdigest()):
             target.unlink()
-            raise BadFile(f"{given.source}: is damaged: its hash is not {given.sha256[:12]}…, as was said of it")
+            raise BadFile(
+                f"{given.source}: is damaged: its SHA-256 is not the stated {given.sha256[:12]}…; copy it again"
+            )
         return target, digest.hexdigest(), size
 
     def stage(self, wanted: Sequence[Wanted]) -> list[Change]:

@@ -121,14 +121,14 @@ class Bundle:
         with self._open(MANIFEST) as file:
             data = file.read(_LARGEST_MANIFEST + 1)
         if len(data) > _LARGEST_MANIFEST:
-            raise BadFile(f"{self.place}: its manifest has more than {_LARGEST_MANIFEST} bytes")
+            raise BadFile(f"{self.place}: its manifest has more than {_LARGEST_MANIFEST} bytes; name a bundle")
         try:
             content = json.loads(data)
             if content["format"] != FORMAT:
                 raise BadFile(f"{self.place}: is a bundle of format {content['format']}; install a newer stillpoint")
             members = [_member(one) for one in content["objects"]]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise BadFile(f"{self.place}: its {MANIFEST} cannot be read ({error})") from error
+            raise BadFile(f"{self.place}: its {MANIFEST} cannot be read ({error}); copy the bundle again") from error
         total = sum(member.size for member in members)
         if total > largest:
             raise BadFile(f"{self.place}: claims {total} bytes, more than {largest}; give --max-bytes if this is right")
@@ -175,15 +175,17 @@ def open_bundle(place: Path, largest: int = LARGEST_BUNDLE) -> Iterator[Bundle]:
         else:
             raise BadParameter(f"{place}: is no bundle; name a folder, a .zip or a .tar that archive export wrote")
     except (zipfile.BadZipFile, tarfile.TarError, EOFError) as error:
-        raise BadFile(f"{place}: is damaged ({error})") from error
+        raise BadFile(f"{place}: is damaged ({error}); copy it again") from error
     except OSError as error:
-        raise BadFile(f"{place}: cannot be read ({error.strerror or error})") from error
+        raise BadFile(
+            f"{place}: cannot be read ({error.strerror or error}); check the name and its permissions"
+        ) from error
 
 
 def _open_in_folder(place: Path, path: str) -> IO[bytes]:
     file = place / path
     if not file.is_file() or file.is_symlink() or not file.resolve().is_relative_to(place.resolve()):
-        raise BadFile(f"{place}: has no file {path}; it is no whole bundle (sha256sum -c {CHECKSUMS} lists what is)")
+        raise BadFile(f"{place}: has no file {path} (sha256sum -c {CHECKSUMS} lists all); copy the bundle again")
     return open(file, "rb")
 
 
@@ -191,14 +193,14 @@ def _open_in_zip(place: Path, archive: zipfile.ZipFile, path: str) -> IO[bytes]:
     try:
         info = archive.getinfo(path)
     except KeyError:
-        raise BadFile(f"{place}: has no file {path}; it is no whole bundle") from None
+        raise BadFile(f"{place}: has no file {path}; copy the bundle again") from None
     if info.file_size > _BLOCK and info.file_size > _LARGEST_RATIO * max(info.compress_size, 1):
-        raise BadFile(f"{place}: {path} unpacks to {info.file_size} bytes from {info.compress_size}: refused")
+        raise BadFile(f"{place}: {path} unpacks to {info.file_size} bytes from {info.compress_size}; do not use it")
     return archive.open(info)
 
 
 def _open_in_tar(place: Path, tar: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], path: str) -> IO[bytes]:
     file = tar.extractfile(members[path]) if path in members else None
     if file is None:
-        raise BadFile(f"{place}: has no file {path}; it is no whole bundle")
+        raise BadFile(f"{place}: has no file {path}; copy the bundle again")
     return file

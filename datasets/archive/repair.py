@@ -78,7 +78,7 @@ def repair_archive(archive: Archive, faults: Sequence[Fault], copies: Copies | N
     derived = [fault for fault in faults if fault.level in ("catalogue", "link")]
     if done or derived:
         archive.rebuild()
-        done += [f"{fault.level} made anew: {fault.what}" for fault in derived]
+        done += [f"{fault.level} made again: {fault.what}" for fault in derived]
     return done, [*left, *(fault for fault in faults if fault.level in ("content", "provenance", "remade"))]
 
 

@@ -261,7 +261,7 @@ def _check_provenance(
         is_known = all(parent in described for _, parent in one.parents)
         if one.kind in ("reference", "roll reference", "estimate") and is_known and kinds and "recording" not in kinds:
             what = f"{record.file_name} names no recording among what it was made from"
-            yield Fault("provenance", sha256, where, what, "make it anew from its recording")
+            yield Fault("provenance", sha256, where, what, "make it again from its recording")
 
 
 def _is_raw(name: str) -> bool:

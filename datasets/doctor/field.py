@@ -168,7 +168,7 @@ def check_base_pose(recording: Recording, rests_ns: Times) -> list[Finding]:
     if angle_deg > 15:
         message = (
             f"base pose: gravity at the first rest is {angle_deg:.0f} deg off the known base pose; "
-            "state the pose anew, or look at the accelerometer's axes"
+            "state the pose again, or check the accelerometer's axes"
         )
         return [Finding("base-pose", "warning", message, values={"angle_deg": angle_deg})]
     message = f"base pose: gravity at the first rest is {angle_deg:.1f} deg off it"

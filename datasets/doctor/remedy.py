@@ -156,7 +156,9 @@ def _drop_repeats(recording: Recording, remedy: Remedy) -> tuple[Recording, str]
 
 def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recording, str]:
     if not keep.any():
-        raise BadParameter(f"{recording.name}: the remedy would drop every sample of {target}")
+        raise BadParameter(
+            f"{recording.name}: the remedy would drop every sample of {target}; leave it out (--skip CODE)"
+        )
     said = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
     stream = getattr(recording, target)
     return _with(recording, target, _rows(stream, keep, stream.t_ns)), said

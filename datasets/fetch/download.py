@@ -106,11 +106,11 @@ def _fetch_file(store: "Pooch", path: str, downloader: "HTTPDownloader", base: s
     except RequestException as error:
         reason = f"HTTP {error.response.status_code}" if error.response is not None else type(error).__name__
         raise BadSource(
-            f"{base}{path}: cannot be fetched ({reason}); run the command again: what is whole is kept"
+            f"{base}{path}: cannot be fetched ({reason}); run the command again; whole files are kept"
         ) from None
     except ValueError:  # of pooch, for a sum that differs
         raise BadSource(
-            f"{base}{path}: what came has another SHA-256 than is known, {1 + _RETRIES} times; it was thrown away: "
+            f"{base}{path}: the download had another SHA-256 than the known one, {1 + _RETRIES} times; "
             "try again later, or from another --mirror"
         ) from None
     except OSError as error:

@@ -49,7 +49,7 @@ def digests(files: Iterable[Path], below: Path) -> dict[str, str]:
 def require_existing(source: Path) -> Path:
     """Return the source; raises :class:`BadSource` when it is not there."""
     if not source.exists():
-        raise BadSource(f"{source}: there is no such file or folder")
+        raise BadSource(f"{source}: there is no such file or folder; check the name")
     return source
 
 

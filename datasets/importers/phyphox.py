@@ -114,7 +114,7 @@ def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats,
     here = [one for one in found if one.sensor == sensor]
     if len(here) > 1:
         places = " and ".join(f"{Path(one.table.where).name} ({one.columns[0]})" for one in here)
-        raise BadSource(f"{source}: {sensor} stands twice, in {places}; leave one of them in the folder")
+        raise BadSource(f"{source}: {sensor} is there twice, in {places}; leave one of them in the folder")
     if not here:
         return None
     one = here[0]

@@ -199,7 +199,9 @@ class _BagScan(_MessageFile):
         elif operation == _MESSAGE:
             connection = int.from_bytes(header["conn"], "little") & 0xFFFF
             if connection not in self.channels:
-                raise BadFile(f"{self.path}: a message belongs to connection {connection}, which is not declared")
+                raise BadFile(
+                    f"{self.path}: a message belongs to connection {connection}, which is not declared; copy it again"
+                )
             seconds, nanoseconds = struct.unpack("<II", header["time"])
             messages.add(connection, seconds * 1_000_000_000 + nanoseconds, data)
             self.counts[connection] += 1
@@ -269,7 +271,7 @@ class _Db3Scan(_MessageFile):
                 raise ValueError("its table of messages holds other things than messages")
             channel = number & 0xFFFF
             if channel not in self.channels:
-                raise BadFile(f"{self.path}: a message belongs to topic {number}, which is not declared")
+                raise BadFile(f"{self.path}: a message belongs to topic {number}, which is not declared; copy it again")
             if data[:4] == _ZSTD_MAGIC:
                 size = zstandard.frame_content_size(data)
                 data = unpack(data, "zstd", size) if size >= 0 else data

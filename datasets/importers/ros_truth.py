@@ -127,7 +127,9 @@ def _compose_chain(moving: Messages, fixed: Messages | None, parent: str, child:
     links = [*from_child, *from_parent]
     leading = max(links, key=lambda link: len(link.t_ns))
     if leading.is_fixed:
-        raise BadParameter(f"--truth-parent {parent}: every link to {child} is fixed ({names}), so that nothing moves")
+        raise BadParameter(
+            f"--truth-parent {parent}: every link to {child} is fixed ({names}), so nothing moves; name another"
+        )
     log.converted(f"truth composed of the chain {names}, at the stamps of {leading.name}")
     keep = np.ones(len(leading.t_ns), dtype=np.bool_)
     for link in (one for one in links if not one.is_fixed):

@@ -59,7 +59,7 @@ def seconds_to_ns(t_s: Floats) -> Times:
     t_ns = np.round(np.asarray(t_s, dtype=np.float64) * 1e9)
     if not (np.abs(t_ns) <= LAST_T_NS).all():
         raise BadSource(
-            f"a time of {t_s[int(np.argmin(np.abs(t_ns) <= LAST_T_NS))]:g} s is no time; remove this sample"
+            f"a time of {t_s[int(np.argmin(np.abs(t_ns) <= LAST_T_NS))]:g} s is not a valid time; remove this sample"
         )
     return np.asarray(t_ns, dtype=np.int64)
 

@@ -118,7 +118,7 @@ def _read_bag(file: Path, options: _PoseOptions, log: Log) -> Truth:
         if topic is None:
             poses = [topic for topic in found if bag.types[topic] not in TF] or found
             if not poses:
-                raise BadSource(f"{file}: has no topic of poses, so that it holds no trajectory")
+                raise BadSource(f"{file}: has no topic of poses; name a file with a trajectory")
             if len(poses) > 1:
                 raise BadParameter(f"{file}: has {listed}; name one: stillpoint import trajectory --topic TOPIC")
             topic = poses[0]
@@ -141,7 +141,7 @@ def _read_text_poses(file: Path, options: _PoseOptions, log: Log) -> Truth:
 def _read_or_refuse(file: Path) -> str:
     text = read_text(file)
     if "\0" in text:
-        raise BadSource(f"{file}: is no text; give a trajectory as text, or an MCAP file by its name *.mcap")
+        raise BadSource(f"{file}: is not text; give a trajectory as text, or an MCAP file by its name *.mcap")
     return text
 
 
@@ -232,7 +232,7 @@ def _read_csv(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
     if not keep.all():
         log.noted(f"{file.name}: {int((~keep).sum())} of {len(keep)} rows without an attitude")
     if not keep.any():
-        raise BadSource(f"{file}: no row has a time and a quaternion in {quaternions}")
+        raise BadSource(f"{file}: no row has a time and a quaternion in {quaternions}; check the columns")
     return _make_poses(clock.t_ns[keep], q_nb[keep], None, table.select(keep), log, f"{quaternions} are w, x, y, z")
 
 

@@ -211,7 +211,7 @@ def _read_boot_time(path: Path) -> float:
 
 def _read_alignment(path: Path) -> float:
     if not path.is_file():
-        raise BadSource(f"{path}: is not there; without it the truth has no place on the phone's clock")
+        raise BadSource(f"{path}: is missing, and without it the truth cannot be put on the phone's clock; download it")
     try:
         return float(read_text(path))
     except ValueError:

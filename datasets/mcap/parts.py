@@ -59,7 +59,9 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
     wholes = {part.info.extra.get(_WHOLE) for part in parts}
     whole = wholes.pop()
     if wholes or whole is None:
-        raise BadParameter(f"{', '.join(part.name for part in parts[:3])}: are no parts of one recording")
+        raise BadParameter(
+            f"{', '.join(part.name for part in parts[:3])}: are not parts of one recording; name those of one"
+        )
     numbered = {part.info.extra[_PART]: part for part in parts}
     count = int(parts[0].info.extra[_PART].rpartition(" ")[2])
     missing = [k for k in range(1, count + 1) if f"{k} of {count}" not in numbered]

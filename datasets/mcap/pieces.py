@@ -109,7 +109,7 @@ class PieceReader:
         """Yield the pieces of a reference or estimate, each with all facts; raises :class:`BadFile`."""
         for log in self._logs():
             if log.lost:
-                raise BadFile(f"{self.path}: {log.lost}; a cut {self.kind} is of no use, make it anew")
+                raise BadFile(f"{self.path}: {log.lost}; a {self.kind} that was cut cannot be used; make it again")
             if any(len(topic.t_ns) for topic in log.topics.values()):
                 yield make_checked(log, lambda log=log: make_trajectory(log, self.kind, self.facts, self._absent))  # type: ignore[misc]
 
@@ -125,7 +125,7 @@ class PieceReader:
             check_readable(log)
             for name, topic in log.topics.items():
                 if len(topic.t_ns) and topic.t_ns[0] <= ends_ns.get(name, -1):
-                    raise BadFile(f"{self.path}: {name} has messages in a chunk that begins after them; write it anew")
+                    raise BadFile(f"{self.path}: {name} has messages in a chunk that begins after them; write it again")
                 ends_ns[name] = int(topic.t_ns[-1]) if len(topic.t_ns) else ends_ns.get(name, -1)
             yield log
         check_counts(self._last, self._samples)

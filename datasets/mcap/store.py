@@ -326,7 +326,7 @@ def read(path: Path | str, units_unchecked: bool = False) -> Kept:
     kind, facts = open_facts(log)
     samples, absent = facts.pop("samples"), facts.pop("absent")
     if log.lost and kind != "recording":
-        raise BadFile(f"{path}: {log.lost}; a cut {kind} is of no use, make it anew")
+        raise BadFile(f"{path}: {log.lost}; a {kind} that was cut cannot be used; make it again")
     check_readable(log)
     check_counts(log, samples)
     if kind == "recording":
@@ -342,14 +342,16 @@ def is_own_topic(name: str) -> bool:
 def check_readable(log: Log) -> None:
     """Raise :class:`BadFile` where the columns of a topic could not be read."""
     for name, reason in log.unread.items():
-        raise BadFile(f"{log.path}: {name} cannot be read: {reason}; write the file anew")
+        raise BadFile(f"{log.path}: {name} cannot be read: {reason}; write the file again")
 
 
 def check_counts(log: Log, samples: Mapping[str, int]) -> None:
     """Raise :class:`BadFile` where a whole file has another number of messages than its facts say."""
     for name, count in samples.items():
         if not log.lost and log.counts.get(name, 0) != count:
-            raise BadFile(f"{log.path}: {name} should have {count} messages and has {log.counts.get(name, 0)}")
+            raise BadFile(
+                f"{log.path}: {name} should have {count} messages and has {log.counts.get(name, 0)}; make it again"
+            )
 
 
 def make_checked(log: Log, make: Callable[[], Made]) -> Made:
@@ -516,7 +518,7 @@ def open_facts(log: Log) -> tuple[str, dict[str, Any]]:
         if not isinstance(facts["samples"], dict) or not isinstance(facts["absent"], list):
             raise ValueError("samples and absent are of another shape")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadFile(f"{log.path}: its facts cannot be read ({error}); write it anew") from error
+        raise BadFile(f"{log.path}: its facts cannot be read ({error}); write it again") from error
     return kind, facts
 
 
@@ -547,7 +549,7 @@ def _holders(log: Log, kind: str, absent: Sequence[str]) -> dict[str, dict[str, 
         holder = holders.setdefault(topic.stream, {"t_ns": t_ns})
         n = min(len(t_ns), len(holder["t_ns"]))
         if not np.array_equal(t_ns[:n], holder["t_ns"][:n]) or (not log.lost and len(t_ns) != len(holder["t_ns"])):
-            raise BadFile(f"{log.path}: {topic.name} has other times than the rest of its stream; write the file anew")
+            raise BadFile(f"{log.path}: {topic.name} has other times than the rest of its stream; write it again")
         holders[topic.stream] = {name: values[:n] for name, values in (holder | columns).items()}
     return holders
 
@@ -600,7 +602,9 @@ def _mag(log: Log, tesla_columns: Mapping[str, Any], remainder: Mapping[str, Any
     known = remainder["t_ns"] <= t_ns[-1]  # a cut file may end between the two topics
     rows = np.searchsorted(t_ns, remainder["t_ns"][known])
     if not np.array_equal(t_ns[rows], remainder["t_ns"][known]) or (not known.all() and not log.lost):
-        raise BadFile(f"{log.path}: {MAG_REMAINDER} has times that the magnetometer has not; write the file anew")
+        raise BadFile(
+            f"{log.path}: {MAG_REMAINDER} has times that the magnetometer does not have; write the file again"
+        )
     rest[rows] = remainder["remainder_b_ut"][known]
     return {"t_ns": t_ns, "mag_b_ut": microtesla(field_t, rest)}
 

@@ -60,7 +60,9 @@ class SpinStream:
             raise BadParameter(f"{name}: estimates an attitude; use Stream({name!r})")
         kind = (name, precision)
         if saved is not None and tuple(saved[:2]) != kind:
-            raise BadParameter(f"the saved state is of {' '.join(saved[:2])}, not of {' '.join(kind)}; go on with that")
+            raise BadParameter(
+                f"the saved state is of {' '.join(saved[:2])}, not of {' '.join(kind)}; continue with the first one"
+            )
         settings = choose_settings(entry.params(), params, name)
         assert isinstance(settings, SpinParams)
         front_c = roll_front.coefficients(make_channels(settings, geometry), settings, precision)

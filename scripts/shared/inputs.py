@@ -121,7 +121,7 @@ def _expand(path: Path) -> list[Path]:
         return [path]
     matches = sorted(Path(match) for match in glob.glob(str(path), recursive=True))
     if not matches:
-        raise BadParameter(f"{path}: there is no such file or folder")
+        raise BadParameter(f"{path}: there is no such file or folder; check the name")
     kept = [match for match in matches if match.is_dir() or match.name.endswith(SUFFIX)]
     if not kept:
         raise BadParameter(f"{path}: matches {len(matches)} files, but no MCAP file among them")

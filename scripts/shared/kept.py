@@ -32,7 +32,7 @@ _ROW = "row"  # of the record in a file that was made: the facts that the verb p
 _PEERS = ("vqf", "ahrs", "imufusion", "riann")  # packages outside stillpoint whose code gives results
 _FEW = 64  # files whose records this process reads itself
 
-_FORCE = "Compute all anew, also what an earlier run has computed from the same files with the same settings."
+_FORCE = "Compute everything again, also what an earlier run has computed from the same files with the same settings."
 _RESULTS = (
     "Folder of kept results; by default STILLPOINT_RESULTS, else stillpoint/results in the user's folder of caches."
 )
@@ -266,6 +266,6 @@ def _say(what: str, all_: int, missing: int) -> None:
         return
     if missing == 0:
         which = "the result is" if all_ == 1 else f"all {all_} results are"
-        print_line(f"{what}: {which} kept from an earlier run, nothing to compute (--force computes anew)", sys.stderr)
+        print_line(f"{what}: {which} kept from an earlier run, nothing to compute (--force computes again)", sys.stderr)
         return
     print_line(f"{what}: {all_ - missing} of {all_} kept from an earlier run, {missing} to compute", sys.stderr)

@@ -24,7 +24,7 @@ def check_writable(_: Any, target: str | None) -> None:
     if path.is_dir():
         raise ValueError("It is a folder; name a file.")
     if not path.absolute().parent.is_dir():
-        raise ValueError("Its folder is not there; make it, or name another file.")
+        raise ValueError("Its folder does not exist; make it, or name another file.")
 
 
 # A lone hyphen would be read as an option otherwise.

@@ -75,9 +75,9 @@ def _read_saved(resume: Path, kind: Mapping[str, Any]) -> dict[str, Any]:
         kept = json.loads(resume.read_text(encoding="utf-8"))
         states, kept_kind = dict(kept["states"]), kept["kind"]
     except OSError as error:
-        raise BadParameter(f"--resume {resume}: cannot be read ({error.strerror})") from None
+        raise BadParameter(f"--resume {resume}: cannot be read ({error.strerror}); check the name") from None
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise BadParameter(f"--resume {resume}: is no file of stream --save; start without it") from None
+        raise BadParameter(f"--resume {resume}: was not written by stream --save; start without it") from None
     if kept_kind != json.loads(json.dumps(kind)):
         raise BadParameter(f"--resume {resume}: was saved with other options ({json.dumps(kept_kind)}); give these")
     return states

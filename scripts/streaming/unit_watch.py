@@ -59,7 +59,7 @@ class UnitWatch:
         turning = float(np.linalg.norm(rate.mean(axis=0)))
         if turning > _SPINNING_RADPS:
             _warn(
-                f"the gyro reads {turning:.3g} rad/s while the accelerometer keeps still: it looks like deg/s: "
+                f"the gyro reads {turning:.3g} rad/s while the accelerometer is calm: it looks like deg/s: "
                 "multiply by pi/180"
             )
         if not GRAVITY_RANGE_MPS2[0] <= size <= GRAVITY_RANGE_MPS2[1]:

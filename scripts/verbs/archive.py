@@ -15,7 +15,7 @@ for _place, (_name, _target, _help) in enumerate(
         ("show", "find:show", "Show one object: facts, what it was made from, what was made from it, scores."),
         ("verify", "check:verify", "Read everything, and list what is wrong and how to repair it."),
         ("repair", "check:repair", "Mend damaged objects from a copy, and damaged records."),
-        ("rebuild", "check:rebuild", "Make the catalogue anew from the objects."),
+        ("rebuild", "check:rebuild", "Make the catalogue again from the objects."),
         ("export", "publish:export", "Write a bundle for Zenodo or Hugging Face, with all metadata."),
         ("import", "publish:import_", "Take such a bundle into the archive."),
         ("bundle", "publish:bundle", "Write a recording with its reference and estimates as one MCAP file."),

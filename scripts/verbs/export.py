@@ -111,7 +111,7 @@ def _list_tum(file: Path) -> Iterator[tuple[str, str]]:
     """Yield the poses of a file, in parts."""
     reader = PieceReader(file)
     if reader.kind == "recording" and "truth" not in reader.head.samples:
-        raise BadParameter(f"{file}: has no truth, and so no poses; make a reference of it, or --format csv")
+        raise BadParameter(f"{file}: has no truth, so it has no poses; make a reference of it, or give --format csv")
     label = "truth" if reader.kind == "recording" else ""
     yield label, TUM_HEADER
     for piece in _read_pieces(reader):
@@ -131,7 +131,7 @@ def _list_kml(file: Path) -> Iterator[tuple[str, str]]:
     """Yield the path of a reference, as one text."""
     thing = read(file)
     if not isinstance(thing, Reference):
-        raise BadParameter(f"{file}: is no reference of an attitude; KML shows the path of one with positions")
+        raise BadParameter(f"{file}: is not a reference of an attitude; name one with positions, whose path KML shows")
     yield "", kml_text(thing)
 
 

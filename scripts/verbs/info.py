@@ -227,7 +227,7 @@ class _Trajectory:
         """Return the facts in the order in which they are printed."""
         thing = self._last
         if thing is None:
-            raise BadFile(f"{reader.path}: holds no sample; make it anew")
+            raise BadFile(f"{reader.path}: holds no sample; make it again")
         facts: dict[str, Any] = {"name": thing.recording if isinstance(thing, Estimate) else thing.name}
         facts["streams"] = streams
         if isinstance(thing, Estimate):

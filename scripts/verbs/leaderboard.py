@@ -129,7 +129,7 @@ def leaderboard(
         ResultStore(folder / RESULTS).clear()
     board = run_study(asked, folder, run, publish=lambda partial: _write(partial, folder))
     if sum(computed) == 0:
-        kept = "all results are kept from an earlier run, nothing to compute (--force computes anew)"
+        kept = "all results are kept from an earlier run, nothing to compute (--force computes again)"
         print_line(f"leaderboard: {kept}", file=sys.stderr)
     _write(board, folder)
     pages = write_run_pages(folder, board, run)

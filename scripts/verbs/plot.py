@@ -162,7 +162,7 @@ def _gather_material(paths: Sequence[Path]) -> Material:
         raise BadParameter(f"{missing}: there is no such file")
     material = gather_material(paths[0].parent / f"{name}{SUFFIX}")
     if not isinstance(material, Material):
-        raise BadParameter(f"{paths[0]}: is of a spinning body; its figures stand in its report: stillpoint report")
+        raise BadParameter(f"{paths[0]}: is of a spinning body; its figures are in its report: stillpoint report")
     if kinds == {"recording"}:
         return material
     wanted = {path.name.removeprefix(f"{name}.").removesuffix(".estimate.mcap") for path in paths}
@@ -177,5 +177,5 @@ def _cut_view(view: View, span_s: tuple[float | None, float | None]) -> View:
     ]
     first, last = max(ends[0], view.span_ns[0]), min(ends[1], view.span_ns[1])
     if first >= last:
-        raise BadParameter(f"--from, --to: leave nothing of {(view.span_ns[1] - view.span_ns[0]) / 1e9:.1f} s")
+        raise BadParameter(f"--from, --to: select nothing of its {(view.span_ns[1] - view.span_ns[0]) / 1e9:.1f} s")
     return replace(view, span_ns=(first, last))

@@ -115,7 +115,7 @@ def tune(
         run_jobs=run,
     )
     if tuning.new_trials == 0:
-        kept = "all trials are kept from an earlier run, nothing to try (--force begins anew)"
+        kept = "all trials are kept from an earlier run, nothing to try (--force begins again)"
         print_line(f"tune: {kept}", file=sys.stderr)
     write_document(str(folder / f"{estimator}.tune.json"), tuning.to_json())
     save_figure(draw_tuning(tuning), folder / f"{estimator}.map.png", dpi=150, metadata={"Software": None})

@@ -41,7 +41,7 @@ def view(
     from stillpoint.scripts.shared.rerun_scene import finish_scene, open_scene, show_thing
 
     if save is not None and not save.absolute().parent.is_dir():
-        raise BadParameter(f"--save {save}: the folder is not there; make it or name another")
+        raise BadParameter(f"--save {save}: the folder does not exist; make it or name another")
     files = mcap_files(paths)
     if not alone:
         files = _add_companions(files)

@@ -227,7 +227,9 @@ def compute_accuracy(chain: Chain, linear: Linear, name: str) -> Accuracy:
         shared = np.array([_shared_covariance(chain, linear, i) for i in range(chain.blocks)])
         constants = linear.tree.marginalCovariance(C(0))
     except RuntimeError as error:
-        raise Unobservable(f"{name}: the samples fix the rate, but not how well; look for long gaps") from error
+        raise Unobservable(
+            f"{name}: the samples determine the rate, but not its covariance; look for long gaps"
+        ) from error
     local = np.arange(m)
     wanted = np.zeros((chain.blocks, 2 * m, layout.inside + layout.shared))
     steps = split_blocks(chain.step_s[:-1], m, 0.0)

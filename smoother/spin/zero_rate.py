@@ -54,7 +54,7 @@ def require_spin(samples: SpinSamples, params: SpinCalibration, name: str) -> No
             "the radial accelerometer, or its lever arm; `stillpoint doctor` tests it. At rest, gravity does the same"
         )
     raise Unobservable(
-        f"{name}: no spin is to be seen: the squared rate is {median:.2g} rad^2/s^2 in the median and nowhere above "
+        f"{name}: no spin can be seen: the squared rate is {median:.2g} rad^2/s^2 in the median and nowhere above "
         f"{least:.2g}, which a bias may be; record a spin above {_root_degps(least):.0f} deg/s"
     )
 

@@ -59,7 +59,7 @@ def _name_best(table: Table, ranked: Sequence[Row], sources: Sequence[Source]) -
             for ratio, low, high, name in near[:3]
         )
         more = f" and {len(near) - 3} more" if len(near) > 3 else ""
-        text += f"; it cannot be told from {listed}{more}"
+        text += f"; it cannot be distinguished from {listed}{more}"
     return f"{text}."
 
 

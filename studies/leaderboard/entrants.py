@@ -155,9 +155,7 @@ def _entrant_of_object(own: Own) -> Entrant:
     Raises :class:`BadParameter` for an instance: its state would go from one recording to the next.
     """
     if hasattr(own, "update") and not isinstance(own, type):
-        raise BadParameter(
-            f"{type(own).__name__}: is an instance; give the class, which is made anew for each recording"
-        )
+        raise BadParameter(f"{type(own).__name__}: is an instance; give the class, which is called for each recording")
     name = getattr(own, "__name__", type(own).__name__)
     try:
         code = inspect.getsource(own)

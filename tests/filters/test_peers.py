@@ -168,7 +168,9 @@ def test_what_a_package_refuses_gives_one_line_error(monkeypatch) -> None:
         raise ValueError("a reason\nof two lines")
 
     monkeypatch.setattr("ahrs.filters.EKF", refuse)
-    with pytest.raises(BadRecording, match=r"ahrs EKF: refuses this recording: a reason of two lines$"):
+    with pytest.raises(
+        BadRecording, match=r"ahrs EKF: refuses this recording \(a reason of two lines\); use another estimator$"
+    ):
         estimate(moving(200), "ahrs-ekf")
 
 

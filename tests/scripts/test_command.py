@@ -33,7 +33,7 @@ HEAVY = ("numpy", "numba", "gtsam", "matplotlib", "scipy", "rosbags")
         (["doctor"], "PATHS requires an argument"),
         (["simulate", "phone-1", "--seed", "1.5"], "'1.5' is not a whole number"),
         (["demo", "--minutes", "0.1"], "at least 1.38"),
-        (["simulate", "phone-1", "--json", "no/such/folder/x.json"], "Its folder is not there"),
+        (["simulate", "phone-1", "--json", "no/such/folder/x.json"], "Its folder does not exist"),
         (["simulate", "phone-1", "--json", "."], "It is a folder"),
     ],
 )
@@ -129,7 +129,7 @@ def test_the_installed_command_ends_with_these_codes() -> None:
     command_file = Path(sys.executable).with_name("stillpoint")
     result = subprocess.run([command_file, "info", "no-such-file.mcap"], capture_output=True, text=True)
     assert result.returncode == 2
-    assert result.stderr == "stillpoint: no-such-file.mcap: there is no such file or folder\n"
+    assert result.stderr == "stillpoint: no-such-file.mcap: there is no such file or folder; check the name\n"
 
 
 def test_help_names_every_verb_and_imports_nothing_heavy() -> None:

@@ -21,12 +21,12 @@ def test_a_chain_is_connected_in_whatever_order(order):
 
 @given(st.integers(0, 10))
 def test_a_chain_that_lacks_one_link_is_refused_and_the_smaller_part_named(missing):
-    with pytest.raises(Unobservable, match=r"nothing ties state \d+"):
+    with pytest.raises(Unobservable, match=r"nothing connects state \d+"):
         check([[k, k + 1] for k in range(12) if k != missing] + [[0]], range(13))
 
 
 def test_a_variable_without_a_factor_is_named():
-    with pytest.raises(Unobservable, match="nothing is measured of state 7"):
+    with pytest.raises(Unobservable, match="no measurement determines state 7"):
         check([[0, 1], [1, 2]], [0, 1, 2, 7])
 
 

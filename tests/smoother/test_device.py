@@ -105,7 +105,7 @@ def test_one_recording_or_none_with_a_covariance_is_refused(device):
     with pytest.raises(BadParameter, match="needs two recordings"):
         calibrate_device([one])
     old = replace(one, calibration=replace(one.calibration, matrix_covariance=None))
-    with pytest.raises(BadParameter, match="has no covariance of its calibration; make it anew"):
+    with pytest.raises(BadParameter, match="has no covariance of its calibration; make it again"):
         calibrate_device([one, old])
 
 

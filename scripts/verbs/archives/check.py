@@ -99,18 +99,20 @@ def _remake(
     faults = []
     for job, outcome in zip(drawn, outcomes, strict=True):
         if outcome.value is None:
-            what = f"{job.file_name} could not be made anew: {outcome.error}"
+            what = f"{job.file_name} could not be made again: {outcome.error}"
         elif outcome.value.difference_rad > tolerance:
             what = f"{job.file_name} differs by {outcome.value.difference_rad:.3g} rad from what is made now"
         else:
             continue
         if job.version != here:
             what += f" (stillpoint {job.version} made it, this is {here})"
-        repair = f"install stillpoint {job.version}, or make the file anew and add it"
+        repair = f"install stillpoint {job.version}, or make the file again and add it"
         faults.append(Fault("remade", job.sha256, str(job.kept), what, repair))
     largest = max((one.value.difference_rad for one in outcomes if one.value is not None), default=0.0)
-    lines = [f"{len(drawn)} made anew, {len(faults)} differ by more than {tolerance:g} rad; the largest: {largest:.3g}"]
-    return faults, lines + [f"not made anew: {name}: {reason}" for name, reason in reasons.items()]
+    lines = [
+        f"{len(drawn)} made again, {len(faults)} differ by more than {tolerance:g} rad; the largest: {largest:.3g}"
+    ]
+    return faults, lines + [f"not made again: {name}: {reason}" for name, reason in reasons.items()]
 
 
 def repair(

@@ -178,4 +178,4 @@ def _expand(paths: Sequence[Path]) -> Iterator[Path]:
             inside = [file for file in sorted(path.rglob("*")) if file.is_file()]
             yield from (file for file in inside if not any(p.startswith(".") for p in file.relative_to(path).parts))
         else:
-            raise BadParameter(f"{path}: there is no such file or folder")
+            raise BadParameter(f"{path}: there is no such file or folder; check the name")

@@ -176,7 +176,7 @@ def bundle(
         reference = read(opened.path_of(references[-1])) if references else None
         estimates = [read_estimate(opened.path_of(found[name])) for name in named]
     if not isinstance(reference, Reference | SpinReference | None):
-        raise BadParameter(f"{references[-1].file_name}: is no reference")
+        raise BadParameter(f"{references[-1].file_name}: is not a reference; name one")
     reasons = write_one_file(out, recording, reference, estimates)
     print_line(
         f"{out}: {entry.name}, reference: {'yes' if reference else 'no'}, estimates: {', '.join(named) or 'none'}"

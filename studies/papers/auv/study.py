@@ -134,14 +134,12 @@ def score_recording(recording: Recording, online: bool = False, methods: Sequenc
     """
     gps, t_ns = recording.gps, recording.require_imu().t_ns
     if gps is None or not gps.valid.any():
-        raise BadRecording(f"{recording.name}: has no valid satellite fix; the mission begins and ends with courses")
+        raise BadRecording(f"{recording.name}: has no valid satellite fix; record fixes before and after the dive")
     valid_ns = gps.t_ns[gps.valid]
     longest = int(np.argmax(np.diff(valid_ns))) if len(valid_ns) > 1 else 0
     below_s = (valid_ns[longest : longest + 2] - t_ns[0]) / 1e9
     if len(below_s) < 2 or below_s[1] - below_s[0] < _SHORTEST_DIVE_S:
-        raise BadRecording(
-            f"{recording.name}: is never without satellites for {_SHORTEST_DIVE_S:g} s; the mission needs a dive"
-        )
+        raise BadRecording(f"{recording.name}: is never without satellites for {_SHORTEST_DIVE_S:g} s; record a dive")
     down_s, up_s = float(below_s[0]), float(below_s[1])
     end_s = float(t_ns[-1] - t_ns[0]) / 1e9
     phases_s = {"dive_s": down_s, "cruise_s": down_s, "ascent_s": up_s, "surfaced_s": up_s, "end_s": end_s}

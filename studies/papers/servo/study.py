@@ -101,7 +101,7 @@ def score_recording(recording: Recording) -> list[Trial]:
     where the board never returns to its first pose.
     """
     if recording.mag is None:
-        raise BadRecording(f"{recording.name}: has no magnetometer; the heading needs one")
+        raise BadRecording(f"{recording.name}: has no magnetometer, which the heading needs; record one")
     blind = replace(recording, base_pose=None, truth=None)
     judges: dict[str, Truth | Reference] = {
         "benchmark": attitude_reference(blind, "redistribution"),
@@ -158,7 +158,9 @@ def _measure_swings_hz(imu: Imu, rests_s: Floats, name: str) -> Floats:
             smooth = savgol_filter(rate[inside], 11, 2)
             found[k] = np.count_nonzero(np.diff(np.sign(smooth - smooth.mean()))) / 2 / (end - start)
     if not found.any():
-        raise BadRecording(f"{name}: nothing swings about x for {_SHORTEST_SWING_S:g} s between two rests")
+        raise BadRecording(
+            f"{name}: does not swing about x for {_SHORTEST_SWING_S:g} s between two rests; record longer swings"
+        )
     low, high = found[found > 0].min(), found.max()
     nearest = np.where(found < np.sqrt(low * high), low, high) if high > _SAME_RATE * low else np.full_like(found, low)
     return np.where(found > 0, nearest, 0.0)

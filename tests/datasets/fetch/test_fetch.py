@@ -132,7 +132,7 @@ def test_a_dropped_connection_and_a_damaged_file_are_tried_again(server, tmp_pat
 def test_what_never_matches_is_refused_and_leaves_nothing(server, tmp_path):
     path = BROAD.files(BROAD.select(["02"])[0])[0]
     server.files |= {"data_mat/trials.json": b"{}", path: b"another file"}
-    with pytest.raises(BadSource, match=r"trials\.json: what came has another SHA-256 than is known, 3 times"):
+    with pytest.raises(BadSource, match=r"trials\.json: the download had another SHA-256 than the known one, 3 times"):
         fetch_trials(BROAD, BROAD.select(["02"]), tmp_path, server.address)
     assert not [file for file in tmp_path.rglob("*") if file.is_file()]
 

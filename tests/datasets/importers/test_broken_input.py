@@ -163,7 +163,7 @@ def test_tyrex_truth_needs_its_alignment(tmp_path):
     bodies = {"Rotations": np.eye(3).reshape(1, 9, 1), "Positions": np.zeros((1, 3, 1)), "Residual": np.zeros((1, 1))}
     motion = {"FrameRate": 60.0, "Timestamp": "2016-06-03", "RigidBodies": bodies}
     scipy.io.savemat(tmp_path / "qualisys" / "Ann_X_AR.mat", {"Ann_X_AR": motion})
-    refused("tyrex", folder, None, "timeAlignment.txt", "is not there")
+    refused("tyrex", folder, None, "timeAlignment.txt", "is missing")
     (folder / "timeAlignment.txt").write_text("soon")
     refused("tyrex", folder, None, "timeAlignment.txt", "no number")
     scipy.io.savemat(tmp_path / "qualisys" / "Ann_X_AR.mat", {"Ann_X_AR": {"FrameRate": 60.0}})
@@ -223,7 +223,7 @@ def test_phyphox_says_what_to_record(tmp_path):
     )
     refused("phyphox", tmp_path, None, "acceleration with gravity (m/s^2)")
     (tmp_path / "Gyroscope 2.csv").write_text(gyro)
-    refused("phyphox", tmp_path, None, "gyro stands twice", "Gyroscope 2.csv")
+    refused("phyphox", tmp_path, None, "gyro is there twice", "Gyroscope 2.csv")
     (tmp_path / "Gyroscope 2.csv").unlink()
     (tmp_path / "Gyroscope.csv").write_text(gyro.replace("Gyroscope x (rad/s)", "Zeit (s)"))
     refused("phyphox", tmp_path, None, "gyroscope (rad/s)")

@@ -119,7 +119,7 @@ def test_poses_in_two_fixed_frames_are_not_mixed(known, tmp_path):
         ("1 0 0 0 0 0 0 2\n", "has the length 2, not 1"),
         ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "does not rise"),
         ("1 2 3 4 5 6 7 8 9 10 11 12\n", "times.txt"),
-        ("\0\0\0", "is no text"),
+        ("\0\0\0", "is not text"),
         ("", "is empty"),
     ],
 )

@@ -360,7 +360,7 @@ def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
         (["--resume", "nowhere.json"], "cannot be read"),
         (["--declination", "nan"], "declination nan deg: give an angle within"),
         (["--declination", "-inf"], "declination -inf deg: give an angle within"),
-        (["--save", "nowhere/state.json"], "Its folder is not there"),
+        (["--save", "nowhere/state.json"], "Its folder does not exist"),
         (["-e", "vqf,fusion"], "use stillpoint estimate -e vqf,fusion"),
         (["-e", "cf,vqf", "--precision", "single"], "is not for vqf: other packages compute"),
         (["--host", "0.0.0.0"], "--host: is for a replay"),

@@ -193,7 +193,7 @@ def test_the_script_of_a_bundle_makes_everything_anew(call, tmp_path, monkeypatc
         monkeypatch.setenv("PATH", f"{command.parent}{os.pathsep}{os.environ['PATH']}")
         ended = subprocess.run(["sh", "reproduce.sh"], cwd=bundle, capture_output=True, text=True)
     assert ended.returncode == 1
-    assert "2 made anew, 1 differ" in ended.stdout
+    assert "2 made again, 1 differ" in ended.stdout
     assert "run.gyro.estimate.mcap differs" in ended.stdout
     (remade,) = bundle.glob("remade/*/leaderboard.json")
     boards = [json.loads(file.read_text()) for file in (tmp_path / "board" / "leaderboard.json", remade)]

@@ -47,7 +47,7 @@ def test_a_stretch_of_time_can_be_chosen(call, folder, tmp_path, capsys) -> None
     labels = [float(label) for label in re.findall(r">(\d+)</text>", out.read_text())]
     assert max(labels) <= 30
     assert call("plot", folder / "run.mcap", "--kind", "errors", "--from", "1000", "-o", out) == 2
-    assert "--from, --to: leave nothing" in capsys.readouterr().err
+    assert "--from, --to: select nothing" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["ranking", "map"])

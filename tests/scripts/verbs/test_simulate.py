@@ -79,7 +79,7 @@ def test_the_help_names_every_simulation(call, capsys):
         (["phone-1", "--seeds", "0"], "--seeds 0"),
         (["phone-1", "--sensor", "gyroscope"], "phone, perfect"),
         (["phone-3", "--minutes", "1"], "at least 1.38"),
-        (["phone-1", "--minutes", "0.6", "--json", "no/such/folder/x.json"], "Its folder is not there"),
+        (["phone-1", "--minutes", "0.6", "--json", "no/such/folder/x.json"], "Its folder does not exist"),
     ],
 )
 def test_wrong_options_are_one_line_and_exit_code_2(call, tmp_path, capsys, tokens, message):

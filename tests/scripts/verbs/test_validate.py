@@ -112,7 +112,7 @@ def test_two_processes_give_what_one_gives(call, folder, capsys):
 
 def test_nothing_scored_is_exit_code_2(call, folder, capsys):
     assert call("validate", folder / "no_truth.mcap") == 2
-    assert capsys.readouterr().err == "stillpoint: no_truth: has no independent truth; validate needs one\n"
+    assert capsys.readouterr().err == "stillpoint: no_truth: has no independent truth; import it with one (--truth)\n"
 
 
 @pytest.mark.parametrize(

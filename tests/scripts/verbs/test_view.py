@@ -99,7 +99,7 @@ def test_alone_leaves_out_what_lies_beside(call, folder):
 def test_a_place_that_is_not_there_gives_one_line_error(call, folder, capsys):
     assert call("view", folder / f"{NAME}.mcap", "--save", folder / "nowhere" / "x.rrd") == 2
     message = capsys.readouterr().err.strip()
-    assert "the folder is not there" in message
+    assert "the folder does not exist" in message
     assert "\n" not in message
 
 
