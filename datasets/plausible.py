@@ -1,4 +1,4 @@
-"""Check that the sizes of a recording fit its units: one second of rest tells m/s^2 from g, and uT from gauss."""
+"""Check that the sizes of a recording fit its units: a second of rest separates m/s^2 from g, and uT from gauss."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -37,7 +37,7 @@ def check_units(recording: "Recording") -> None:
 
 
 class UnitCheck:
-    """Gathers what tells the units of a recording, piece by piece; medians are over every 2^k-th of many samples."""
+    """Collects the sizes that show the units of a recording, piece by piece; medians use every 2^k-th sample."""
 
     def __init__(self, name: str, mag_uncalibrated: bool) -> None:
         self._name, self._mag_uncalibrated = name, mag_uncalibrated
@@ -106,7 +106,7 @@ def describe_field_size(median_ut: float) -> str:
 
 
 def _iterate_rows(count: int) -> Iterator[slice]:
-    """Yield ranges of rows; what is computed of one takes little memory beside the columns themselves."""
+    """Yield ranges of rows, short enough that intermediate results of one take little memory."""
     return (slice(first, first + _ROWS_AT_ONCE) for first in range(0, count, _ROWS_AT_ONCE))
 
 

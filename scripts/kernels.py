@@ -13,7 +13,7 @@ from stillpoint.datasets.machine_code import KERNELS, TARGET
 
 
 def main() -> int:
-    """Compile anew into the package's folder; return the exit code."""
+    """Compile all kernels into the package's folder; return the exit code."""
     KERNELS.mkdir(exist_ok=True)
     for old in KERNELS.glob("*.kernel"):
         old.unlink()

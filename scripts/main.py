@@ -42,7 +42,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "export": ("export:export", "Write CSV tables, the samples for stream, or TUM trajectories."),
     "export-c": ("export_c:export_c", "Write filters as C99 for microcontrollers."),
     "archive": ("archive:app", "Keep, find, verify and publish datasets."),
-    "recover": ("recover:recover", "Rescue what is readable of a damaged MCAP file."),
+    "recover": ("recover:recover", "Save the readable part of a damaged MCAP file."),
     "view": ("view:view", "Look at recordings, references and estimates in rerun."),
     "bench": ("bench:bench", "Time a part of stillpoint beside its peers."),
 }

@@ -1,4 +1,4 @@
-"""How the jobs of a study are run: one after another here, or on whatever the caller brings."""
+"""Run the jobs of a study one after another, or by a function of the caller."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Make a reference or an estimate of an archive anew from its recording, and compare it with the one that is kept."""
+"""Make a reference or an estimate of an archive again from its recording, and compare both."""
 
 import random
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ class Remade:
 
 
 def draw_jobs(archive: Archive, count: int | None, seed: int) -> tuple[list[RemakeJob], dict[str, str]]:
-    """Draw references and estimates that can be made anew (None: all of them), and say why others cannot.
+    """Draw references and estimates that can be made again (None: all of them), and say why others cannot.
 
     The second value maps file names to reasons.
     """
@@ -86,7 +86,7 @@ def _job_of(archive: Archive, entry: Entry) -> RemakeJob | str:
 
 
 def remake(job: RemakeJob) -> Remade:
-    """Make the file anew with the settings that it records, and compare.
+    """Make the file again with the settings that it records, and compare.
 
     Raises :class:`~stillpoint.datasets.errors.StillpointError` where it cannot be made.
     """

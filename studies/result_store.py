@@ -1,4 +1,4 @@
-"""Results kept by the content of what they were made from, so that a study that was stopped goes on where it was.
+"""Results kept by the content of what they were made from, so that a stopped study can be continued.
 
 A key is the hash of everything that decides a result: the SHA-256 of the input, the estimator with its parameters and
 version, the alignment, and the version of stillpoint. Results are written whole or not at all.

@@ -100,7 +100,7 @@ class _TuneSpec:
 
     @property
     def study_name(self) -> str:
-        """The name under which trials are kept: another input, range or product begins anew."""
+        """The name under which trials are kept: another input, range or product has another name."""
         deciding = [
             product_version(),
             self.estimator,

@@ -1,4 +1,4 @@
-"""An archive of datasets: objects named by their SHA-256, a record beside each, a catalogue that can be made anew.
+"""An archive of datasets: objects named by their SHA-256, a record beside each, a catalogue that is made from both.
 
     ARCHIVE/objects/ab/cdef….mcap    the bytes, never rewritten
     ARCHIVE/records/ab/cdef….json    file name, tags, metadata, when it was added or removed
@@ -150,7 +150,7 @@ class Archive:
         return finish_dead_changes(self.home, self._commit)
 
     def _commit(self, changes: Sequence[Change], descriptions: Mapping[str, Description] | None = None) -> None:
-        """Move changes to their places and tell the catalogue. Repeating it after a kill does no harm."""
+        """Move changes to their places and update the catalogue. Repeating it after a kill does no harm."""
         if not changes:
             return
         with hold_lock(self.home / "lock"):
@@ -211,7 +211,7 @@ class Archive:
         return self.storage.path(self.object_key(entry.sha256))
 
     def object_key(self, sha256: str) -> str:
-        """Return where the bytes of an object lie."""
+        """Return the key under which the bytes of an object are stored."""
         rows = self.catalogue.select("SELECT suffix FROM objects WHERE sha256 = ?", (sha256,))
         return f"objects/{sha256[:2]}/{sha256[2:]}{rows[0]['suffix']}" if rows else self.read_record(sha256).object_key
 
@@ -323,7 +323,7 @@ class Archive:
     # -- the catalogue ------------------------------------------------------------------------------------------------
 
     def rebuild(self) -> list[str]:
-        """Make the catalogue anew from objects and records; returns what could not be taken in.
+        """Make the catalogue again from objects and records; return what could not be read.
 
         Of a record that is damaged, what the old catalogue knows is kept.
         """
@@ -359,7 +359,7 @@ class Archive:
                     link.unlink()
 
     def remembered_record(self, sha256: str) -> Record | None:
-        """Return the record of an object as the catalogue remembers it, None when it does not."""
+        """Return the record of an object as the catalogue has it; None when it has none."""
         try:
             rows = self.catalogue.select("SELECT * FROM objects WHERE sha256 = ?", (sha256,))
             tags, metadata = self.labels(sha256)
@@ -371,7 +371,7 @@ class Archive:
         return Record(sha256, **{name: rows[0][name] for name in names}, tags=tuple(tags), metadata=metadata)
 
     def describe(self, record: Record) -> Description:
-        """Return the description of an object that lies in the archive; damage and absence become its ``problem``."""
+        """Return the description of an object in the archive; damage and absence become its ``problem``."""
         if record.freed:
             return Description("removed", record.file_name)
         if not self.storage.has(record.object_key):
@@ -383,7 +383,7 @@ class Archive:
         return str(rows[0]["kind"]) if rows else ""
 
     def _link(self, record: Record) -> str:
-        """Return the link under ``names/`` to an object, made or taken away as its record asks; "" when it has none."""
+        """Make or remove the link under ``names/`` to an object, as its record asks; return it, or "" for none."""
         if not isinstance(self.storage, FolderStorage):
             return ""
         folder = self.home / "names"
@@ -409,7 +409,7 @@ class Archive:
 
 
 def create_archive(place: str | Path) -> Archive:
-    """Make an archive in a new or empty folder, or below a URL. Raises :class:`BadParameter` where something lies."""
+    """Make an archive in a new or empty folder, or below a URL. Raises :class:`BadParameter` otherwise."""
     storage = storage_at(place)
     home = _home(storage)
     if storage.has(MARK):
@@ -469,7 +469,7 @@ def _is_sha256(text: str) -> bool:
 
 
 def _home(storage: Storage) -> Path:
-    """Return where the catalogue lies: in the archive itself, or for a remote one in the user's cache."""
+    """Return the folder of the catalogue: the archive itself, or the user's cache for a remote one."""
     if isinstance(storage, FolderStorage):
         return storage.root
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -1,4 +1,4 @@
-"""The catalogue: one SQLite file that answers queries. It is derived; :func:`fill` makes it anew from the objects.
+"""The catalogue: one SQLite file that answers queries. It is derived; :func:`fill` makes it from the objects.
 
 The schema is documented in docs/archive.md. Readers may open the file with any SQLite program; they should use the
 views ``recordings``, ``references``, ``estimates``, ``scores`` and ``provenance``, which stay as they are when the

@@ -142,7 +142,7 @@ def _trajectory_columns(kind: str, facts: Mapping[str, Any], log: Log) -> dict[s
 
 
 def _streams(log: Log, kind: str) -> list[Stream]:
-    """Return one row per stream of the thing; a trajectory is one stream, named by its kind."""
+    """Return one row per stream of the object; a trajectory is one stream, named by its kind."""
     found: dict[str, Times] = {}
     for topic in TOPICS:
         if topic.kind == kind and topic.name in log.topics and topic.stream != "mag_remainder":
@@ -164,7 +164,7 @@ def _describe_stream(name: str, t_ns: Times) -> Stream:
 
 
 def _main_clock(log: Log, kind: str) -> Times:
-    """Return the stamps of the first stream that there is: of a recording the IMU, or else the spin."""
+    """Return the stamps of the first stream: of a recording the IMU, or the spin where it has none."""
     for topic in TOPICS:
         if topic.kind == kind and not topic.drawn and topic.name in log.topics:
             return log.topics[topic.name].t_ns

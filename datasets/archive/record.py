@@ -35,17 +35,17 @@ class Record:
 
     @property
     def object_key(self) -> str:
-        """Return where its bytes lie in the archive."""
+        """Return the key of its bytes in the archive."""
         return f"objects/{self.sha256[:2]}/{self.sha256[2:]}{self.suffix}"
 
     @property
     def record_key(self) -> str:
-        """Return where this record lies in the archive."""
+        """Return the key of this record in the archive."""
         return record_key(self.sha256)
 
 
 def record_key(sha256: str) -> str:
-    """Return where the record of an object lies in the archive."""
+    """Return the key of the record of an object in the archive."""
     return f"records/{sha256[:2]}/{sha256[2:]}.json"
 
 

@@ -1,4 +1,4 @@
-"""Mend an archive: damaged objects from a copy, damaged records from a copy or from the catalogue."""
+"""Repair an archive: damaged objects from a copy, damaged records from a copy or from the catalogue."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -55,7 +55,7 @@ class Copies:
 
 
 def repair_archive(archive: Archive, faults: Sequence[Fault], copies: Copies | None) -> tuple[list[str], list[Fault]]:
-    """Mend what can be mended; returns one line for each repair, and the faults that are left.
+    """Repair what can be repaired; return one line for each repair, and the faults that are left.
 
     A record comes from the copy or, when that has none, from the catalogue; the catalogue is made anew at the end when
     anything was wrong with it. An object comes from a copy whose SHA-256 is right, or stays as it is.

@@ -1,4 +1,4 @@
-"""Where objects and records lie: a folder, or any place that fsspec reaches. Keys are ``objects/ab/cdef….mcap``."""
+"""Storage of objects and records: a folder, or any place that fsspec reaches. Keys are ``objects/ab/cdef….mcap``."""
 
 import os
 from collections.abc import Iterator

@@ -40,9 +40,7 @@ def check_clocks(recording: Recording) -> list[Finding]:
     findings = []
     for name, t_ns in recording.streams():
         if len(t_ns) < 10:
-            findings.append(
-                Finding(f"{name}-short", "warning", f"{name}: has {len(t_ns)} samples only; nothing can be told of it")
-            )
+            findings.append(Finding(f"{name}-short", "warning", f"{name}: has {len(t_ns)} samples, too few to test"))
             continue
         findings += _check_stream(name, t_ns)
     return findings + _check_overlap(recording)

@@ -62,7 +62,7 @@ _READINGS = (
 
 @dataclass(frozen=True, eq=False)
 class TruthView:
-    """The truth under one reading and one fault of the sensors: how it fits, and how it lies to the sensors."""
+    """The truth under one reading and one fault of the sensors: how well it fits, and its rotation to the sensors."""
 
     reading: Reading
     mounting: Rotation  # takes vectors of the IMU's body to the body of the truth
@@ -118,7 +118,7 @@ class TruthView:
         return " and ".join(part for part in (self.reading.words, frame) if part)
 
     def world_remedy(self) -> Remedy | None:
-        """Return the rotation of the world that makes it East-North-Up as far as gravity tells; None when it is."""
+        """Return the rotation of the world that makes it East-North-Up as far as gravity shows; None when it is."""
         if self.frame is None:
             return None
         if self.mirrored:
@@ -146,7 +146,7 @@ class TruthView:
         return turn_truth(replace(truth, q_nb=q_nb), self)
 
     def findings(self) -> list[Finding]:
-        """Return what is wrong with the truth, and the mounting, which is no fault."""
+        """Return the faults of the truth, and the mounting, which is not a fault."""
         found = []
         for remedy in self.reading.remedies:
             message = (

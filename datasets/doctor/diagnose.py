@@ -1,4 +1,4 @@
-"""Run the tests in order. What a test finds is put right before the next one, so that one fault gives one finding."""
+"""Run the tests in order. Each fault is corrected before the next test, so that one fault gives one finding."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -69,7 +69,7 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
 
 
 class _Case:
-    """The recording as far as it has been put right, and the findings so far."""
+    """The recording as corrected so far, and the findings so far."""
 
     def __init__(self, recording: Recording, rests_ns: Times) -> None:
         self.now, self.rests_ns = recording, rests_ns
@@ -89,7 +89,7 @@ class _Case:
 
 
 def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
-    """Compare the hypotheses, put the faults of the best one right, and compare again until there is none.
+    """Compare the hypotheses, correct the faults of the best one, and repeat until it has none.
 
     Returns what the sensors say of the gyro, and the lag of the accelerometer by the positions of the truth.
     """
@@ -159,7 +159,7 @@ def _accel_lag(case: _Case, witnesses: list[Witness]) -> Lag | None:
 
 
 def _bias(imu: Imu, rests_ns: Times, witnesses: list[Witness]) -> Floats:
-    """Return the gyro's bias as well as it is known before the axes are."""
+    """Return the best estimate of the gyro's bias before its axes are known."""
     if len(rests_ns):
         first, last = np.searchsorted(imu.t_ns, rests_ns[0])
         return np.asarray(imu.gyro_b_radps[first : last + 1].mean(axis=0))

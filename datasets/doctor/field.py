@@ -63,7 +63,7 @@ class Dips:
 
 
 def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) -> Dips | None:
-    """Return where force and field point in each rest, else in all calm samples; None where nothing can be told."""
+    """Return where force and field point in each rest, else in all calm samples; None where this cannot be found."""
     iron = _known_iron(witness)
     mag, imu = recording.mag, recording.require_imu()
     if mag is None or (iron is None and recording.info.mag_uncalibrated):
@@ -138,7 +138,7 @@ def _report_dip(dips: Dips | None) -> list[Finding]:
     if spread_deg > _EVEN_DIP_DEG:
         message = (
             f"mag: the field dips by {each.min():.0f} to {each.max():.0f} deg below the horizon from rest to rest: "
-            "iron or currents nearby, or wrong axes that no sign mends; do not trust the heading from it"
+            "iron or currents nearby, or wrong axes that no change of sign explains; do not trust the heading from it"
         )
         return [Finding("field-dip", "warning", message, values=values)]
     message = f"mag: the field dips by {dip_deg:.0f} deg below the horizon that gravity gives"

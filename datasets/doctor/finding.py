@@ -60,12 +60,12 @@ class Diagnosis:
 
     @property
     def clean(self) -> bool:
-        """No error and no warning; facts there always are."""
+        """Whether the findings are neither errors nor warnings."""
         return all(finding.severity == "fact" for finding in self.findings)
 
     @property
     def remedies(self) -> tuple[Remedy, ...]:
-        """Return what can be put right by :func:`~stillpoint.datasets.doctor.apply`, in the order of the findings."""
+        """Return the remedies for :func:`~stillpoint.datasets.doctor.apply`, in the order of the findings."""
         return tuple(finding.remedy for finding in self.findings if finding.remedy is not None)
 
     def codes(self, *severities: Severity) -> tuple[str, ...]:

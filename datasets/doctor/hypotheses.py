@@ -308,7 +308,7 @@ def report_tested_axes(witnesses: Sequence[Witness]) -> list[Finding]:
         scale = one.scale or float("nan")
         message = f"axes: the {_NAMES[one.name]} turns as gyro {', '.join(tested) or 'none'} says (scale {scale:.3f})"
         if untested:
-            message += f"; not tested: {', '.join(untested)}, as there is no rotation about it that shows"
+            message += f"; not tested: {', '.join(untested)}, because no rotation about it can be seen"
         findings.append(Finding("axes-tested", "fact", message, values={"scale": scale}))
     return findings
 

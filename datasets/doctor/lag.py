@@ -75,7 +75,7 @@ def _unsure_s(away_s: Floats, more: Floats) -> float:
 
 
 def _bounds(table: Floats) -> Times:
-    """Return where the parts of the recording meet, (BLOCKS - 1,), so that each tells equally much of the lag."""
+    """Return where the parts of the recording meet, (BLOCKS - 1,), so that each shows as much of the lag."""
     told = np.cumsum(np.ptp(table, axis=0))
     return np.searchsorted(told / told[-1], np.linspace(0, 1, _BLOCKS + 1)[1:-1])
 
@@ -129,7 +129,7 @@ def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
         f"half a step ({1e3 * half_s:.1f} ms) of it is the convention that a sample describes the step before its stamp"
     )
     if abs(lag.lag_s) < _TRUTH_S + _SIGMAS * lag.sd_s:
-        return Finding("gyro-truth-lag", "fact", message + ", which leaves nothing to mend", None, values)
+        return Finding("gyro-truth-lag", "fact", message + ", so nothing is to be shifted", None, values)
     remedy = Remedy("shift", "truth", f"truth shifted by {_ms(lag.lag_s)}", (lag.lag_s,))
     advice = f"; {_ms(lag.lag_s)} remain: shift the truth by them"
     return Finding("gyro-truth-lag", "warning", message + advice, remedy, values)

@@ -1,4 +1,4 @@
-"""A spinning body's accelerometers: lost and saturated values, places that tell nothing, signs and scales."""
+"""A spinning body's accelerometers: lost and saturated values, useless places, signs and scales."""
 
 from collections.abc import Iterator
 
@@ -40,7 +40,7 @@ def check_spin(recording: Recording) -> Iterator[Finding]:
 
 
 def _values(spin: Spin, of: NDArray[np.bool_], what: str, text: str) -> Iterator[Finding]:
-    """Return how many values of each accelerometer are of a kind that tells nothing."""
+    """Return how many values of each accelerometer are lost or saturated."""
     counts = of.sum(axis=0)
     if not counts.any():
         return
@@ -59,7 +59,7 @@ def _radial(spin: Spin, by: SpinChannels, encoder: Encoder | None) -> Iterator[F
     middle = float(np.median(squared))
     error = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(squared - middle))) / np.sqrt(len(squared))
     if middle < -_CERTAIN * error and middle < -(_SLOWEST_RADPS**2):
-        message = f"spin: the squared rate is {middle:.4g} rad^2/s^2 in the median: turn the sign of the radial one"
+        message = f"spin: the squared rate is {middle:.4g} rad^2/s^2 in the median: reverse the sign of the radial one"
         yield Finding("spin-radial-sign", "error", message, values={"omega_squared_radps2": middle})
         return
     if encoder is None:
@@ -90,12 +90,14 @@ def _tangential(spin: Spin, by: SpinChannels, encoder: Encoder) -> Iterator[Find
     seen = np.interp(middle_ns, spin.t_ns[known], samples.omega_dot_radps2[known])
     alike = _correlation(seen, turning, np.interp(middle_ns, encoder.t_ns, encoder.angle_rad))
     if alike < -_CERTAIN / np.sqrt(len(seen)) and alike < -0.1:
-        message = f"spin: the tangential one goes against the encoder (correlation {alike:.2f}): turn its sign"
+        message = (
+            f"spin: the tangential accelerometer contradicts the encoder (correlation {alike:.2f}): reverse its sign"
+        )
         yield Finding("spin-tangential-sign", "error", message, values={"correlation": alike})
 
 
 def _correlation(seen: Floats, turning: Floats, angle_rad: Floats) -> float:
-    """Return the correlation of what is no harmonic of the angle: on a tilted shaft, gravity makes harmonics."""
+    """Return the correlation without the harmonics of the angle: on a tilted shaft, gravity makes harmonics."""
     harmonics = np.column_stack([np.ones(len(angle_rad)), np.cos(angle_rad), np.sin(angle_rad)])
     rest = [one - harmonics @ np.linalg.lstsq(harmonics, one, rcond=None)[0] for one in (seen, turning)]
     sizes = [float(np.linalg.norm(one)) for one in rest]

@@ -178,12 +178,12 @@ def _check_odometry(recording: Recording, truth: Truth) -> list[Finding]:
     if not noted and not planar:
         return []
     why = "the source says so" if noted else "its roll and pitch are exactly zero throughout, its heading is not"
-    message = f"truth: is odometry ({why}): it slips and drifts, and its errors count as errors of what is scored"
+    message = f"truth: is odometry ({why}): it slips and drifts, and its errors count as errors of the estimates"
     return [Finding("truth-is-odometry", "warning", message + "; score against a reference instead")]
 
 
 def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
-    """Report seconds in which a truth, which else fits the gyro, turns otherwise: wheels that slip, lost markers."""
+    """Report seconds in which a truth that fits the gyro elsewhere turns otherwise: wheels that slip, lost markers."""
     origin = int(imu.t_ns[0])
     gyro = gyro_series(imu, origin)
     start, end, rate = truth_rates(truth, origin)
@@ -201,7 +201,7 @@ def check_slips(imu: Imu, truth: Truth, lag_s: float) -> list[Finding]:
     at_s = float(start[np.searchsorted(bins, np.unique(bins)[int(np.argmax(parted))])])
     worst_deg, total_deg = float(np.rad2deg(parted.max())), float(np.rad2deg(parted[slipped].sum()))
     message = (
-        f"truth: parts from the gyro in {int(slipped.sum())} single seconds, by {worst_deg:.0f} deg in the worst, "
+        f"truth: deviates from the gyro in {int(slipped.sum())} single seconds, by {worst_deg:.0f} deg in the worst, "
         f"{at_s:.1f} s after the start, and fits it in all others: odometry that slips, or markers that were mixed up"
     )
     values = {"seconds": float(slipped.sum()), "worst_deg": worst_deg, "total_deg": total_deg, "at_s": at_s}

@@ -1,4 +1,4 @@
-"""Units by size: gravity at rest, and the field of the Earth once the hard iron is taken off."""
+"""Units by size: gravity at rest, and the field of the Earth after the hard iron is subtracted."""
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def check_gravity(recording: Recording, rests_ns: Times) -> list[Finding]:
 
 
 def check_field_unit(recording: Recording, hard_iron_b_ut: Floats | None) -> list[Finding]:
-    """Is the field of the Earth's size, less the hard iron where that is known?"""
+    """Test whether the field, minus the hard iron where that is known, has the size of the Earth's."""
     assert recording.mag is not None
     known = hard_iron_b_ut is not None
     centre = np.zeros(3) if hard_iron_b_ut is None else hard_iron_b_ut

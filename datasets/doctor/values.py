@@ -110,7 +110,7 @@ def _stuck(sensor: _Sensor) -> list[Finding]:
     if sensor.name == "mag":
         remedy = Remedy("drop-stream", "mag", f"magnetometer dropped: {names} {missing}")
         return [Finding(code, "error", message + "; leave the magnetometer out", remedy)]
-    return [Finding(code, "error", message + "; no attitude can be had without it: record or import again")]
+    return [Finding(code, "error", message + "; there is no attitude without it: record or import again")]
 
 
 def _find_clipping(sensor: _Sensor) -> list[Finding]:

@@ -130,7 +130,7 @@ def _is_worse(difference: Floats, overlap: float) -> bool:
 
 @dataclass(frozen=True)
 class Witness:
-    """The judgement of the gyro by one sensor; None where it cannot tell."""
+    """The judgement of the gyro by one sensor; None where it cannot decide."""
 
     name: str  # "accel", "mag", "truth"
     choice: Choice | None  # true rate = scale * choice.matrix @ measured rate

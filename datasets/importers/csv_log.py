@@ -50,7 +50,7 @@ _GPS_FORM = "LAT,LON[,ALT[,SPEED[,COURSE]]]"
 
 @dataclass(frozen=True)
 class CsvOptions(LogOptions):
-    """Where the log keeps what."""
+    """The columns of a log and their units."""
 
     gyro: str | None = None  # "X,Y,Z:UNIT"
     accel: str | None = None

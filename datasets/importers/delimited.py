@@ -71,14 +71,14 @@ class Table:
 
     @cached_property
     def _places(self) -> dict[str, list[int]]:
-        """Where the columns of each name stand."""
+        """The numbers of the columns of each name."""
         places: dict[str, list[int]] = {}
         for place, name in enumerate(self.columns):
             places.setdefault(name, []).append(place)
         return places
 
     def place(self, column: str) -> int:
-        """Return where a column stands, by its name or by its number.
+        """Return the index of a column, by its name or by its number.
 
         Raises :class:`BadSource` for a name that no column has, or that two have.
         """

@@ -29,7 +29,7 @@ def reading(where: Path | str, what: str, remedy: str = _RESTORE) -> Iterator[No
 
 
 def _describe_failure(error: Exception) -> str:
-    """Return the first line of an exception, or its kind where it says nothing."""
+    """Return the first line of an exception, or its type where it has no text."""
     if isinstance(error, MemoryError):
         return "it claims more memory than there is"
     if isinstance(error, RecursionError):
@@ -124,7 +124,7 @@ def _is_empty(text: str) -> bool:
 
 
 def open_bundle(source: Path, suffixes: tuple[str, ...] = (".csv",)) -> Bundle:
-    """Return all CSV files of a folder or zip; a folder that wraps everything inside a zip is taken off.
+    """Return all CSV files of a folder or zip; a folder around everything in a zip is ignored.
 
     Raises :class:`BadSource` when there is none, or the file is no zip.
     """

@@ -23,7 +23,7 @@ class Imported:
 
 
 def make_mag(series: Series, uncalibrated: bool, log: Log) -> tuple[Mag | None, bool]:
-    """Return the magnetometer, or None, and whether its size says nothing.
+    """Return the magnetometer, or None, and whether its size has no meaning.
 
     A bad magnetometer does not stop the import of the rest: without a single value it is left out, and with a size
     that is not the Earth's it is marked as uncalibrated; both are noted.

@@ -168,7 +168,7 @@ def _add_gravity(bundle: Bundle, log: Log) -> Series:
 
 
 def _read_mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | None, bool]:
-    """Return the field, and whether its size says nothing, as that of the raw one with its hard iron."""
+    """Return the field, and whether its size has no meaning, as for a raw field with its hard iron."""
     name = bundle.find(*_MAG_FILES[options.mag])
     if name is None:
         log.noted("no magnetometer was logged")

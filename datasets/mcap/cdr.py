@@ -1,4 +1,4 @@
-"""Where each number of a ROS message lies in its bytes, so that whole columns are read and written at once.
+"""The place of each number of a ROS message in its bytes, so that whole columns are read and written at once.
 
 CDR (XCDR1, OMG DDSI-RTPS), the encoding of ROS 2, aligns each primitive to its own size, counted from the byte after
 the 4-byte encapsulation; the encoding of ROS 1 has neither encapsulation nor alignment. In both, strings and sequences

@@ -31,7 +31,7 @@ def kind_of(thing: Kept) -> str:
 
 
 def facts_of(thing: Kept) -> dict[str, Any]:
-    """Return everything that is no column of a topic."""
+    """Return everything that is not a column of a topic."""
     if isinstance(thing, Recording):
         return recording_facts(thing.head, thing.spin, thing.extra)
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
@@ -43,7 +43,7 @@ def facts_of(thing: Kept) -> dict[str, Any]:
 
 
 def recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) -> dict[str, Any]:
-    """Return everything of a recording that is no column of a topic; of its streams what they say beside samples."""
+    """Return everything of a recording that is not a column of a topic, and the facts of its streams."""
     labels = {name: list(series.labels) for name, series in extra.items()}
     return {
         "name": head.name,

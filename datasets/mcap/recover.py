@@ -1,4 +1,4 @@
-"""Rescue what is readable of a damaged MCAP file: every chunk whose checksum is right, wherever it lies.
+"""Rescue what is readable of a damaged MCAP file: every chunk whose checksum is right.
 
 A reader refuses a file in which one bit is wrong. Here chunks are found in three ways: by walking the records, by the
 index in the summary, and by searching for the name of the compression that stands in each chunk. What a chunk without
@@ -155,7 +155,7 @@ def _take_fact_at(data: mmap.mmap, found: _Found, at: int) -> None:
 
 
 def _walk_records(data: mmap.mmap, found: _Found) -> None:
-    """Walk the data section; after a record that makes no sense, go on at the next chunk that is known."""
+    """Walk the data section; after an impossible record, continue at the next known chunk."""
     at, end = len(MAGIC), len(data)
     checksum_is_right: bool | None = None
     while at < end:

@@ -132,7 +132,7 @@ class Scan:
             raise damage
 
     def take_fact(self, opcode: int, body: bytes) -> None:
-        """Take in a record that is no message."""
+        """Read a record that is not a message."""
         if opcode == Opcode.SCHEMA:
             schema = parse_record(Schema, body)
             self.schemas[schema.id] = schema

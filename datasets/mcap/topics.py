@@ -1,4 +1,4 @@
-"""The table of topics: which quantity lies where in a file, in what unit and order.
+"""The table of topics: the place, unit and order of every quantity in a file.
 
 The only place that knows that ROS writes quaternions xyzw and magnetic fields in tesla. ``docs/topics.md`` is made
 from it by :mod:`stillpoint.scripts.pages.topics_page`.
@@ -255,7 +255,7 @@ TOPICS: tuple[Topic, ...] = (
 
 
 def tesla(mag_b_ut: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return microtesla (N, 3) as tesla, and what tesla × 10⁶ lacks (N, 3) in microtesla.
+    """Return microtesla (N, 3) as tesla, and the microtesla minus tesla × 10⁶ (N, 3).
 
     Doubles are spaced more widely on one side of a power of two than on the other, so about one value in thirty has
     no double in tesla that multiplies back to it. The remainder is exact, and -0.0 (which changes no bit) elsewhere.

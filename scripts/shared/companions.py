@@ -12,7 +12,7 @@ from stillpoint.scripts.shared.inputs import KINDS, SUFFIX, kind_of
 
 
 def recording_name(path: Path) -> str:
-    """NAME of an estimate's or a recording's file; of a reference's file NAME or NAME.METHOD, as it cannot tell."""
+    """NAME of an estimate's or a recording's file; of a reference's file NAME or NAME.METHOD."""
     name = path.name.removesuffix(KINDS.get(kind_of(path), SUFFIX))
     return name.rpartition(".")[0] if kind_of(path) == "estimate" else name
 

@@ -1,4 +1,4 @@
-"""Results kept by the content of what they were made from, so that a batch that was stopped goes on where it was.
+"""Results kept by the content of what they were made from, so that a stopped batch can be continued.
 
 The key of a result is the hash of the verb, the names and SHA-256 of the files that decide it, the settings, and the
 version of stillpoint with its code. A file that a verb writes carries the key in its record ``stillpoint-made``: the

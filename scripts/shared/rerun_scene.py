@@ -1,4 +1,4 @@
-"""Recordings, references and estimates as columns of rerun; what each entity holds stands in its name."""
+"""Recordings, references and estimates as columns of rerun; the name of each entity says what it holds."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Scores of angle and rate about a spin axis, for the verbs: their judge, what is taken off, and their table."""
+"""Scores of angle and rate about a spin axis, for the verbs: their judge, the subtracted angle, and their table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path |
 
 
 def zero_of(align: AlignKind, where: str) -> AngleZero | None:
-    """Return what is taken off an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
+    """Return what is subtracted from an angle for ``--align``, None for the usual; raises :class:`BadParameter`."""
     if align not in _ZEROS:
         raise BadParameter(
             f"{where}: --align {align}: an angle about one axis has no mounting and no clock to align; give heading "

@@ -54,7 +54,7 @@ def print_table(
 
 
 def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
-    """Return the places of the named columns; a name is a heading, or what stands in it before a comma."""
+    """Return the places of the named columns; a name is a heading, or the part of one before a comma."""
     names: dict[str, int] = {}
     for k, heading in enumerate(columns):
         names.setdefault(heading.partition(",")[0].strip().lower(), k)

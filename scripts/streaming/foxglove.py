@@ -34,7 +34,7 @@ _BACKLOG = 16384  # messages that wait for a slow client
 
 
 class _FirstClient(ServerListener):
-    """Tells when the first client has subscribed."""
+    """Signals when the first client has subscribed."""
 
     def __init__(self) -> None:
         self.is_there = Event()
@@ -123,7 +123,7 @@ class _RawMessages:
                 yield message.log_time, (channel.id, message.data)
 
     def send(self, t_ns: int, number: int, data: bytes) -> None:
-        """Send one message as it lies in the file."""
+        """Send one message as it is in the file."""
         self._channels[number].log(data, log_time=t_ns)
 
 

@@ -1,4 +1,4 @@
-"""Read samples from lines of text: NDJSON or CSV, told apart by the first line (docs/streaming.md)."""
+"""Read samples from lines of text: NDJSON or CSV, as the first line shows (docs/streaming.md)."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -46,7 +46,7 @@ class Layout:
 
 
 class Malformed(ValueError):
-    """A line that is no sample, and the reason."""
+    """A line that is not a sample, and the reason."""
 
 
 class Lines:

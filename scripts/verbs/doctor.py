@@ -88,7 +88,7 @@ def doctor(
     skip
         Code of a finding whose remedy --repair leaves out; may be given several times.
     place
-        Where the recordings were made: LAT,LON or LAT,LON,ALT in deg and m. It tells the dip of the Earth's field.
+        Where the recordings were made: LAT,LON or LAT,LON,ALT in deg and m. It determines the dip of the Earth's field.
     date
         When they were made, for example 2025-08-31.
     errors
@@ -203,7 +203,7 @@ def _print_summary(made: Sequence[Diagnosis], severities: tuple[Severity, ...]) 
 
 
 def examine(recording: Recording) -> Diagnosis:
-    """Find the rests and diagnose; repeat it when units had to be put right before rests could be seen."""
+    """Find the rests and diagnose; repeat both when units had to be corrected before rests could be found."""
     if recording.imu is None:
         return diagnose(recording, np.empty((0, 2), dtype=np.int64))
     diagnosis = diagnose(recording, find_rests_at_default(recording))

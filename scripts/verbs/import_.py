@@ -102,7 +102,7 @@ class Flags:
     truth_time
         The truth's own time column and its unit.
     truth_columns
-        Columns of the quaternion in the truth's own file, where its header does not tell.
+        Columns of the quaternion in the truth's own file, where its header does not show them.
     truth_euler
         Columns and unit of Euler angles instead, in the order of the turns, yaw,pitch,roll:deg.
     truth_order
@@ -322,7 +322,7 @@ def _find_items(importer: Importer, sources: tuple[Path, ...], failed: list[str]
 
 
 def _import_item(item: _Item) -> list[_Kept]:
-    """Read one recording, mend and split it as asked, and write it; raises :class:`BadSource` for a name twice."""
+    """Read one recording, repair and split it as asked, and write it; raises :class:`BadSource` for a name twice."""
     long = _read_long(item)
     if long is not None:
         return [_write_long(item, long)]

@@ -50,7 +50,7 @@ def import_trajectory(
     name
         How tables call it: letters, digits, - and _.
     format
-        tum, kitti, euroc, csv or bag, where the file does not tell.
+        tum, kitti, euroc, csv or bag, where the file does not show it.
     time
         csv: column and unit of time, stamp:us (s, ms, us, ns or iso).
     quaternion

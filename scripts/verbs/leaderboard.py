@@ -107,7 +107,7 @@ def leaderboard(
         The archive whose objects the paths name, by ID or file name, as the lines of archive find do; of these, the
         recordings take part.
     force
-        Forget the results in the output folder and compute all anew.
+        Delete the results in the output folder and compute everything again.
     paper
         Also write the table as LaTeX, CSV and Markdown, and figures as PDF and SVG, to this folder.
     columns

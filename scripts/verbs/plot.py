@@ -151,7 +151,7 @@ def _plot_run(
 
 
 def _gather_material(paths: Sequence[Path]) -> Material:
-    """Return a recording with all that lies beside it, or only with the estimates that are named."""
+    """Return a recording with all files beside it, or only with the named estimates."""
     kinds = {kind_of(path) for path in paths}
     names = {recording_name(path) for path in paths}
     if len(names) != 1 or not kinds <= {"recording", "estimate"}:

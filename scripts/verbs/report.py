@@ -127,7 +127,7 @@ def _write_report(target: Path, material: Material | SpinMaterial, align: AlignK
 
 
 def _require_judge(path: Path, recording: Recording, made: Sequence[Reference | SpinReference | Estimate]) -> None:
-    """Raise :class:`BadParameter` when nothing lies beside a recording, or nothing to judge it by."""
+    """Raise :class:`BadParameter` when a recording has no file beside it, or no judge."""
     references = [thing for thing in made if not isinstance(thing, Estimate)]
     known = recording.truth if recording.imu is not None else recording.roll_truth or recording.encoder
     if made and (references or known is not None):

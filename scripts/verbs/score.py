@@ -95,7 +95,7 @@ def score(
         named by its file is scored too, and so is a trajectory of any program: TUM, KITTI, EuRoC, a CSV table with
         quaternions, or a bag with one pose topic (import trajectory reads those that need options).
     against
-        truth, reference or both: what lies beside each estimate, the truth in NAME.mcap or NAME.reference.mcap. Or a
+        truth, reference or both: the one beside each estimate, the truth in NAME.mcap or NAME.reference.mcap. Or a
         file: a reference, a recording that holds a truth, or such a trajectory. By default the reference beside the
         estimate, else the truth there.
     align
@@ -244,7 +244,7 @@ def _kinds_of_judge(against: Path | None) -> tuple[str, ...]:
 
 
 def _decide(job: _Job, asked: _Asked, beside: Callable[[Path], list[Path]]) -> Deciding:
-    """Return what decides a score: the file, and its judge, or all that lies beside it and might judge it."""
+    """Return what decides a score: the file, and its judge, or all files beside it that may be one."""
     settings = {"asked": asked, "judge": None if isinstance(job.judge, Path) else job.judge}
     if isinstance(job.judge, Path):
         return Deciding((job.file, job.judge), settings)
@@ -266,7 +266,7 @@ def _score_job(task: Task[_Job], asked: _Asked) -> _Scored:
 
 
 def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score | SpinScore:
-    """Score one file against a file, against what lies beside it of one kind, or against the default beside it."""
+    """Score one file against a named file, against one kind of judge beside it, or against the default."""
     if _is_trajectory(file):
         return _score_trajectory(file, against if isinstance(against, Path) else None, asked)
     if asked.align in ALIGN_PIECES and not asked.over_s and (found := _score_in_pieces(file, against, asked)):

@@ -82,7 +82,7 @@ def tune(
         Run the estimator over only so many seconds of motion of each recording, where it is too slow for all of it
         (madgwick takes minutes a recording).
     force
-        Forget the trials and results in the output folder and begin anew.
+        Delete the trials and results in the output folder and start again.
     json
         Also write all trials as JSON to this file; - is the standard output.
     """

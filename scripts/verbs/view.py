@@ -30,7 +30,7 @@ def view(
     Parameters
     ----------
     paths
-        MCAP files, folders or globs. With a recording come the references and estimates that lie beside it.
+        MCAP files, folders or globs. With a recording come the references and estimates beside it.
     save
         Write to this file, NAME.rrd, instead of opening a window.
     alone

@@ -173,7 +173,7 @@ class Leaderboard:
 
     @property
     def common_error(self) -> RankedBy:
-        """The error by which all rows may be compared: inclination where the heading of some says nothing."""
+        """The error by which all rows may be compared: inclination where the heading of some has no meaning."""
         return next((table.ranked_by for table in self.tables if table.ranked_by != "total"), "total")
 
     def __str__(self) -> str:
@@ -240,7 +240,7 @@ class Leaderboard:
 
 
 def _without_rows(table: Table) -> dict[str, Any]:
-    """Return a table with the numbers of its rows and pairs, which stand in one list with those of the others."""
+    """Return a table with the numbers of its rows and pairs, which are in one list with those of the others."""
     kept = {each.name: getattr(table, each.name) for each in fields(table) if each.name not in ("rows", "pairs")}
     return {**kept, "row_count": len(table.rows), "pair_count": len(table.pairs)}
 

@@ -79,7 +79,7 @@ class ScoredRuns:
 
 
 def build_tables(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: Sequence[Row]) -> list[Table]:
-    """Rank the rows, those apart whose input lacks a magnetometer, as their heading and total error say nothing.
+    """Rank the rows, those apart whose input lacks a magnetometer, as their heading and total error have no meaning.
 
     Rows with the same input (``calibration``) stay together. Rows that may be ranked by the total error come first.
     """

@@ -52,7 +52,7 @@ class ScoreJob:
         return f"scores of {self.source.recording} against {self.judge.name}"
 
     def scored(self) -> "list[Scored] | None":
-        """Return what came of each entry; None when the job has not been run."""
+        """Return the outcome of each entry; None when the job has not been run."""
         facts = self.store.facts(self.key)
         return None if facts is None else [Scored(*each) for each in facts["scored"]]
 

@@ -131,7 +131,7 @@ def _find_reference(out: Path, source: Source, judged: Sequence[_Judged]) -> Pat
 
 @cache
 def _hash_templates() -> str:
-    """Return a hash of the templates and the script, so that pages of an earlier look are made anew."""
+    """Return a hash of the templates and the script, so that pages of an earlier look are made again."""
     digest = hashlib.sha256()
     for file in sorted(resources.files(PARTS).iterdir(), key=lambda file: file.name):
         if file.name.endswith((".j2", ".js")):

@@ -67,7 +67,7 @@ class Trial:
 
     @property
     def tells_tangential(self) -> bool:
-        """Return whether the encoder leaves enough of (30) to tell the accelerometer's variance."""
+        """Return whether the encoder leaves enough of (30) to show the accelerometer's variance."""
         sd = np.sqrt(2 / self.samples) * self.tangential.variance_m2ps4
         sd += np.sqrt(2 * self.smoothed_samples / self.samples) * self.encoder_m2ps4
         return bool(self.tangential_alone_m2ps4 > _TOLD_SDS * sd)
@@ -87,7 +87,7 @@ class Identified:
 
     @property
     def tells_tangential(self) -> bool:
-        """Return whether the encoders of all trials leave enough of (30) to tell F5's variance."""
+        """Return whether the encoders of all trials leave enough of (30) to show F5's variance."""
         return all(one.tells_tangential for one in self.trials)
 
     def find_differing(self, which: str) -> tuple[Trial, Trial] | None:

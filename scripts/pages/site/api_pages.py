@@ -21,7 +21,7 @@ _AFTER_WHITESPACE = 28  # among the priorities of Python-Markdown: after the whi
 
 
 class FieldComments(Extension):
-    """Takes the comment behind a field of a class as its docstring: there stand its shape, unit and meaning."""
+    """Takes the comment behind a field of a class as its docstring: it has the field's shape, unit and meaning."""
 
     def on_attribute_instance(self, *, node: Any, attr: Attribute, **kwargs: Any) -> None:
         """Give a field its comment, where it has no docstring."""

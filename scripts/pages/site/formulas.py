@@ -56,7 +56,7 @@ class MathExtension(Extension):
 
 
 def convert_formula(tex: str, display: str) -> str:
-    """Return the MathML of a formula. Raises :class:`BadFormula` where a command would stand there as text."""
+    """Return the MathML of a formula. Raises :class:`BadFormula` where a command would appear as text."""
     made = convert(tex.strip(), display=display)
     unknown = [part.text for part in ElementTree.fromstring(made).iter() if (part.text or "").startswith("\\")]
     if unknown:

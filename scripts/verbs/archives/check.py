@@ -1,4 +1,4 @@
-"""``stillpoint archive verify``, ``repair`` and ``rebuild``: what checks and mends an archive."""
+"""``stillpoint archive verify``, ``repair`` and ``rebuild``: they check and repair an archive."""
 
 import time
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def verify(
     thorough
         Test all checksums in every MCAP file again.
     remake
-        Also make this many references and estimates anew, drawn at random, or all, with their recorded settings and
+        Also make this many references and estimates again, drawn at random, or all, with their recorded settings and
         inputs, and compare them with those that are kept.
     seed
         Of the draw.
@@ -78,7 +78,7 @@ def verify(
 
 
 def _read_count(remake: str | None) -> int | None:
-    """Return how many to make anew; None for all."""
+    """Return how many to make again; None for all."""
     if remake is None or remake == "all":
         return None
     if not remake.isdecimal():
@@ -89,7 +89,7 @@ def _read_count(remake: str | None) -> int | None:
 def _remake(
     archive: Archive, count: int | None, seed: int, tolerance: float, jobs: int | None
 ) -> tuple[list[Fault], list[str]]:
-    """Make drawn objects anew; returns those that differ, and lines that say what was done."""
+    """Make the drawn objects again; return those that differ, and lines that say what was done."""
     from stillpoint.scripts.shared.jobs import run_jobs  # loads estimators and smoother, which verify alone needs not
     from stillpoint.studies.remake import draw_jobs, remake
 
@@ -121,7 +121,7 @@ def repair(
     from_: Annotated[str | None, Parameter(name="--from")] = None,
     json: JsonFile = None,
 ) -> int:
-    """Mend damaged objects from a copy, and damaged records from a copy or from the catalogue.
+    """Repair damaged objects from a copy, and damaged records from a copy or from the catalogue.
 
     Only bytes with the right SHA-256 are taken. The exit code is 1 when something is left.
 
@@ -147,7 +147,7 @@ def repair(
 
 
 def rebuild(*, archive: ArchiveDir = None) -> int:
-    """Make the catalogue anew from the objects and their records; the exit code is 1 when one could not be read.
+    """Make the catalogue again from the objects and their records; the exit code is 1 when one could not be read.
 
     Parameters
     ----------

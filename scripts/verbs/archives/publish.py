@@ -81,7 +81,7 @@ def export(
 
 
 def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
-    """The page of each leaderboard, and the study that makes it anew from the bundle, by their paths in the bundle."""
+    """Return the page of each leaderboard and the study that repeats it, by their paths in the bundle."""
     recordings = {item.entry.sha256: item.path for item in items if item.entry.kind == "recording"}
     files: dict[str, bytes] = {}
     for item in items:
