@@ -55,9 +55,9 @@ def test_missing_foreign_and_doubled_parts_are_refused(tmp_path):
     others = split_recording(read(write_recording(tmp_path / "other.mcap", n=1000)), 3.0)
     for given_parts, says in (
         (parts[:2] + parts[3:], "part 3 of 4 is missing"),
-        (parts[:3] + others[3:], "no parts of one recording"),
+        (parts[:3] + others[3:], "not parts of one recording"),
         ([*parts, parts[0]], "given twice"),
-        ([read(tmp_path / "run.mcap")], "no parts of one recording"),
+        ([read(tmp_path / "run.mcap")], "not parts of one recording"),
     ):
         with pytest.raises(BadParameter, match=says):
             join_recordings(given_parts)
