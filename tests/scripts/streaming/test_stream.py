@@ -149,7 +149,7 @@ def test_a_state_kept_as_text_goes_on_bit_for_bit(name: str, precision: str) -> 
 
 def test_a_kept_state_of_another_estimator_is_refused() -> None:
     kept = to_plain(Stream("acc").save())
-    with pytest.raises(BadParameter, match="not one of cf as it is now"):
+    with pytest.raises(BadParameter, match="not one of the present cf"):
         from_plain(kept, Stream("cf").save())
 
 

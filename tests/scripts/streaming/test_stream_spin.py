@@ -131,5 +131,5 @@ def test_what_does_not_go_together_gives_one_line_error(
 
 
 def test_a_state_of_attitude_is_not_one_of_roll() -> None:
-    with pytest.raises(BadParameter, match="not one of roll-ekf as it is now"):
+    with pytest.raises(BadParameter, match="not one of the present roll-ekf"):
         from_plain(to_plain(Stream("cf").save()), SpinStream("roll-ekf", BENCH).save())
