@@ -59,14 +59,14 @@ _DECLINATION_SD_RAD = (pi / 180, pi / 9)
 class Params(Settings):
     """Parameters of the heading source ``gps-course``."""
 
-    least_speed_mps: float = number(0.5, 0.0, 1e3, "a course counts from this speed over ground on, m/s")
-    longest_age_s: float = number(2.5, 0.01, 600.0, "a fix stands for at most so long, s")
-    course_time_s: float = number(10.0, 0.0, 600.0, "time constant of following the courses, s; 0 = each as it comes")
+    least_speed_mps: float = number(0.5, 0.0, 1e3, "lowest speed over ground at which a course is used, m/s")
+    longest_age_s: float = number(2.5, 0.01, 600.0, "time for which a fix is used, s")
+    course_time_s: float = number(10.0, 0.0, 600.0, "time constant of following the courses, s; 0 = no averaging")
     tilt_time_s: float = number(10.0, 0.01, 600.0, "time constant of the stage's own tilt, s")
-    mounting_yaw_rad: float = degrees(0.0, -180.0, 180.0, "from the track to body x, clockwise from above")
-    hard_iron_sd_ut: float = number(20.0, 0.0, 1e3, "how large a hard iron may be, uT; 0 = none is looked for")
+    mounting_yaw_rad: float = degrees(0.0, -180.0, 180.0, "angle from the track to body x, clockwise from above")
+    hard_iron_sd_ut: float = number(20.0, 0.0, 1e3, "sd of the hard iron, uT; 0 = none is estimated")
     field_sd_ut: float = number(1.0, 1e-3, 1e3, "error of one second of fields, by noise, tilt and course, uT")
-    gyro_bias: Literal["leave", "remove"] = choice("leave", "leave the gyro's bias to the estimator, or take it off")
+    gyro_bias: Literal["leave", "remove"] = choice("leave", "leave the gyro's bias to the estimator, or subtract it")
 
 
 class Coefficients(NamedTuple):

@@ -70,14 +70,16 @@ _SECOND_DIFFERENCE = 18.0
 class Params(ErrorStateParams):
     """Parameters of ``aekf``."""
 
-    innovations: float = number(10, 1, 1000, "how many innovations M are averaged for alpha")
-    least_alpha: float = number(2.0, 1.0, 1e6, "a mean square of innovations below this is chance: alpha is 1")
-    largest_alpha: float = number(10.0, 1.0, 1e6, "most that the variance of an innovation is multiplied by")
+    innovations: float = number(10, 1, 1000, "number M of innovations that are averaged for alpha")
+    least_alpha: float = number(2.0, 1.0, 1e6, "below this mean square of innovations alpha is 1 (it may be chance)")
+    largest_alpha: float = number(10.0, 1.0, 1e6, "largest factor on the variance of an innovation")
     memory_s: float = number(5.0, 0.1, 1e4, "memory of the sums of corrections, s")
-    largest_lambda: float = number(1.5, 1.0, 1e6, "most that a variance is multiplied by at the end of a window")
-    passing_s: float = number(10.0, 0.0, 1e4, "a disturbance of the field may pass within so long, s")
-    passing_factor: float = number(16.0, 1.0, 1e6, "the variance of the heading's measurement meanwhile, times")
-    vibration: float = number(0.15, 0.0, 10.0, "error of the mean rate by vibration (sd), as a share of its sd")
+    largest_lambda: float = number(1.5, 1.0, 1e6, "largest factor on a variance at the end of a window")
+    passing_s: float = number(10.0, 0.0, 1e4, "time within which a disturbance of the field may pass, s")
+    passing_factor: float = number(16.0, 1.0, 1e6, "factor on the variance of the heading's measurement meanwhile")
+    vibration: float = number(
+        0.15, 0.0, 10.0, "error of the mean rate by vibration (sd), relative to the vibration's sd"
+    )
 
 
 class Coefficients(NamedTuple):

@@ -102,7 +102,9 @@ class Params(Settings):
     )
     heading_sd_rad: float = degrees(40.0, 1e-3, 180.0, "R of heading: one sample, with its share of slow disturbances")
     bias_sd_radps: float = degrees(1.0, 0.0, 100.0, "P of a bias at the start and after each reset")
-    reset_s: float = number(0.0, 0.0, 1e6, "P starts anew that often (the paper: from time to time), s; 0 = never")
+    reset_s: float = number(
+        0.0, 0.0, 1e6, "interval at which P starts again (the paper: from time to time), s; 0 = never"
+    )
     tilt: Literal["euler", "roots", "printed"] = choice(
         "euler",
         "(14), (15): exact Euler angles; arctan(f_y/sqrt(f_x²+f_z²)), the elevation of each axis, up to 90 deg; "
@@ -111,7 +113,7 @@ class Params(Settings):
     heading: Literal["filtered", "compass"] = choice(
         "filtered", "third filter on the heading (7), or (7) itself as in the paper's fig 2"
     )
-    speed_mps: float = number(0.0, 0.0, 300.0, "steady speed along body x, whose Coriolis term (4) is taken off, m/s")
+    speed_mps: float = number(0.0, 0.0, 300.0, "steady speed along body x, to subtract its Coriolis term (4), m/s")
 
 
 class Coefficients(NamedTuple):

@@ -78,30 +78,32 @@ class ErrorStateParams(Settings):
 
     window_s: float = number(0.25, 0.0, 10.0, "time between two updates, s; 0 = one at every sample")
     gyro_noise_rad_rts: float = degrees(0.03, 1e-6, 100.0, "white noise of the gyro")
-    turn_error: float = number(0.01, 0.0, 1.0, "gyro's error by scale and axes: sd after a turn of 1 rad, rad")
-    bias_sd_radps: float = degrees(2.0, 1e-6, 100.0, "sd of the gyro's bias at the start; three of it are the limit")
-    bias_walk_radps: float = degrees(0.002, 0.0, 10.0, "how much the gyro's bias walks in 1 s (sd)")
+    turn_error: float = number(0.01, 0.0, 1.0, "error after a turn of 1 rad, by scale and axes of the gyro (sd, rad)")
+    bias_sd_radps: float = degrees(
+        2.0, 1e-6, 100.0, "sd of the gyro's bias at the start; the bias is limited to three sd"
+    )
+    bias_walk_radps: float = degrees(0.002, 0.0, 10.0, "change of the gyro's bias in 1 s (sd)")
     accel_noise_mps_rts: float = number(0.02, 1e-6, 10.0, "white noise of the accelerometer, m/s/sqrt(s)")
     velocity_mps_rts: float = number(
         0.5, 1e-3, 1e3, "mean horizontal velocity over 1 s (sd, m/s; over T s by sqrt(T) less); 0.001 = no acceleration"
     )
     tilt_sd_rad: float = degrees(10.0, 0.01, 60.0, "sd of the first tilt, by one accelerometer sample, per axis")
     heading_sd_rad: float = degrees(30.0, 0.01, 100.0, "sd of the first heading, by one sample of the field")
-    field_noise_ut_rts: float = number(10.0, 1e-3, 1e4, "error of the mean field over 1 s, also by iron (sd, uT)")
-    field_tolerance: float = number(0.1, 1e-3, 1.0, "a known field keeps its size within this share")
-    dip_tolerance_rad: float = degrees(10.0, 0.1, 90.0, "and its dip within")
-    field_memory_s: float = number(20.0, 0.1, 1e5, "size and dip are the mean over so long, s")
-    field_admission_s: float = number(20.0, 0.1, 1e5, "another field is known after so long in motion, s")
+    field_noise_ut_rts: float = number(10.0, 1e-3, 1e4, "error of the field's mean over 1 s, iron included (sd, uT)")
+    field_tolerance: float = number(0.1, 1e-3, 1.0, "largest relative difference in size from the known field")
+    dip_tolerance_rad: float = degrees(10.0, 0.1, 90.0, "largest difference in dip from the known field")
+    field_memory_s: float = number(20.0, 0.1, 1e5, "memory of the known field's size and dip, s")
+    field_admission_s: float = number(20.0, 0.1, 1e5, "time in motion after which another field is known, s")
     unseen_disturbance: float = number(
         1.0, 0.0, 10.0, "a disturbance's part that turns the heading, against what its size and dip show; 0 = none"
     )
     rest_gyro_radps: float = degrees(2.0, 1e-3, 100.0, "largest sd of the gyro within a window at rest, all axes")
     rest_accel_mps2: float = number(0.5, 1e-3, 100.0, "largest sd of the accelerometer within a window at rest, m/s^2")
-    rest_s: float = number(1.5, 0.0, 600.0, "a rest counts after so long, s")
+    rest_s: float = number(1.5, 0.0, 600.0, "time after which a rest is used, s")
     rest_bias_radps: float = degrees(0.05, 1e-6, 10.0, "error of the mean rate at rest (sd)")
-    gate_sd: float = number(3.0, 1.0, 1e3, "innovations beyond so many sd count less")
-    tilt_patience_s: float = number(10.0, 0.1, 1e5, "after so long beyond the gate the tilt starts again, s")
-    heading_patience_s: float = number(60.0, 0.1, 1e5, "after so long beyond the gate the heading is unknown, s")
+    gate_sd: float = number(3.0, 1.0, 1e3, "innovations beyond this many sd count less")
+    tilt_patience_s: float = number(10.0, 0.1, 1e5, "time beyond the gate after which the tilt starts again, s")
+    heading_patience_s: float = number(60.0, 0.1, 1e5, "time beyond the gate after which the heading is unknown, s")
 
 
 class Coefficients(NamedTuple):

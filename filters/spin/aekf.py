@@ -38,11 +38,11 @@ class Params(roll_ekf.Params):
     mode: Literal["observation", "system"] = choice(
         "observation", "what is not known exactly: the observation (lambda = 1) or the system (lambda of (23))"
     )
-    window: float = number(5, 2, 1000, "how many innovations M are averaged; alpha is 1 until there are as many")
+    window: float = number(5, 2, 1000, "number M of innovations that are averaged; alpha is 1 until then")
     mean: Literal["per-m", "literal"] = choice("per-m", "their sum over M, or over M - 1 as (16) is printed")
     fading: Literal["once", "literal"] = choice("once", "lambda in P alone, or in (19) and (20) as printed")
-    largest_alpha: float = number(1e4, 1, 1e12, "alpha is cut off here")
-    largest_lambda: float = number(1e4, 1, 1e12, "lambda is cut off here")
+    largest_alpha: float = number(1e4, 1, 1e12, "upper limit of alpha")
+    largest_lambda: float = number(1e4, 1, 1e12, "upper limit of lambda")
 
 
 class Adaptation(NamedTuple):

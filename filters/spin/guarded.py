@@ -68,17 +68,17 @@ _HELD_S = 0.1  # an angular acceleration stands for no longer than that
 class Params(SpinParams):
     """Parameters of ``roll-guarded``."""
 
-    window: float = number(5, 2, 100, "how many innovations are averaged for alpha")
+    window: float = number(5, 2, 100, "number of innovations that are averaged for alpha")
     least_alpha: float = number(
         3, 1, 100, "alpha counts from here on; five squares of matched noise reach 3 once in 100"
     )
-    largest_alpha: float = number(10, 1, 1e6, "most that the variance of the observation is widened by")
-    gate_sd: float = number(5, 2, 100, "a sample further off than so many standard deviations is left out")
-    lockout: float = number(25, 9, 1e6, "so many left out in a row: start anew from them")
-    stuck: float = number(8, 3, 1e6, "a value that is the same so many times in a row counts as missing")
+    largest_alpha: float = number(10, 1, 1e6, "largest factor on the variance of the observation")
+    gate_sd: float = number(5, 2, 100, "a sample beyond this many standard deviations is left out")
+    lockout: float = number(25, 9, 1e6, "number left out in a row after which the filter starts again from them")
+    stuck: float = number(8, 3, 1e6, "a value that comes this many times in a row counts as missing")
     bias_sd_radps2: float = number(1.0, 0.0, 1e3, "bias of the angular acceleration at the start, rad/s^2")
     bias_drift_radps2_rts: float = number(1e-3, 0.0, 10.0, "random walk of that bias, rad/s^2 per root second")
-    unknown_accel_radps2: float = number(5.0, 0.1, 1e4, "angular acceleration to reckon with where it is missing")
+    unknown_accel_radps2: float = number(5.0, 0.1, 1e4, "sd of an angular acceleration that is missing")
 
 
 class Coefficients(NamedTuple):
