@@ -85,7 +85,7 @@ def _rotation_vectors(q_first: Floats, q_second: Floats) -> Floats:
 
 
 def _changes(t_ns: Times, turn: Floats) -> Floats:
-    """Time derivative (N, 3) of a series of turns, 0 where a gap lies beside a sample: it then counts for nothing."""
+    """Return the time derivative (N, 3) of a series of turns; 0 beside a gap, where it has no effect."""
     change = np.zeros_like(turn)
     if len(turn) < 3:
         return change
@@ -177,7 +177,7 @@ def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
 
 
 def _on_grid(t_s: Floats, values: Floats, longest_s: float) -> tuple[float, Floats, Floats]:
-    """Start of an even grid, the values on it, and 1 where they are known and 0 where a gap lies."""
+    """Return the start of an even grid, the values on it, and 1 where they are known and 0 in gaps."""
     grid = np.arange(t_s[0], t_s[-1] + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     right = np.clip(np.searchsorted(t_s, grid), 1, max(len(t_s) - 1, 1))
     known = (t_s[right] - t_s[right - 1] <= 2 * longest_s).astype(np.float64)

@@ -58,7 +58,7 @@ def choose_rows(count: int) -> NDArray[np.intp]:
 
 
 def find_conversion(q_est: Floats, q_true: Floats, rmse_after: Callable[[Floats, Floats], float]) -> str | None:
-    """Return the simplest conversion of an estimate (N, 4) that explains its error, in words; None when none does.
+    """Return the simplest conversion of an estimate (N, 4) that explains its error, in words; None when there is none.
 
     ``rmse_after(q_est, q_true)`` aligns as the score did and returns the RMSE in deg. Nothing is looked for below
     :data:`ABSURD_DEG`.

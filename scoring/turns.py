@@ -1,4 +1,4 @@
-"""Errors of turns over a given time: how fast an estimate drifts, whatever its heading was to begin with.
+"""Errors of turns over a given time: how fast an estimate drifts, independent of its first heading.
 
 What other tools call the relative pose error (evo_rpe --all_pairs -r angle_deg), of the rotation.
 """
@@ -26,7 +26,7 @@ class TurnError:
 
 
 def turn_errors(comparison: Comparison, over_s: Sequence[float]) -> tuple[TurnError, ...]:
-    """Return the errors of the turns over each time in seconds. Both ends move; what lies between may rest.
+    """Return the errors of the turns over each time in seconds. Both ends are moving samples; it may rest in between.
 
     Raises :class:`BadParameter` for a time that is not longer than half a step, or not finite, :class:`Unobservable`
     where no two samples are so far apart.

@@ -27,7 +27,7 @@ _SHAKEN_RAD = np.deg2rad(1.0)
 
 @dataclass(frozen=True)
 class ReturnParams(Settings):
-    """When a rest counts as a return to the base pose: default, lowest, highest, meaning."""
+    """Settings of the returns to the base pose: default, lowest, highest, meaning."""
 
     lead_s: float = number(2.0, 0.0, 60.0, "the first rest must begin within this time of the first sample")
     repeat_sd_rad: float = degrees(0.4, 0.001, 10.0, "how well the sensor is put back, per axis")

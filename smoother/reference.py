@@ -39,7 +39,7 @@ def _graph(
     generators: Sequence[Any] = (),
     kept: "KeptWindows | None" = None,
 ) -> LongReference:
-    """Make the reference by the factor graph; gtsam is loaded when it is needed, as it is not available everywhere."""
+    """Make the reference by the factor graph; gtsam, which is not available everywhere, is loaded when needed."""
     try:
         from stillpoint.smoother.attitude.method import make_graph_reference
     except ImportError as error:

@@ -109,7 +109,7 @@ class _Span:
     calm_radps: float  # median deviation of the smoothed rate
 
     def join(self, after: "_Span") -> "_Span":
-        """Return this stretch and the one that goes on with it as one."""
+        """Return this stretch and the one that continues it as one."""
         total = self.samples + after.samples
         share = after.samples / total
         rate = (1 - share) * self.rate_b_radps + share * after.rate_b_radps

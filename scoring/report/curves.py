@@ -22,7 +22,7 @@ Middle = Literal["rms", "mean"]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A series reduced to C stretches of equal length. NaN where a stretch lies in a gap."""
+    """A series reduced to C stretches of equal length. NaN for a stretch in a gap."""
 
     start_s: float  # beginning of the first stretch
     step_s: float  # length of a stretch

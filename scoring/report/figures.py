@@ -154,7 +154,7 @@ def get_colour(k: int) -> str:
 
 
 def count_columns(ax: Axes) -> int:
-    """Return how many stretches of time the axes can tell apart: one per 2/72 inch."""
+    """Return how many stretches of time the axes can resolve: one per 2/72 inch."""
     return max(round(ax.get_window_extent().width / ax.figure.dpi * 36), 50)
 
 

@@ -95,7 +95,7 @@ def make_spin_report_html(material: SpinMaterial, verdicts: tuple[SpinVerdict, .
 
 
 def _describe_zeros(scores: Sequence[SpinScore]) -> str:
-    """Return in words what is taken off the angles; by name where it differs."""
+    """Return in words what is subtracted from the angles; by name where it differs."""
     zeros = dict.fromkeys(s.zero for s in scores)
     if len(zeros) == 1:
         return ZERO_WORDS[scores[0].zero]

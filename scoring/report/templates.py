@@ -35,7 +35,7 @@ def load_bokeh_scripts() -> Markup:
 
 @cache
 def load_page_script() -> Markup:
-    """Return the script element of our pages, which stands at the end of the page."""
+    """Return the script element for the end of our pages."""
     text = (resources.files(PARTS) / "page.js").read_text(encoding="utf-8")
     return Markup(f"<script>\n{_escape_end(text)}\n</script>")
 

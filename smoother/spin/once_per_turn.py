@@ -64,7 +64,7 @@ class Line:
 
     @property
     def is_vibration(self) -> bool:
-        """Return whether the line is a vibration, which is no motion of the body."""
+        """Return whether the line is a vibration, which is not a motion of the body."""
         return self.verdict == "vibration"
 
 

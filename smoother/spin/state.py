@@ -50,7 +50,7 @@ class Layout:
 
     @property
     def angle(self) -> int:
-        """Return the column of the angle at the first key; that of the second key stands two columns further."""
+        """Return the column of the angle at the first key; that of the second key is two columns further."""
         return self.inside
 
     @property

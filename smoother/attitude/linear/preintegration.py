@@ -1,4 +1,4 @@
-"""Preintegrate IMU measurements between states and linearise what they tell, as gtsam's ImuFactor does.
+"""Preintegrate IMU measurements between states and linearise their residuals, as gtsam's ImuFactor does.
 
 A graph holds one interval for each tenth of a second. An object of gtsam for each takes longer to make and to read out
 than all of them take to linearise here. The equations are those of gtsam, which the tests compare: the preintegration

@@ -38,7 +38,7 @@ _DELAYS_S = np.arange(-1.0, 2.01, 0.1)  # of fixes, that are tried
 
 @dataclass(frozen=True, eq=False)
 class Fixes:
-    """Valid fixes at K states; NaN velocity where the course says nothing."""
+    """Valid fixes at K states; NaN velocity where the course is not usable."""
 
     state: NDArray[np.int64]  # (K,)
     t_s: Floats  # (K,)
@@ -160,7 +160,7 @@ def fix_factors(fixes: Fixes, params: GpsParams) -> Iterator[gtsam.NonlinearFact
 
 
 def lone_stretch_factors(keys: Keys, fixes: Fixes, params: MotionPriors) -> Iterator[gtsam.NonlinearFactor]:
-    """Yield a bound on the speed of each stretch between gaps that has fewer than two fixes: nothing else tells it."""
+    """Yield a bound on the speed of each stretch between gaps that has fewer than two fixes and so no other bound."""
     stretch = np.concatenate([[0], np.cumsum(keys.gap)])
     fixed = np.bincount(stretch[fixes.state], minlength=stretch[-1] + 1)
     own = np.array(keys.states)
@@ -254,7 +254,7 @@ def _compare_velocities(fixes: Fixes, motion: Motion, q_nb: Floats, delay_s: flo
 
 
 def bias_by_satellites(gps: Gps, motion: Motion, t0_ns: int, params: GpsParams) -> Floats | None:
-    """Return the gyro bias (3,) of a vehicle: its mean rate while it stands, or what its courses leave of the rate.
+    """Return the gyro bias (3,) of a vehicle: its mean rate while it stands, or the rate minus that of its courses.
 
     A vehicle stays level on the mean, so that its mean rate across up is bias; about up, the change of course is known.
     None where it neither stands nor has a course for long.

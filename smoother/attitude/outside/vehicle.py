@@ -39,7 +39,7 @@ def vehicle_generators(params: GraphParams) -> list[Generator]:
 
 
 def _nonholonomic_factors(states: States, params: GraphParams) -> Iterator[gtsam.NonlinearFactor]:
-    """Yield for each interval that the vehicle moved along its forward axis only; how far is not said.
+    """Yield for each interval that the vehicle moved along its forward axis only, by any distance.
 
     The factor compares tangent vectors of SE(3), which are the mean velocity in the turning body times the interval, so
     that a bend needs no correction.
@@ -91,7 +91,7 @@ def calm_bias(t_s: Floats, gyro_b_radps: Floats) -> Floats | None:
 
 
 def not_in_curves(rests_ns: Times, imu: Imu, change_radps: float) -> Times:
-    """Return the rests (R, 2) of a vehicle without satellites, less the curves that it drove evenly.
+    """Return the rests (R, 2) of a vehicle without satellites, without the curves that it drove evenly.
 
     For seconds such a curve looks like a rest. Its mean rate differs from :func:`calm_bias` by more than
     ``change_radps``. A straight drive at even speed still looks like a rest.
