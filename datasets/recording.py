@@ -271,7 +271,7 @@ class Info:
     epoch: str = "source"  # "unix": t_ns counts from 1970 in UTC; "source": from a zero of the source's own
     date: str = ""  # ISO date (UTC) of the recording, "" when unknown
     place_lat_lon_alt: tuple[float, float, float] | None = None  # deg, deg, m: for declination and gravity
-    mag_uncalibrated: bool = False  # True: the field's size says nothing (hard iron, raw counts)
+    mag_uncalibrated: bool = False  # True: the field's size has no meaning (hard iron, raw counts)
     units_unchecked: bool = False  # True: sizes were not tested at construction (the doctor opens such files)
     sha256: Mapping[str, str] = field(default_factory=dict)  # of each source file, by its relative name
     conversions: tuple[str, ...] = ()  # "gyro deg/s -> rad/s", one line each

@@ -120,7 +120,7 @@ class Channel:
         """
         y, z = transverse_radps.T
         total = np.zeros(len(accel_mps2))
-        for k in np.flatnonzero(self.accel):  # a NaN in a column without weight says nothing
+        for k in np.flatnonzero(self.accel):  # a NaN in a column without weight has no effect
             total += self.accel[k] * accel_mps2[:, k]
         for weight, product in zip(self.products, (y * y, z * z, y * z), strict=True):
             total += weight * product if weight else 0.0

@@ -36,7 +36,7 @@ class SpinComparison:
     against: str  # "truth", "encoder" or "reference (method)"
     recording: str
     zero: AngleZero
-    angle_offset_rad: float  # taken off the angle
+    angle_offset_rad: float  # subtracted from the angle
     t_ns: Times
     angle_error_rad: Floats
     rate_error_radps: Floats
@@ -57,7 +57,9 @@ class SpinScore:
     estimated: str
     against: str
     recording: str
-    zero: AngleZero  # what was taken off the angle: the error at the start, the mean error, whole turns, or nothing
+    zero: (
+        AngleZero  # what was subtracted from the angle: the error at the start, the mean error, whole turns, or nothing
+    )
     angle_offset_deg: float
 
     samples: int

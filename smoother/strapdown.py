@@ -41,7 +41,7 @@ class Swing:
 
     rows: Times  # (M,) the samples of the stream whose attitudes follow, in the order of integration
     q_nb: Floats  # (M, 4)
-    rate_b_radps: Floats  # (M, 3) of the interval that was crossed to get there, bias taken off
+    rate_b_radps: Floats  # (M, 3) of the interval before, minus the bias
     dt_s: Floats  # (M,) that interval; negative when integrating back in time
     walk_rad2: Floats  # (M,) variance of the random walk, per axis, since the start
 

@@ -13,7 +13,7 @@ from stillpoint.datasets.archive.selection import INDEX_COLUMNS, About, Item, li
 
 MANIFEST = "manifest.json"
 CHECKSUMS = "manifest-sha256.txt"
-STUDY_SUFFIX = ".study.toml"  # beside the JSON of a leaderboard: makes it anew from the bundle
+STUDY_SUFFIX = ".study.toml"  # beside the JSON of a leaderboard: repeats it from the bundle
 FORMAT = 1
 _ACROSS_KINDS_RAD = 1e-7  # between references of two kinds of processors: forty times what was seen (docs/archive.md)
 

@@ -169,7 +169,7 @@ def _complete_changes(folder: Path) -> list[Change]:
         try:
             record = record_from_bytes(file.read_bytes(), str(file))
         except BadFile:
-            continue  # written by another version: its process never told anybody that it was done
+            continue  # written by another version, whose process did not report it as done
         object_file = folder / f"{record.sha256}.object"
         replaces = file.name.endswith(".replace.json")
         changes.append(Change(record, file, object_file if object_file.exists() else None, replaces))

@@ -7,7 +7,7 @@ from stillpoint.datasets.doctor.remedy import LONGEST_BURST_S
 from stillpoint.datasets.recording import Floats, Info, Recording, Times
 from stillpoint.datasets.times import longest_step_ns
 
-_GAP_S = 0.05  # a shorter step is no gap, whatever the median
+_GAP_S = 0.05  # a shorter step is never a gap
 _BURST_SHARE = 0.5  # in bursts the median step is below this share of the mean step
 _JITTER_SHARE = 0.25  # sd of the steps, of their median, above which the stamps are not the sampling instants
 _LOST_SHARE = 0.01  # of the samples

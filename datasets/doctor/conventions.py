@@ -24,7 +24,7 @@ from stillpoint.datasets.frames import from_xyzw, local_from_enu, quaternion, ro
 from stillpoint.datasets.recording import Floats, Imu, Truth
 
 _SLOW_WINDOW_S = 0.5
-_LEAST_TURN_RAD = np.deg2rad(180.0)  # less turning in all says nothing about a mismatch
+_LEAST_TURN_RAD = np.deg2rad(180.0)  # less turning in all does not show a mismatch
 _LEAST_EXPLAINED = 0.3  # share of the turning that truth and gyro have in common
 _TURNED_RAD = np.deg2rad(25.0)  # a smaller turn of body or world is an error of mounting or levelling
 _UNTURNED = 0.01  # weight of "the bodies are not turned", of the correlation of the rates

@@ -116,7 +116,7 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
             confirmed = verdict.best.changes_nothing and any(one.choice is not None for one in witnesses)
             faults = check_truth_mismatch(fits, case.now.truth, confirmed) + faults
         mended = [one for one in faults if one.remedy is not None]
-        case.found(mended or faults)  # what cannot be mended is reported last, when nothing else is wrong any more
+        case.found(mended or faults)  # faults without a remedy are reported last, after all others are corrected
         if not mended:
             break
     return witnesses, _compare_truth(case, verdict, witnesses)

@@ -64,7 +64,7 @@ class Hypothesis:
     """A fault of sensors and a reading of the truth, with what they cost."""
 
     fault: Fault
-    view: TruthView | None  # None without a truth, or where it says nothing
+    view: TruthView | None  # None without a truth, or where it shows nothing
     misfit: float  # nats by which the pairs fit worse than they could
     cost: float  # misfit and penalties
 

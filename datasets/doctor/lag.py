@@ -13,7 +13,7 @@ _COARSE_S = 0.025
 _FINER = 5  # each search has steps so many times shorter than the one before
 _SEARCHES = 3
 _BLOCKS = 10  # the recording is cut into so many parts, for the standard error
-_SIGMAS = 5.0  # a lag is told from zero from so many standard errors on
+_SIGMAS = 5.0  # a lag of this many standard errors differs from zero
 _MIN_CONTRAST = 0.1  # share of the loss that the best lag takes away from the worst; below, nothing is said
 # What a lag may be off by beside its standard error, measured where the lag is known (docs/doctor.md).
 _TRUTH_S = 0.001

@@ -14,7 +14,7 @@ from stillpoint.datasets.spin import SpinChannels, channels, find_saturated, mea
 _LOST_SHARE = 0.01  # of an accelerometer's values: above it a warning
 _SCALE_LIMIT = 0.02  # of the rate: 4 % of a lever arm
 _CERTAIN = 5.0  # standard errors
-_SLOWEST_RADPS = 3.0  # below it a squared rate tells nothing about a scale
+_SLOWEST_RADPS = 3.0  # a slower squared rate does not show a scale
 
 
 def check_spin(recording: Recording) -> Iterator[Finding]:

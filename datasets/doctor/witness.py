@@ -36,7 +36,7 @@ _TIE_NATS, _TIE_SIGMA = 5.0, 4.0  # closer to the best than either: as good, and
 _OVERLAP = 3.0  # windows start every third of their length
 _STEPS_OF_SCALE = np.exp(np.linspace(-0.9, 0.9, 37))
 _FEWEST_SWINGS = 6
-_HAND_TREMOR_M = 0.02  # displacements below this tell nothing
+_HAND_TREMOR_M = 0.02  # smaller displacements are no evidence
 _CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
 
 
@@ -209,7 +209,7 @@ def accel_lag(imu: Imu, bias_b_radps: Floats, matrix: Floats) -> Lag | None:
     force = vector_series(imu.t_ns, imu.accel_b_mps2, origin)
     swings = Swings(gyro_series(imu, origin), force, bias_b_radps, REACH_S)
     unshifted = swings.at_lag(0.0)
-    attitudes = integrate_attitudes(unshifted, matrix)  # of the gyro alone, at whatever lag
+    attitudes = integrate_attitudes(unshifted, matrix)  # of the gyro alone, for every lag
     usual = float(np.median(displacement_about_pivot(unshifted, attitudes))) + 1e-300
     return find_lag(lambda lag_s: np.log1p(displacement_about_pivot(swings.at_lag(lag_s), attitudes) / usual))
 

@@ -31,7 +31,7 @@ class OwnOptions(Options):
     licence: str = ""
     citation: str = ""
     sensor: str = ""
-    mag_uncalibrated: bool = False  # the size of the field says nothing (hard iron, raw counts)
+    mag_uncalibrated: bool = False  # the size of the field has no meaning (hard iron, raw counts)
 
 
 @dataclass(frozen=True)

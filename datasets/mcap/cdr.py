@@ -77,7 +77,7 @@ def parse(type_name: str, encoding: str, text: str) -> MessageType:
         encoding, text = "ros2msg", _common_definition(name, wire)
     try:
         types = get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
-    except Exception as error:  # the parser raises whatever a damaged text makes it stumble over
+    except Exception as error:  # the parser raises many kinds of errors on damaged text
         raise Undecodable(f"its definition cannot be parsed ({' '.join(str(error).split())[:80]})") from error
     if name not in types:
         raise Undecodable(f"its schema does not define {name}")

@@ -22,7 +22,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 
-# A process that is told to end first removes the file that it is writing, and native code, as that of the compiler,
+# A process that is asked to end first removes the file that it is writing, and native code, as that of the compiler,
 # hears of a signal only when it returns.
 _END_WAIT_S = 20.0
 _NO_MEMORY = "needs more memory than it may use; give more (--memory-limit, fewer --jobs), or `stillpoint cut` it"

@@ -170,7 +170,7 @@ def _leave(client: Client, name: str) -> None:
     try:
         if client.status == "running":
             client.unregister_worker_plugin(name)
-    except Exception as error:  # the batch is over, whatever became of the scheduler
+    except Exception as error:  # the batch is over; errors of the scheduler no longer matter
         print_line(f"stillpoint: the workers could not be told to end: {type(error).__name__}: {error}", sys.stderr)
     finally:
         client.close(timeout=_CONNECT_S)

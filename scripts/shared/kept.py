@@ -256,7 +256,7 @@ def _read_targets(
     if targets:
         read = run_jobs(read_origin, [path for _, path in targets], workers, f"{what}: kept", here_up_to=_FEW)
         for (place, _), outcome in zip(targets, read, strict=True):
-            found[place] = outcome.value or {}  # a damaged file is made anew
+            found[place] = outcome.value or {}  # a damaged file is made again
     return found
 
 

@@ -374,7 +374,7 @@ def _read(item: _Item) -> Imported:
     importer = IMPORTERS[item.kind]
     if not item.repair:
         return importer.read_one(item.path, item.options)
-    # Sizes are tested after the repair: what the doctor mends need not be refused before.
+    # Sizes are tested after the repair: what the doctor corrects need not be refused before.
     imported = importer.read_one(item.path, replace(item.options, units_unchecked=True))
     mended = _repair(imported.recording, item.path, item.skip, item.options.units_unchecked)
     return replace(imported, recording=mended)

@@ -69,7 +69,7 @@ class Table:
     name: str  # "" for all recordings, otherwise the tag or device that they share
     against: str  # "truth", "reference", or "truth and reference"
     ranked_by: RankedBy
-    why_ranked_by: str  # "" for total; otherwise why the total error says nothing
+    why_ranked_by: str  # "" for total; otherwise why the total error has no meaning
     rows: tuple[Row, ...]  # ranked rows first, best first
     pairs: tuple[Pair, ...]
     general: bool  # True: holds for recordings like these; False: for these recordings only

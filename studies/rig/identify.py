@@ -19,7 +19,7 @@ from stillpoint.datasets.spin import TERMS, channels, coefficients, find_saturat
 
 _GLITCH_SDS = 6.0  # robust standard deviations beyond which a residual is counted as a glitch
 _FEWEST = 100  # samples below which a variance says little
-_TOLD_SDS = 5.0  # a variance is told from the encoder's where it is so many of its own standard deviations
+_TOLD_SDS = 5.0  # a variance of so many of its standard deviations counts as found beside the encoder's
 _DIFFERENT_SDS, _DIFFERENT = 6.0, 1.5  # sd and ratio, beyond which robust variances of two trials are of two rigs
 _ROBUST_SD = 2.33  # standard deviation of a robust variance, relative, times the root of the number of samples
 _ENCODER_SHARE = 0.02  # of the variance of F5, which the noise of a smoothed angle may reach

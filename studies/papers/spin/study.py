@@ -31,7 +31,7 @@ METRICS = ("angle_max_deg", "angle_rmse_deg", "rate_max_degps", "rate_rmse_degps
 OF_PAPER = ("observation", "EKF", "AEKF")
 SMOOTHER = "smoother"
 # 3 deg after 30 s, as printed, take F4 to 1 mg and d1 to 0.01 %: the paper's rig was calibrated.
-_CALIBRATED = {"calibration.accel_bias_sd_mps2": 0.01, "calibration.lever_arm_sd": 1e-4}  # what the smoother is told
+_CALIBRATED = {"calibration.accel_bias_sd_mps2": 0.01, "calibration.lever_arm_sd": 1e-4}  # what the smoother assumes
 FILTERS = {"observation": "roll-obs", "EKF": "roll-ekf", "AEKF": "roll-aekf", "guarded": "roll-guarded"}
 
 
