@@ -130,6 +130,7 @@ def test_two_motions_that_have_nothing_in_common_have_no_offset(other):
         score(Estimate(t_ns, "e", q_nb=q_est), as_truth(t_ns, q_true), "heading+mounting+time")
 
 
+@pytest.mark.slow
 def test_a_periodic_motion_far_away_is_refused_rather_than_guessed():
     """A swing of 2 s fits at every whole period; when the nearest is a second away, nothing says which is right."""
     t_s = np.arange(6000) / 100.0

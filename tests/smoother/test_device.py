@@ -116,6 +116,7 @@ def calibrated(tmp_path, device):
     return sorted(tmp_path.glob("*.reference.mcap"))
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_file_that_is_read_back_exactly(call, tmp_path, calibrated, device):
     out, plot = tmp_path / "phone.calibration.toml", tmp_path / "drift.svg"
     assert call("calibrate", *calibrated, "-o", out, "--plot", plot) == 0

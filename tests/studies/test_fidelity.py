@@ -31,6 +31,7 @@ def fidelity(tmp_path_factory):
     return measure_fidelity(files, ["gyro", "acc", "acc-ma"], place / "out", judges=["redistribution-earth", "graph"])
 
 
+@pytest.mark.slow
 def test_graph_orders_estimators_of_simulated_phones_as_truth_does(fidelity):
     judge = next(judge for judge in fidelity.judges if judge.judge == "graph")
     assert judge.recordings == 2

@@ -78,6 +78,7 @@ def test_values_become_parameters_only(text):
     assert text in condition.parameters
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 def test_any_text_is_a_query_or_one_line(text):
     try:

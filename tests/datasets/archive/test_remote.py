@@ -100,7 +100,7 @@ def cache(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
-@pytest.fixture(params=["memory", "s3"])
+@pytest.fixture(params=["memory", pytest.param("s3", marks=pytest.mark.slow)])
 def place(request, cache):
     """The URL of a new archive."""
     if request.param == "memory":
@@ -186,6 +186,7 @@ def test_one_topic_of_a_file_on_s3_costs_less_than_a_fifth_of_it(s3, relay, tmp_
     assert minute.bytes_fetched < 0.2 * minute.size
 
 
+@pytest.mark.slow
 def test_a_connection_that_drops_in_the_middle_costs_one_more_request(s3, relay, tmp_path):
     path = write_recording(tmp_path / "drop.mcap", 4, n=20_000)
     s3.put_file(str(path), "lab/drop.mcap")

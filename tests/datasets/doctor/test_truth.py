@@ -125,6 +125,7 @@ def test_a_truth_of_another_body_is_dropped_when_the_sensors_agree(phone):
     require_untouched(phone, mended)
 
 
+@pytest.mark.slow
 def test_odometry_that_slips_is_named(phone):
     """A heading that jumps by 23 and 34 deg, as of wheels that slip twice; every other second fits."""
 
@@ -140,6 +141,7 @@ def test_odometry_that_slips_is_named(phone):
     assert finding.values["worst_deg"] == pytest.approx(34, abs=2)
 
 
+@pytest.mark.slow
 def test_odometry_is_named_when_the_source_says_so(phone):
     noted = replace(phone, info=replace(phone.info, notes=("truth: /odom is odometry, which drifts",)))
     assert examine(noted).codes("error", "warning") == ("truth-is-odometry",)

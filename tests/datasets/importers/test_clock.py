@@ -112,6 +112,7 @@ def test_equal_stamps_are_taken_as_they_are():
     assert log.conversions == []
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(20, 400))
 def test_the_line_through_bursts_of_receipt_has_the_true_rate(seed, rate_hz):
     """Samples wait for the next of 30 readings a second, and a hundred at the start come 0.3 s late."""

@@ -113,6 +113,7 @@ def cut(thing, rows):
     return replace(thing, **columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span_s", [7.3, 61.0, 900.0])
 def test_streams_of_several_groups_written_in_pieces_have_the_bytes_of_one_written_at_once(hour, tmp_path, span_s):
     """Chunks of silent streams end by their span of time, so that the others need not wait for them in memory."""

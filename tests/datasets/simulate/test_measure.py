@@ -117,6 +117,7 @@ def test_a_lag_shifts_its_own_stream_only(part):
             np.testing.assert_array_equal(stream(late), stream(plain))
 
 
+@pytest.mark.slow
 def test_clock_has_the_stated_rate_jitter_and_skew():
     clock = ClockModel(rate_error=0.01, jitter_s=0.5e-3, skew_ppm=50.0)
     rates = []

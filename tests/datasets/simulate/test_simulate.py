@@ -226,6 +226,7 @@ def acc_angles(accel_b, mag_b):
 
 # Bounds of RMSE over the whole recording and of the largest error, deg, in roll and pitch; the paper has
 # 4.57 / 32.5 and 4.51 / 28.5, then 26.5 and 16.2 / 69.7 (its tables 2 and 4).
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "rmse", "largest"),
     [("phone-1", (3.0, 6.0), (22, 36)), ("phone-3", (10.0, 27.0), (60, 180))],

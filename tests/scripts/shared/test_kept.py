@@ -192,6 +192,7 @@ def test_an_input_that_is_replaced_meanwhile_is_refused(tmp_path, log):
     assert not run(paths, log)[0].kept
 
 
+@pytest.mark.slow
 def test_the_pool_keeps_results_as_they_arrive(tmp_path, log):
     """A run that is stopped in the middle has kept what was done before."""
     paths = make_files(tmp_path / "in", *"abcd")

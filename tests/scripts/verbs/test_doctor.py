@@ -78,6 +78,7 @@ def test_repair_is_another_name_for_apply(files, tmp_path):
     assert read_recording(tmp_path / "mended" / "flipped.mcap").info.conversions[-1] == "doctor: gyro x -> -x"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["52,13", "-35,149,600"])
 def test_the_place_decides_whether_a_field_that_points_up_is_wrong(files, tmp_path, capsys, place):
     """An inverted accelerometer makes the field point up: right in the south, wrong in the north."""

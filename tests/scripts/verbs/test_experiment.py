@@ -86,6 +86,7 @@ def test_online_is_single_precision_and_nearly_the_same():
             assert one != other
 
 
+@pytest.mark.slow
 def test_the_order_and_the_wins_are_counted():
     trials = [run_glitch_trial(seed, True) for seed in (0, 1)]
     assert count_in_order(trials, "rate_rmse_degps", OF_PAPER) == 2

@@ -73,6 +73,7 @@ def test_two_recordings_of_one_name_are_not_written_over_each_other(call, log, t
     assert "already imported from" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_processes_write_the_same_bytes_and_refuse_a_name_that_another_has_taken(call, log, tmp_path, capsys):
     other = log.with_name("other.csv")
     other.write_text(log.read_text())

@@ -95,6 +95,7 @@ def test_the_papers_numbers_come_out_in_a_calm_sea(calm):
     assert 5 < abs(calm.figures[GYRO].heading_drift_deg) < 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heading", ["mag", "gps-course"])
 def test_online_is_fed_sample_by_sample_to_the_bits_of_a_batch_run_in_single_precision(heading):
     recording = simulate("auv-dolphin-calm", seed=10, minutes=6.0)

@@ -35,6 +35,7 @@ def shown(page_file, tmp_path_factory):
         yield page
 
 
+@pytest.mark.slow
 def test_fifty_recordings_and_fifteen_estimators_fit_into_5_mb() -> None:
     large = make_board(recordings=50, estimators=15)
     assert len(make_page_html(large, make_entries(large)).encode()) < 5e6
