@@ -85,6 +85,7 @@ def test_an_angle_from_gravity_is_judged_as_what_it_says_to_be():
     assert usual_zero(made(), truth(), "truth") == "start"
 
 
+@pytest.mark.slow
 def test_the_verbs_take_it_so_and_say_it(call, tmp_path, capsys):
     """NEES of the horizontal bench: 6.4 when the first sample's error was taken off, below 1.5 as it is stated."""
     recording = simulate("spin-constant", 0, sensor="horizontal")
@@ -210,6 +211,7 @@ def test_what_an_angle_does_not_have_gives_one_line_error(folder, call, capsys, 
     assert len(err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_estimate_runs_every_estimator_of_roll_and_only_these(folder, call):
     assert call("estimate", "run.mcap", "-e", "roll", "-o", "out") == 0
     names = sorted(path.name for path in (folder / "out").iterdir())

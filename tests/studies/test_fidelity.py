@@ -40,6 +40,7 @@ def test_graph_orders_estimators_of_simulated_phones_as_truth_does(fidelity):
     assert judge.relative_rmse_median < 0.1, "the estimators are several degrees off, the reference some tenths"
 
 
+@pytest.mark.slow
 def test_every_score_stands_in_the_rows(fidelity):
     assert len(fidelity.rows) == 2 * 3 * 2
     assert all(row.error is None for row in fidelity.rows)
@@ -49,6 +50,7 @@ def test_every_score_stands_in_the_rows(fidelity):
     assert {"judges", "rows"} <= set(content)
 
 
+@pytest.mark.slow
 def test_bias_is_the_ratio_of_both_scores(fidelity):
     judge = fidelity.judges[0]
     rows = [row for row in fidelity.rows if (row.judge, row.estimator) == (judge.judge, "gyro")]

@@ -39,6 +39,7 @@ def test_a_perfect_sensor_gives_the_truth(kind):
     assert score(reference(recording), recording.truth, "none").total_rmse_deg < 0.1
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(vector=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_turned_sensor_axes_turn_the_answer(recording, made, vector):

@@ -100,6 +100,7 @@ def test_errors_of_yaw_fold_at_45_deg(tripod):
     assert mean.rmse_deg < tripod.scores[ACC_MA, "benchmark"].yaw_rmse_deg
 
 
+@pytest.mark.slow
 def test_rows_are_means_and_carry_what_the_paper_prints(tripod):
     scenario, trials = EXPERIMENTS["phone-2"], {"tripod": [tripod, tripod]}
     rows = make_method_rows(scenario, trials)

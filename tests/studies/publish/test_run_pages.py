@@ -34,6 +34,7 @@ def made(tmp_path_factory):
     return out, board, write_run_pages(out, board)
 
 
+@pytest.mark.slow
 def test_every_recording_has_a_page_with_the_figures_of_the_leaderboard(made):
     out, board, pages = made
     assert pages.errors == {}
