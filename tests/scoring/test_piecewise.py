@@ -72,7 +72,7 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("align", ALIGN_PIECES)
 @pytest.mark.parametrize("judge", [_truth, _reference], ids=["truth", "reference"])
 @pytest.mark.parametrize("step_ns", [3_000_000, 10_000_000, 70_000_000], ids=["denser", "equal", "sparser"])
-@pytest.mark.parametrize("new_store", [pytest.param(list, marks=pytest.mark.slow), ScratchStore])
+@pytest.mark.parametrize("new_store", [list, ScratchStore])
 def test_pieces_give_the_bits_of_the_whole(
     align: Any, judge: Callable[[], Any], step_ns: int, new_store: Callable[[], Any]
 ) -> None:
