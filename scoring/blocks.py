@@ -75,8 +75,8 @@ def find_quantiles(blocks: Iterable[NDArray[Any]], count: int, shares: Sequence[
     ]
 
 
-def _find_ranks(blocks: Iterable[NDArray[Any]], ranks: Sequence[int]) -> list[float]:
-    """Return the numbers at these places of the sorted column."""
+def _find_ranks(blocks: Iterable[NDArray[Any]], ranks: Sequence[int]) -> list[Any]:
+    """Return the numbers at these places of the sorted column, in its type: whole numbers beyond 2^53 stay exact."""
     begins = {rank: (0, rank) for rank in ranks}  # rank -> the leading bits of its number, and its place among theirs
     kind = np.dtype(np.float64)
     for shift in range(64 - _DIGIT_BITS, -1, -_DIGIT_BITS):
@@ -95,4 +95,4 @@ def _find_ranks(blocks: Iterable[NDArray[Any]], ranks: Sequence[int]) -> list[fl
             digit = int(np.searchsorted(upto, place, side="right"))
             before = int(upto[digit - 1]) if digit else 0
             begins[rank] = ((leading << _DIGIT_BITS) | digit, place - before)
-    return [float(np.uint64(begins[rank][0]).view(kind)) for rank in ranks]
+    return [np.uint64(begins[rank][0]).view(kind) for rank in ranks]

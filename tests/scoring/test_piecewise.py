@@ -105,11 +105,14 @@ def test_what_cannot_be_scored_is_said_in_the_words_of_the_whole() -> None:
 
 
 @pytest.mark.parametrize("make", [
-    lambda n: RNG.exponential(size=n), lambda n: np.full(n, 2.5), lambda n: np.round(RNG.uniform(0, 3, n)),
-    lambda n: RNG.integers(0, 2**60, n), lambda n: np.concatenate([np.zeros(n - 1), [np.finfo(float).max]]),
+    lambda rng, n: rng.exponential(size=n), lambda _, n: np.full(n, 2.5), lambda rng, n: np.round(rng.uniform(0, 3, n)),
+    lambda rng, n: rng.integers(0, 2**60, n), lambda _, n: np.concatenate([np.zeros(n - 1), [np.finfo(float).max]]),
 ], ids=["continuous", "constant", "few values", "whole numbers", "extremes"])  # fmt: skip
 @pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 1000, 2001])
-def test_quantiles_over_blocks_are_those_of_numpy(make: Callable[[int], np.ndarray], count: int) -> None:
-    numbers, shares = make(count), (0.0, 0.5, 0.95, 0.99, 1.0)
-    found = find_quantiles(list(join_rows(np.array_split(numbers, 3))), count, shares)
-    assert found == [float(one) for one in np.quantile(numbers, shares)]
+def test_quantiles_over_blocks_are_those_of_numpy(
+    make: Callable[[np.random.Generator, int], np.ndarray], count: int
+) -> None:
+    for seed in range(20):
+        numbers, shares = make(np.random.default_rng(seed), count), (0.0, 0.5, 0.95, 0.99, 1.0)
+        found = find_quantiles(list(join_rows(np.array_split(numbers, 3))), count, shares)
+        assert found == [float(one) for one in np.quantile(numbers, shares)]
