@@ -104,7 +104,7 @@ def test_a_mission_is_under_water_where_no_fix_is_valid():
     gps = recording.gps
     columns = (gps.t_ns, gps.lat_deg, gps.lon_deg, gps.alt_m, gps.course_rad, gps.speed_mps, gps.valid)
     ashore = Gps(*(column[:60] for column in columns))
-    with pytest.raises(BadRecording, match="needs a dive"):
+    with pytest.raises(BadRecording, match="record a dive"):
         auv.score_recording(type(recording)("ashore", imu=recording.imu, mag=recording.mag, gps=ashore))
 
 
