@@ -102,18 +102,34 @@ def test_foreign_parts_are_never_touched(tmp_path, name):
 @pytest.mark.slow
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_verb_told_to_end_exits_quietly_and_leaves_nothing(tmp_path, sent, code):
-    """The signal comes while `simulate` writes: the write of a part tells when."""
-    command = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "simulate", "phone-1"]
-    verb = subprocess.Popen(
-        [*command, "--minutes", "20", "-o", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    while verb.poll() is None and not list_parts(tmp_path):
-        time.sleep(0.002)
+    """The signal comes while `simulate` writes."""
+    verb = _start_and_stop_while_writing(tmp_path)
     verb.send_signal(sent)
+    verb.send_signal(signal.SIGCONT)
     _, stderr = verb.communicate()
     assert "Traceback" not in stderr
     assert verb.returncode == code
     assert list(tmp_path.iterdir()) == []
+
+
+def _start_and_stop_while_writing(folder):
+    """Return the process of a verb that was stopped (SIGSTOP) while a part of its file was there."""
+    command = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "simulate", "phone-1"]
+    for _ in range(10):  # on a busy machine, the whole file may be written between two looks
+        verb = subprocess.Popen(
+            [*command, "--minutes", "20", "-o", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        while verb.poll() is None and not list_parts(folder):
+            time.sleep(0.002)
+        verb.send_signal(signal.SIGSTOP)
+        time.sleep(0.05)  # until it has stopped
+        if list_parts(folder):
+            return verb
+        verb.send_signal(signal.SIGCONT)
+        verb.communicate()
+        for path in folder.iterdir():
+            path.unlink()
+    raise AssertionError("no part of a file was seen in ten runs")
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
