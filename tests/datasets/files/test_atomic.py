@@ -112,12 +112,21 @@ def test_verb_told_to_end_exits_quietly_and_leaves_nothing(tmp_path, sent, code)
     assert list(tmp_path.iterdir()) == []
 
 
+def _take_interrupts():
+    """Undo what a shell does to a test run in its background: children inherit that SIGINT is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _start_and_stop_while_writing(folder):
     """Return the process of a verb that was stopped (SIGSTOP) while a part of its file was there."""
     command = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "simulate", "phone-1"]
     for _ in range(10):  # on a busy machine, the whole file may be written between two looks
         verb = subprocess.Popen(
-            [*command, "--minutes", "20", "-o", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [*command, "--minutes", "20", "-o", str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=_take_interrupts,
         )
         while verb.poll() is None and not list_parts(folder):
             time.sleep(0.002)
