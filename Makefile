@@ -23,10 +23,11 @@ test: .venv/.dev
 quick: .venv/.dev
 	$(PYTEST) -q $(PARALLEL) -m 'not wheel and not slow'
 
-# Damaged inputs of every kind: a recording or one line of error each, within 10 s and 512 MB.
+# Damaged inputs of every kind: a recording or one line of error each, within 10 s and 512 MB. New ones at every run,
+# unless FUZZ_SEED is given; it is printed, to repeat a run.
 FUZZ_MINUTES ?= 10
 fuzz: .venv/.dev
-	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES)
+	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED))
 
 # Kill every command that writes, take away what it needs, and write docs/faults.md about it: on an idle machine under
 # ten minutes. On a busy one give the kills more time (FAULTS_SECONDS=2600), and compile beforehand (make kernels).

@@ -7,11 +7,19 @@ A message says what is wrong, where, and what to do about it: ``run7.mcap: time 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+from stillpoint.datasets.names import make_printable
+
 _SIMILAR = 0.5  # share of common letters, in runs, above which a name counts as a slip of the pen
 
 
 class StillpointError(Exception):
-    """Base of all errors that a user can correct; ``str(error)`` is the one line to show."""
+    """Base of all errors that a user can correct; ``str(error)`` is the one line to show.
+
+    What a message quotes of an input may hold line breaks and escape sequences, which are shown as ``\\n``, ``\\x1b``.
+    """
+
+    def __str__(self) -> str:
+        return make_printable(super().__str__())
 
 
 class BadRecording(StillpointError):

@@ -64,6 +64,12 @@ def test_a_failure_of_a_library_becomes_one_line_and_keeps_its_traceback(tmp_pat
     assert "explode" in "".join(traceback.format_exception(error))
 
 
+def test_a_column_whose_name_holds_a_line_break_is_quoted_on_one_line(tmp_path):
+    (tmp_path / "log.csv").write_text('t,gx,gy,gz,ax,ay,"a\n\x1b[31mz"\n0,0,0,0,0,0,9.81\n')
+    error = refuse("csv", tmp_path / "log.csv", "no column 'az'", "\\n", options=LOG)
+    assert "\x1b" not in str(error)
+
+
 def test_a_zip_that_claims_too_much_is_not_unpacked(tmp_path):
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("Gyroscope.csv", "w") as out:
