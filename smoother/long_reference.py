@@ -24,7 +24,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class LongReference:
-    """What a :class:`Reference` holds beside its columns, and how these are made, in the order of time."""
+    """Hold the facts of a :class:`Reference`, and make its columns piece by piece, in the order of time."""
 
     samples: int
     facts: Mapping[str, Any]  # the fields of a reference that are no columns

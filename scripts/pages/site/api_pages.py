@@ -1,4 +1,4 @@
-"""What the API pages need beyond the docstrings: the comments of fields, and Sphinx roles as code.
+"""Give the API pages the comments of fields as their docstrings, and show Sphinx roles as code.
 
 Two extensions, both named in zensical.toml: one of griffe, which reads the package for mkdocstrings, and one of
 Python-Markdown.

@@ -1,1 +1,1 @@
-"""What lies between the windows of a long recording: what one hands over, and how solved ones are kept."""
+"""Hand a solved window on to the next one, and keep solved windows for a later run."""

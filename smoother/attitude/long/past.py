@@ -1,4 +1,4 @@
-"""What a window hands over to the next one: a Gaussian on the unknowns that both share, and where these are."""
+"""Define what a window hands over to the next one: a Gaussian on the unknowns that both share."""
 
 from dataclasses import dataclass
 
