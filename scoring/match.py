@@ -73,7 +73,7 @@ def track(thing: Estimate | Reference | Truth) -> Track:
     cov = None if isinstance(thing, Truth) else thing.cov_b_rad2
     step_ns = float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
     span_ns = int(t_ns[0]), int(t_ns[-1])
-    return Track(label_of(thing), t_ns, attitude_of(thing), cov, unready_of(thing), step_ns, span_ns)
+    return Track(label_of(thing), t_ns, attitude_of(thing), cov, find_unready(thing), step_ns, span_ns)
 
 
 def label_of(thing: Estimate | Reference | Truth) -> str:
@@ -90,7 +90,7 @@ def attitude_of(thing: Estimate | Reference | Truth) -> Floats:
     return thing.q_nb
 
 
-def unready_of(thing: Estimate | Reference | Truth) -> Mask:
+def find_unready(thing: Estimate | Reference | Truth) -> Mask:
     """Return at which samples (N,) an estimator says that it is still starting."""
     if isinstance(thing, Estimate) and thing.ready is not None:
         return ~thing.ready

@@ -23,11 +23,11 @@ from stillpoint.scoring.match import (
     Track,
     attitude_of,
     describe_none,
+    find_unready,
     is_sparser,
     label_of,
     match,
     pair_up,
-    unready_of,
 )
 from stillpoint.scoring.score import Score, ScoredPairs, score_blocks
 
@@ -105,7 +105,7 @@ class _Stored:
         rows = np.empty(
             len(piece.t_ns), [("t_ns", np.int64), ("q_nb", np.float64, 4), ("unready", "?"), ("moving", "?"), *cov]
         )
-        rows["t_ns"], rows["q_nb"], rows["unready"] = piece.t_ns, attitude_of(piece), unready_of(piece)
+        rows["t_ns"], rows["q_nb"], rows["unready"] = piece.t_ns, attitude_of(piece), find_unready(piece)
         rows["moving"] = False if isinstance(piece, Estimate) else moving_samples(piece)
         if has_cov:
             rows["cov_b_rad2"] = piece.cov_b_rad2  # type: ignore[union-attr]

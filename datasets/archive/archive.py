@@ -23,8 +23,8 @@ from stillpoint.datasets.archive.catalogue import (
     FILE,
     Catalogue,
     Entry,
-    described_rows,
     digest_rows,
+    make_content_rows,
     put_labels,
     put_object,
 )
@@ -130,7 +130,7 @@ class Archive:
             record = Record(sha256, suffix_of(name), name, size, added, tuple(given.tags), dict(given.metadata))
         else:
             record = replace(known, removed="", reason="", freed="")
-        record = replace(record, described=digest_rows(described_rows(record, described)))
+        record = replace(record, described=digest_rows(make_content_rows(record, described)))
         wanted[sha256] = Wanted(record, copy, replaces=known is not None)
         return Added(given.source, sha256, described.kind, "added" if known is None else "restored")
 
@@ -274,7 +274,7 @@ class Archive:
             raise BadParameter("--reason: say why; the reason stays in the archive")
         wanted = dict.fromkeys(sha256s)
         for sha256 in list(wanted):
-            derived = [entry for entry in self.derived(sha256) if entry.sha256 not in wanted]
+            derived = [entry for entry in self.find_derived(sha256) if entry.sha256 not in wanted]
             if derived and not with_derived:
                 names = ", ".join(entry.file_name for entry in derived[:5])
                 raise BadParameter(
@@ -303,7 +303,7 @@ class Archive:
             freed += record.size
         return freed
 
-    def derived(self, sha256: str) -> list[Entry]:
+    def find_derived(self, sha256: str) -> list[Entry]:
         """Return everything that was made from an object, and from that in turn, and is not removed."""
         found: dict[str, Entry] = {}
         left = [sha256]
@@ -335,7 +335,7 @@ class Archive:
                 try:
                     records.append(self.read_record(sha256_of_key(key)))
                 except BadFile as error:
-                    remembered = self.remembered_record(sha256_of_key(key))
+                    remembered = self.read_catalogued_record(sha256_of_key(key))
                     problems.append(f"{error}{'' if remembered is None else '; the catalogue remembers it'}")
                     records += [] if remembered is None else [remembered]
             self.catalogue.close()
@@ -358,7 +358,7 @@ class Archive:
                 if link.is_symlink() and not link.exists():
                     link.unlink()
 
-    def remembered_record(self, sha256: str) -> Record | None:
+    def read_catalogued_record(self, sha256: str) -> Record | None:
         """Return the record of an object as the catalogue has it; None when it has none."""
         try:
             rows = self.catalogue.select("SELECT * FROM objects WHERE sha256 = ?", (sha256,))

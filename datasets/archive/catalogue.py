@@ -177,13 +177,13 @@ class Catalogue:
 def put_object(connection: sqlite3.Connection, record: Record, described: Description, link: str) -> None:
     """Insert an object, or replace what the catalogue has about it."""
     _forget_object(connection, record.sha256)
-    for table, rows in described_rows(record, described).items():
+    for table, rows in make_content_rows(record, described).items():
         _insert(connection, table, rows)
     connection.execute("UPDATE objects SET link = ? WHERE sha256 = ?", (link, record.sha256))
     put_labels(connection, record)
 
 
-def described_rows(record: Record, described: Description) -> dict[str, list[dict[str, Any]]]:
+def make_content_rows(record: Record, described: Description) -> dict[str, list[dict[str, Any]]]:
     """Return the rows, by table, of an object's content; those of its labels are added by :func:`put_labels`."""
     columns = {
         "sha256": record.sha256,
@@ -210,12 +210,14 @@ def digest_rows(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     plain = {}
     for table in DESCRIBED_TABLES:
         own = rows.get(table, ())
-        plain[table] = sorted([[name, _comparable(row[name])] for name in _described_names(tuple(row))] for row in own)
+        plain[table] = sorted(
+            [[name, _comparable(row[name])] for name in _list_content_columns(tuple(row))] for row in own
+        )
     return hashlib.sha256(json.dumps(plain, ensure_ascii=True).encode()).hexdigest()
 
 
 @cache
-def _described_names(names: tuple[str, ...]) -> tuple[str, ...]:
+def _list_content_columns(names: tuple[str, ...]) -> tuple[str, ...]:
     """The columns of a row that its content decides, in order."""
     return tuple(sorted(set(names) - set(_LABELLED)))
 

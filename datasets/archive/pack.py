@@ -103,7 +103,7 @@ class Bundle:
         self._open = read_file
         self.members = self._read_manifest(largest)
 
-    def given(self) -> Iterator[Given]:
+    def read_objects(self) -> Iterator[Given]:
         """Yield the objects for :meth:`~stillpoint.datasets.archive.archive.Archive.add_given`, which checks hashes."""
         for member in self.members:
             yield Given(

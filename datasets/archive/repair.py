@@ -84,7 +84,7 @@ def repair_archive(archive: Archive, faults: Sequence[Fault], copies: Copies | N
 
 def _find_record(archive: Archive, sha256: str, copies: Copies | None) -> Record | None:
     found = copies.find_record(sha256) if copies is not None else None
-    return found or archive.remembered_record(sha256)
+    return found or archive.read_catalogued_record(sha256)
 
 
 def _repair_object(archive: Archive, fault: Fault, copies: Copies | None) -> str | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stillpoint.datasets.archive.archive import MARK, Archive
-from stillpoint.datasets.archive.catalogue import DESCRIBED_TABLES, TABLES, described_rows, digest_rows
+from stillpoint.datasets.archive.catalogue import DESCRIBED_TABLES, TABLES, digest_rows, make_content_rows
 from stillpoint.datasets.archive.describe import Description, describe_object
 from stillpoint.datasets.archive.record import Record, record_key, sha256_of_key
 from stillpoint.datasets.archive.storage import FolderStorage
@@ -66,7 +66,7 @@ def verify_archive(archive: Archive, thorough: bool = False) -> Verified:
             faults.append(Fault("object", sha256, where, f"{record.file_name} is missing", _FETCH))
     present = [record for sha256, record in kept.items() if sha256 in objects]
     rows = _load_rows(archive, faults)
-    known = {} if thorough else _trusted_descriptions(present, rows)
+    known = {} if thorough else _read_trusted_descriptions(present, rows)
     groups = [present[start : start + _GROUP] for start in range(0, len(present), _GROUP)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:  # hashing and reading do not hold the interpreter's lock
         found = pool.map(lambda group: [_check_object(archive, one, known.get(one.sha256)) for one in group], groups)
@@ -147,7 +147,7 @@ def _load_rows(archive: Archive, faults: list[Fault]) -> _Rows:
     return found
 
 
-def _trusted_descriptions(records: Sequence[Record], rows: _Rows) -> dict[str, Description]:
+def _read_trusted_descriptions(records: Sequence[Record], rows: _Rows) -> dict[str, Description]:
     """Return what the catalogue says of those objects whose record vouches for it."""
     trusted = {}
     for record in records:
@@ -204,9 +204,9 @@ def _compare_catalogue(
         if not own.get("objects"):
             yield Fault("catalogue", sha256, where, f"lacks {record.file_name}", _REBUILD)
             continue
-        wrong = _wrong_labels(record, own)
+        wrong = _find_wrong_labels(record, own)
         if sha256 not in known:
-            expected = described_rows(record, described.get(sha256) or archive.describe(record))
+            expected = make_content_rows(record, described.get(sha256) or archive.describe(record))
             wrong |= {name for name in DESCRIBED_TABLES if digest_rows({name: expected.get(name, ())})
                       != digest_rows({name: own.get(name, ())})}  # fmt: skip
         if wrong:
@@ -217,7 +217,7 @@ def _compare_catalogue(
             yield Fault("record", sha256, str(archive.storage.path(record_key(sha256))), "is missing", _RESTORE)
 
 
-def _wrong_labels(record: Record, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
+def _find_wrong_labels(record: Record, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
     """Return the tables in which tags, metadata or the mark of removal differ from the record."""
     about = own["objects"][0]
     found = {

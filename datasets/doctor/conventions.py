@@ -245,7 +245,7 @@ class TruthFits:
         losses = np.array([np.log((one**2).sum(axis=1) + floor) for one in residuals])
         return losses, pair, np.log((target**2).sum(axis=1) + floor)
 
-    def explained(self, truth: Truth) -> tuple[float, float, float]:
+    def explain_turning(self, truth: Truth) -> tuple[float, float, float]:
         """Return the share of the turning over half seconds that the gyro explains, and how far truth and gyro turn.
 
         The turns are in rad, summed over the windows of rates; the share is that of the best reading.
@@ -357,7 +357,7 @@ def check_truth_mismatch(fits: TruthFits, truth: Truth, gyro_confirmed: bool) ->
 
     The truth is dropped only where another sensor confirms the gyro.
     """
-    share, truth_rad, gyro_rad = fits.explained(truth)
+    share, truth_rad, gyro_rad = fits.explain_turning(truth)
     if max(truth_rad, gyro_rad) < _LEAST_TURN_RAD or share > _LEAST_EXPLAINED:
         return []
     message = (

@@ -64,7 +64,7 @@ class Dips:
 
 def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) -> Dips | None:
     """Return where force and field point in each rest, else in all calm samples; None where this cannot be found."""
-    iron = _known_iron(witness)
+    iron = _find_hard_iron(witness)
     mag, imu = recording.mag, recording.require_imu()
     if mag is None or (iron is None and recording.info.mag_uncalibrated):
         return None
@@ -83,12 +83,10 @@ def find_dips(recording: Recording, rests_ns: Times, witness: Witness | None) ->
         return None
     rows = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // _MOST_SAMPLES)]
     force, field = force[rows] / size[rows, None], field[rows] / length[rows, None]
-    return Dips(
-        force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), _expected_dip(recording)
-    )
+    return Dips(force, field, group[rows] if kept is resting else np.zeros(len(rows), np.intp), _predict_dip(recording))
 
 
-def _expected_dip(recording: Recording) -> float | None:
+def _predict_dip(recording: Recording) -> float | None:
     """Return the dip in rad of the World Magnetic Model at the recording's place, or its first fix; None without.
 
     A date outside the model, or none, is replaced by the nearest year of it: the dip moves by less than 0.2 deg a year.
@@ -111,7 +109,7 @@ def _expected_dip(recording: Recording) -> float | None:
 def check_field(recording: Recording, witness: Witness | None, rests_ns: Times) -> list[Finding]:
     """Return facts about the field as far as the motion shows them."""
     assert recording.mag is not None
-    iron = _known_iron(witness)
+    iron = _find_hard_iron(witness)
     if iron is None and recording.info.mag_uncalibrated:
         message = "mag: not calibrated, and turned too little to find its hard iron: size and dip not tested"
         return [Finding("field-not-tested", "fact", message)]
@@ -122,7 +120,7 @@ def check_field(recording: Recording, witness: Witness | None, rests_ns: Times) 
     return findings + _report_dip(find_dips(recording, rests_ns, witness))
 
 
-def _known_iron(witness: Witness | None) -> Floats | None:
+def _find_hard_iron(witness: Witness | None) -> Floats | None:
     """Return the hard iron where the sensor turned about all axes."""
     known = witness is not None and witness.choice is not None and all(witness.choice.tested)
     return witness.hard_iron_b_ut if known and witness is not None else None

@@ -257,7 +257,7 @@ def _without_advice(message: str) -> str:
 def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
     """Find a gyro in deg/s, one whose rates are too large or too small, or stamps on a wrong time base."""
     scales = {one.name: one.scale for one in witnesses if one.choice is not None and one.scale}
-    found = _agreed_scale(scales)
+    found = _find_common_scale(scales)
     if found is None:
         return None
     scale, who = found
@@ -276,7 +276,7 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
     return Finding("gyro-scale", "error", message, remedy if sure else None, {"scale": scale})
 
 
-def _agreed_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
+def _find_common_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
     def off(scale: float) -> float:
         return abs(float(np.log(scale)))
 

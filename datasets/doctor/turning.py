@@ -92,7 +92,7 @@ class Windows:
     mean_dt: Floats  # (n, 3) integral of v dt
     length_s: float
 
-    def predicted(self, matrix: Floats, offset: Floats) -> Floats:
+    def predict_change(self, matrix: Floats, offset: Floats) -> Floats:
         """Return the integral of (v - offset) x (matrix @ w), (n, 3)."""
         turned = np.einsum("nlj,ij->nli", self.cross - offset[:, None] * self.turn[:, None, :], matrix)
         return np.einsum("kli,nli->nk", LEVI_CIVITA, turned)

@@ -49,13 +49,13 @@ def check_values(recording: Recording) -> list[Finding]:
     for sensor in _sensors(recording):
         if len(sensor.t_ns) < 10:
             continue
-        stuck = _stuck(sensor)
+        stuck = _find_stuck(sensor)
         findings += stuck
         if stuck:
             continue
         findings += _find_clipping(sensor)
-        frozen = _frozen(sensor)
-        findings += frozen or _held(sensor, recording)
+        frozen = _find_frozen(sensor)
+        findings += frozen or _find_held(sensor, recording)
     return _merge_imu(findings)
 
 
@@ -71,12 +71,12 @@ def _sensors(recording: Recording) -> list[_Sensor]:
         turning = stands_out(np.linalg.norm(imu.gyro_b_radps - np.median(imu.gyro_b_radps, axis=0), axis=1))
         norm = np.linalg.norm(imu.accel_b_mps2, axis=1)
         shaken = np.abs(norm - np.median(norm)) > 0.03 * np.median(norm)
-        sensors.append(_Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _near(turning | shaken)))
-        sensors.append(_Sensor("accel", "imu", imu.t_ns, imu.accel_b_mps2, _near(turning | shaken)))
+        sensors.append(_Sensor("gyro", "imu", imu.t_ns, imu.gyro_b_radps, _find_neighbours(turning | shaken)))
+        sensors.append(_Sensor("accel", "imu", imu.t_ns, imu.accel_b_mps2, _find_neighbours(turning | shaken)))
         if recording.mag is not None:
             mag = recording.mag
             at = np.clip(np.searchsorted(imu.t_ns, mag.t_ns), 0, len(imu.t_ns) - 1)
-            sensors.append(_Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _near(turning)[at]))
+            sensors.append(_Sensor("mag", "mag", mag.t_ns, mag.mag_b_ut, _find_neighbours(turning)[at]))
     if recording.spin is not None:
         spin = recording.spin
         pressed = np.linalg.norm(np.nan_to_num(spin.accel_mps2), axis=1) > _SPIN_AT_REST_MPS2
@@ -88,7 +88,7 @@ def _sensors(recording: Recording) -> list[_Sensor]:
     return sensors
 
 
-def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return samples with more than half of their 21 neighbours in the mask."""
     return _share_around(mask, 21) > 0.5
 
@@ -98,7 +98,7 @@ def _share_around(mask: NDArray[np.bool_], width: int) -> Floats:
     return np.asarray(np.convolve(mask, np.ones(width) / width, mode="same"))
 
 
-def _stuck(sensor: _Sensor) -> list[Finding]:
+def _find_stuck(sensor: _Sensor) -> list[Finding]:
     still = [k for k in range(sensor.values.shape[1]) if (sensor.values[:, k] == sensor.values[0, k]).all()]
     if not still:
         return []
@@ -140,7 +140,7 @@ def _find_clipping(sensor: _Sensor) -> list[Finding]:
     return findings
 
 
-def _frozen(sensor: _Sensor) -> list[Finding]:
+def _find_frozen(sensor: _Sensor) -> list[Finding]:
     same = repeats(sensor.values)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # of the repeating samples; the one before is genuine
@@ -161,7 +161,7 @@ def _frozen(sensor: _Sensor) -> list[Finding]:
     return [Finding(f"{sensor.name}-frozen", "error", message, remedy if sensor.stream != "spin" else None, values)]
 
 
-def _held(sensor: _Sensor, recording: Recording) -> list[Finding]:
+def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     if sensor.stream == "spin" or sensor.moving.sum() < 20:
         return []
     same = repeats(sensor.values)
@@ -174,7 +174,7 @@ def _held(sensor: _Sensor, recording: Recording) -> list[Finding]:
         return []
     if sensor.stream == "mag":
         remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
-    elif _together(pairs, repeats(_other(sensor.name, recording)) & sensor.moving):
+    elif _repeat_together(pairs, repeats(_other(sensor.name, recording)) & sensor.moving):
         remedy = Remedy("drop-repeats", "imu", "imu: of equal neighbouring samples the first kept")
     else:
         remedy = Remedy("interpolate", sensor.name, f"{sensor.name}: held samples interpolated")
@@ -194,7 +194,7 @@ def _slow_for_its_steps(sensor: _Sensor, same: NDArray[np.bool_], where: NDArray
     return bool(np.median((changes / np.where(step > 0, step, np.inf)).max(axis=1)) < _HELD_STEPS)
 
 
-def _together(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
+def _repeat_together(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
     """Do the repeats of the rarer of two sensors fall on repeats of the other?"""
     return bool((one & other).sum() > 0.9 * max(1, min(one.sum(), other.sum())))
 

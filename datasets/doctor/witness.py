@@ -40,7 +40,7 @@ _HAND_TREMOR_M = 0.02  # smaller displacements are no evidence
 _CALIBRATION = 0.05  # share of a change that misalignment may explain: a gyro axis that sees no more is not tested
 
 
-def _signed_permutations() -> Floats:
+def _list_signed_permutations() -> Floats:
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -59,7 +59,7 @@ def complexity(matrix: Floats) -> tuple[int, int]:
     return moved + flipped, moved
 
 
-CANDIDATES: Floats = _signed_permutations()  # (48, 3, 3), the identity first, then by complexity
+CANDIDATES: Floats = _list_signed_permutations()  # (48, 3, 3), the identity first, then by complexity
 _IDENTITY = 0
 
 
@@ -247,7 +247,7 @@ def _bias_columns(at: Windows, centre: Floats) -> Floats:
 
 def _columns(at: Windows, matrix: Floats, centre: Floats) -> Floats:
     """Columns (n, 3, 7) of scale, scale * bias (3) and scale * (hard iron - centre) (3), when the axes are known."""
-    turned = at.predicted(matrix, centre)[:, :, None]
+    turned = at.predict_change(matrix, centre)[:, :, None]
     iron = -np.einsum("kli,ni->nkl", LEVI_CIVITA, at.turn @ matrix.T)
     return np.concatenate([turned, _bias_columns(at, centre), iron], axis=2)
 

@@ -43,7 +43,7 @@ def read_bench(folder: Path, options: Options) -> Imported:
     fitted = {name: fit_even_times(rows[0], _WHAT[name], log) for name, rows in received.items()}
     early_s = max(0.0, -min(float(t_s[0]) for t_s in fitted.values()))
     if early_s:
-        log.converted(f"all clocks moved by {1e3 * early_s:.3f} ms so that none starts before zero")
+        log.add_conversion(f"all clocks moved by {1e3 * early_s:.3f} ms so that none starts before zero")
     series = {
         name: sort_by_time(drop_incomplete_rows(Series(t_ns, rows[1:4].T), _WHAT[name], log), _WHAT[name], log)
         for name, rows in received.items()
@@ -52,9 +52,9 @@ def read_bench(folder: Path, options: Options) -> Imported:
     gyro = Series(series[_GYRO].t_ns, RATE["deg/s"] * series[_GYRO].values)
     accel = Series(series[_ACCEL].t_ns, FORCE["g"] * series[_ACCEL].values)
     mag = Mag(series[_MAG].t_ns, FIELD["gauss"] * series[_MAG].values)
-    log.converted("gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665); mag gauss -> uT (x 100)")
-    log.noted("axes and signs are the log's own: ask the doctor about them")
-    log.noted("the temperature (mpu6050_temperature.mat) is not imported")
+    log.add_conversion("gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665); mag gauss -> uT (x 100)")
+    log.add_note("axes and signs are the log's own: ask the doctor about them")
+    log.add_note("the temperature (mpu6050_temperature.mat) is not imported")
     info = Info(
         source="sunsided/sensor-fusion, sensor data set 2",
         licence="EUPL 1.2",

@@ -50,15 +50,15 @@ def read_broad(file: Path, options: Options) -> Imported:
     q_nb = fields["opt_quat"]
     known = find_finite_rows(q_nb) & (np.linalg.norm(q_nb, axis=1) > 0.5)
     if not known.all():
-        log.noted(f"truth: {int((~known).sum())} of {len(known)} samples are NaN in the source (gaps)")
+        log.add_note(f"truth: {int((~known).sum())} of {len(known)} samples are NaN in the source (gaps)")
     q_nb = q_nb[known] / np.linalg.norm(q_nb[known], axis=1, keepdims=True)
     moving = fields["movement"].squeeze().astype(bool)[known]
     truth = Truth(t_ns[known], q_nb, moving, fields["opt_pos"][known])
     field_ut = float(np.median(np.linalg.norm(fields["imu_mag"], axis=1)))
     disturbed = not FIELD_RANGE_UT[0] <= field_ut <= FIELD_RANGE_UT[1]
     if disturbed:
-        log.noted(f"mag: median size {field_ut:.0f} uT is not the Earth's; marked as uncalibrated")
-    log.converted("stamps from the sampling rate: sample k at k x %.6f ms" % (period_ns / 1e6))
+        log.add_note(f"mag: median size {field_ut:.0f} uT is not the Earth's; marked as uncalibrated")
+    log.add_conversion("stamps from the sampling rate: sample k at k x %.6f ms" % (period_ns / 1e6))
     extra, described = _read_description(file)
     info = Info(
         source="BROAD",

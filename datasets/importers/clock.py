@@ -36,7 +36,7 @@ _MEDIAN_OF = 9  # stamps; up to four wild ones in a row are recognised
 class Notes(Protocol):
     """Where the changes are counted; see :class:`stillpoint.datasets.importers.series.Log`."""
 
-    def noted(self, line: str) -> None:
+    def add_note(self, line: str) -> None:
         """Add a note."""
 
 
@@ -190,7 +190,7 @@ def repair_clock(clock: Clock, log: Notes) -> Clock:
     wild = find_wild_stamps(t_ns[known])
     if wild.any():
         first = int(np.flatnonzero(wild)[0])
-        log.noted(
+        log.add_note(
             f"time {clock.name!r}: {int(wild.sum())} stamps far from their neighbours dropped, first sample {first}"
         )
         known[np.flatnonzero(known)[wild]] = False
@@ -212,7 +212,7 @@ def unwrap_counter(t_ns: Times, what: str, log: Notes) -> Times:
         if span is not None:
             span_ns, name = span
             added[k + 1 :] += span_ns
-            log.noted(f"time {what!r}: counter of {name} wrapped after sample {k}; unwrapped")
+            log.add_note(f"time {what!r}: counter of {name} wrapped after sample {k}; unwrapped")
     return t_ns + added
 
 

@@ -133,7 +133,7 @@ def _read_truth_file(file: Path, options: CsvOptions, log: Log) -> Truth:
     )
     inverse = ", inverted" if options.truth_inverse else ""
     frame = options.truth_frame.upper()
-    log.converted(f"truth from {file.name}, body -> {frame} -> East-North-Up{inverse}, on its own clock")
+    log.add_conversion(f"truth from {file.name}, body -> {frame} -> East-North-Up{inverse}, on its own clock")
     return truth
 
 
@@ -154,7 +154,7 @@ class _Reading:
         columns = parse_columns(text, f"--{what}", units)
         clock = self._clock(what)
         series = read_sensor(self.table, clock, columns, what, f"--{what}", self.options, self.log)
-        self.log.converted(f"{what} {columns.written} {columns.unit.written} -> {target}{columns.flipped}")
+        self.log.add_conversion(f"{what} {columns.written} {columns.unit.written} -> {target}{columns.flipped}")
         return series
 
     def read_gps(self) -> Series | None:
@@ -175,9 +175,9 @@ class _Reading:
         changed[1:] = (np.diff(np.nan_to_num(found), axis=0) != 0).any(axis=1)
         if not len(found):
             raise BadSource(f"{self.table.where}: no row has a position in {self.options.gps}; check --gps")
-        self.log.converted(f"gps {self.options.gps} as {','.join(_GPS_COLUMNS[: len(names)])}")
+        self.log.add_conversion(f"gps {self.options.gps} as {','.join(_GPS_COLUMNS[: len(names)])}")
         if not changed.all():
-            self.log.noted(f"gps: {int((~changed).sum())} rows repeat the fix before them; dropped")
+            self.log.add_note(f"gps: {int((~changed).sum())} rows repeat the fix before them; dropped")
         series = Series(clock.t_ns[keep][changed], found[changed])
         lines = [self.table.lines[k] for k in np.flatnonzero(keep)[changed].tolist()]
         return order_series(series, lines, clock, self.table.where, "gps", self.options, self.log)
@@ -196,7 +196,7 @@ class _Reading:
         known = find_finite_rows(q_nl)
         clock = self._clock("truth")
         if not known.all():
-            self.log.noted(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
+            self.log.add_note(f"truth: {int((~known).sum())} of {len(known)} rows without an attitude (gaps)")
         known &= clock.known
         turned = rotation(q_nl[known])
         to_enu = local_from_enu(options.truth_frame).inv()
@@ -235,7 +235,7 @@ class _Reading:
         values[~known] = np.nan
         frame = self.options.truth_frame.upper()
         way = f"{frame} -> body, inverted" if self.options.truth_inverse else f"body -> {frame}"
-        self.log.converted(f"truth {columns} as w,x,y,z, {way} -> East-North-Up")
+        self.log.add_conversion(f"truth {columns} as w,x,y,z, {way} -> East-North-Up")
         return values
 
     def _read_euler(self, text: str) -> Floats:
@@ -258,7 +258,7 @@ class _Reading:
         q = np.full((len(angles_rad), 4), np.nan)
         q[known] = quaternion(Rotation.from_euler(order, angles_rad[known]))
         axes = "moving" if order.isupper() else "fixed"
-        self.log.converted(
+        self.log.add_conversion(
             f"truth {columns.written} {columns.unit.written}: turns about the {axes} axes {order} in this order"
         )
         return q

@@ -52,9 +52,9 @@ def _read(file: Path, options: CsvOptions) -> LongRecording:
         for what, count in of_piece.dropped.items():
             lost[what] += count
     for line in found.conversions:
-        log.converted(line)
+        log.add_conversion(line)
     for what, count in lost.items():
-        log.dropped_rows(what, count, rows)
+        log.count_dropped_rows(what, count, rows)
     return found.close(f"delimited log {file.name}", str(file), digests([file], file.parent), log)
 
 

@@ -60,7 +60,7 @@ def read_table(file: Path, delimiter: str | None, log: Log) -> Table:
 def note_skipped(table: Table, file: Path, log: Log) -> None:
     """Note the lines before the header of a table."""
     if table.skipped:
-        log.noted(f"{table.skipped} lines beside the header of {file.name} skipped (device data or units)")
+        log.add_note(f"{table.skipped} lines beside the header of {file.name} skipped (device data or units)")
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def read_clock(table: Table, options: LogOptions, log: Log, time: str | None = N
     if options.rate is not None and time is None:
         if not 0 < options.rate < float("inf"):
             raise BadParameter(f"--rate {options.rate:g}: give a positive number of Hz")
-        log.converted(f"stamps from the row number at {options.rate:g} Hz")
+        log.add_conversion(f"stamps from the row number at {options.rate:g} Hz")
         t_ns = np.asarray(np.round(np.arange(len(table.rows)) * (1e9 / options.rate)), dtype=np.int64)
         return Clock("row", "row", t_ns, np.ones(len(t_ns), dtype=np.bool_))
     if time is None:
@@ -122,10 +122,10 @@ def read_clock(table: Table, options: LogOptions, log: Log, time: str | None = N
         raise BadParameter(f"{table.where}: name the time column{hint}: --time COLUMN:UNIT, or give --rate HZ")
     column, unit = _split_time(table, time, flag)
     clock = repair_clock(table.clock(column, unit, flag), log)
-    log.converted(f"time {column!r} in {unit}")
+    log.add_conversion(f"time {column!r} in {unit}")
     unknown = int((~clock.known).sum())
     if unknown:
-        log.noted(f"{unknown} of {len(table.rows)} rows without a usable time in {column!r} skipped")
+        log.add_note(f"{unknown} of {len(table.rows)} rows without a usable time in {column!r} skipped")
     if not options.units_unchecked:
         check_rate(clock, table.where)
     return clock
@@ -156,7 +156,7 @@ def read_sensor(
     finite = find_finite_rows(values)
     if not finite.any():
         raise BadSource(f"{table.where}: no row has numbers in all columns of {flag}; check the columns")
-    log.dropped_rows(what, int((~finite).sum()), len(finite))
+    log.count_dropped_rows(what, int((~finite).sum()), len(finite))
     keep = finite & clock.known
     if not keep.any():
         raise BadSource(f"{table.where}: no row with numbers of {flag} has a time in {clock.name!r}; check the columns")
@@ -182,5 +182,5 @@ def shift_to_zero(streams: Mapping[str, Series], log: Log) -> dict[str, Series]:
     early_ns = min((int(series.t_ns.min()) for series in streams.values()), default=0)
     if early_ns >= 0:
         return dict(streams)
-    log.converted(f"all times moved by {-early_ns / 1e9:.9f} s so that none is negative")
+    log.add_conversion(f"all times moved by {-early_ns / 1e9:.9f} s so that none is negative")
     return {name: Series(series.t_ns - early_ns, series.values) for name, series in streams.items()}

@@ -32,20 +32,20 @@ def read_device_attitude(
     t_ns, q = attitude.t_ns[keep], attitude.values[keep]
     inside = (t_ns >= imu.t_ns[0]) & (t_ns <= imu.t_ns[-1])
     if inside.sum() < 3:
-        log.noted(f"{source}: no attitude within the recording; not imported")
+        log.add_note(f"{source}: no attitude within the recording; not imported")
         return ()
     turned = rotation(q[inside])
     if (found := _find_inverse(t_ns[inside], turned, imu)) is not None and found != inverse:
-        log.noted(f"{source}: the gyro turns the other way than documented; taken as {_name(found)}")
+        log.add_note(f"{source}: the gyro turns the other way than documented; taken as {_name(found)}")
         inverse = found
     body_to_world = rotation(q).inv() if inverse else rotation(q)
-    log.converted(f"{source}: quaternion taken as {_name(inverse)}")
+    log.add_conversion(f"{source}: quaternion taken as {_name(inverse)}")
     up = _find_up(t_ns[inside], body_to_world[np.flatnonzero(inside)], imu)
     if abs(up) < _UP_CLEARLY:
-        log.noted(f"{source}: contradicts gravity (mean vertical component {up:+.2f}); not imported")
+        log.add_note(f"{source}: contradicts gravity (mean vertical component {up:+.2f}); not imported")
         return ()
     if up < 0:
-        log.converted(f"{source}: its world has z down (North-East-Down) -> East-North-Up")
+        log.add_conversion(f"{source}: its world has z down (North-East-Down) -> East-North-Up")
         body_to_world = local_from_enu("ned").inv() * body_to_world
     return make_device_estimate(t_ns, quaternion(body_to_world), recording, source, sha256, log)
 

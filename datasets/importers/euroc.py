@@ -57,7 +57,7 @@ class _Sensor:
             raise BadSource(f"{self.file}: {what} is in {unit!r}; there are {', '.join(units)}")
         series = Series(self.table.times(self.table.columns[0], "ns"), units[unit] * self.table.floats(names))
         series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
-        log.converted(f"{what} from {self.file.parent.name}/data.csv, {unit}")
+        log.add_conversion(f"{what} from {self.file.parent.name}/data.csv, {unit}")
         return Series(series.t_ns, self.turn.apply(series.values))
 
 
@@ -93,7 +93,9 @@ def _open_sensor(folder: Path, log: Log) -> _Sensor:
                 matrix = np.array([float(part) for part in match[1].split(",")]).reshape(4, 4)[:3, :3]
                 turn = Rotation.from_matrix(matrix)
             if turn.magnitude() > 1e-9:
-                log.converted(f"{folder.name} turned into the body by T_BS, {np.rad2deg(turn.magnitude()):.2f} deg")
+                log.add_conversion(
+                    f"{folder.name} turned into the body by T_BS, {np.rad2deg(turn.magnitude()):.2f} deg"
+                )
     return _Sensor(read_table(file, ",", log), turn, file)
 
 
@@ -104,7 +106,7 @@ def _read_mag(folder: Path, options: OwnOptions, files: list[Path], log: Log) ->
         sensor = _open_sensor(folder / "mag0", log)
         series = sensor.series(slice(1, 4), FIELD, "T", "mag", log)
     except BadSource as error:
-        log.noted(f"mag left out: {error}")
+        log.add_note(f"mag left out: {error}")
         return None, options.mag_uncalibrated
     files.append(sensor.file)
     return make_mag(series, options.mag_uncalibrated, log)
@@ -126,7 +128,7 @@ def _read_truth(folder: Path, files: list[Path], log: Log) -> Truth | None:
         file = folder / name / "data.csv"
         if file.is_file():
             files.append(file)
-            log.converted(f"truth from {name}, body -> its frame with z up, taken as East-North-Up")
+            log.add_conversion(f"truth from {name}, body -> its frame with z up, taken as East-North-Up")
             return read_poses(file, log, format="euroc")
-    log.noted(f"no truth: there is no {' or '.join(_TRUTHS)}")
+    log.add_note(f"no truth: there is no {' or '.join(_TRUTHS)}")
     return None

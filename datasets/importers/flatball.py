@@ -38,10 +38,10 @@ def read_flatball(file: Path, options: Options) -> Imported:
     if missing:
         raise BadSource(f"{file}: no column {', '.join(missing)}; name a log of the flatball firmware")
     t_ns = np.arange(len(table.rows), dtype=np.int64) * (1_000_000_000 // _RATE_HZ)
-    log.converted(f"stamps from the row number at {_RATE_HZ} Hz, the rate of the firmware")
-    log.converted("accelerometer g -> m/s^2; gyro deg/s -> rad/s; axes z, x, y of the IMU -> x (spin axis), y, z")
-    log.noted("the place of the IMU on the disc is not published: its lever arm is NaN")
-    log.noted("the attitude of the on-board filter and what it derived (fe-acc, fl-acc) are not imported")
+    log.add_conversion(f"stamps from the row number at {_RATE_HZ} Hz, the rate of the firmware")
+    log.add_conversion("accelerometer g -> m/s^2; gyro deg/s -> rad/s; axes z, x, y of the IMU -> x (spin axis), y, z")
+    log.add_note("the place of the IMU on the disc is not published: its lever arm is NaN")
+    log.add_note("the attitude of the on-board filter and what it derived (fe-acc, fl-acc) are not imported")
     spin = Spin(t_ns, FORCE["g"] * table.floats(_ACCEL), RATE["deg/s"] * table.floats(_GYRO), _GEOMETRY)
     info = Info(
         source="misc-protolabs/flatball-ins",

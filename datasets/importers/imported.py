@@ -30,11 +30,11 @@ def make_mag(series: Series, uncalibrated: bool, log: Log) -> tuple[Mag | None, 
     """
     series = series.where(find_finite_rows(series.values))
     if len(series.t_ns) == 0 or not series.values.any():
-        log.noted("mag: no value other than 0 or NaN; left out")
+        log.add_note("mag: no value other than 0 or NaN; left out")
         return None, uncalibrated
     doubt = describe_field_size(float(np.median(np.linalg.norm(series.values, axis=1))))
     if doubt and not uncalibrated:
-        log.noted(f"mag: {doubt}; marked as uncalibrated")
+        log.add_note(f"mag: {doubt}; marked as uncalibrated")
     return Mag(series.t_ns, series.values), uncalibrated or bool(doubt)
 
 
@@ -67,11 +67,11 @@ def make_device_estimate(
     known = np.isfinite(norm) & (norm > LEAST_NORM)
     known &= np.diff(t_ns, prepend=t_ns[:1] - 1) > 0
     if known.sum() < 2 or np.ptp(q_nb[known], axis=0).max() == 0:
-        log.noted(f"{source} never changes, or holds no attitude; not imported")
+        log.add_note(f"{source} never changes, or holds no attitude; not imported")
         return ()
     if not known.all():
-        log.noted(f"{source}: {int((~known).sum())} of {len(known)} samples without an attitude dropped")
-    log.converted(f"{source} -> estimate {_DEVICE!r}, the attitude as the device computed it")
+        log.add_note(f"{source}: {int((~known).sum())} of {len(known)} samples without an attitude dropped")
+    log.add_conversion(f"{source} -> estimate {_DEVICE!r}, the attitude as the device computed it")
     q_nb = q_nb[known] / norm[known, None]
     return (
         Estimate(t_ns[known], _DEVICE, q_nb=q_nb, recording=recording, params={"source": source}, made_from=sha256),

@@ -49,14 +49,16 @@ def read_kitti(folder: Path, options: OwnOptions) -> Imported:
     rows = np.array([_read_numbers(file) for file in files])
     series = sort_by_time(drop_incomplete_rows(Series(t_ns, rows), "oxts", log), "oxts", log)
     t_ns, rows = series.t_ns, series.values
-    log.converted("oxts: roll, pitch, yaw (0 = east) -> quaternion, body (x forward, y left, z up) -> East-North-Up")
-    log.noted("truth: the solution of the OXTS unit from this IMU and satellites; it is not independent of them")
-    log.noted("times of KITTI have no zone; taken as UTC")
+    log.add_conversion(
+        "oxts: roll, pitch, yaw (0 = east) -> quaternion, body (x forward, y left, z up) -> East-North-Up"
+    )
+    log.add_note("truth: the solution of the OXTS unit from this IMU and satellites; it is not independent of them")
+    log.add_note("times of KITTI have no zone; taken as UTC")
     lat_deg, lon_deg, alt_m = rows[:, _PLACE].T
     position_n_m = None
     if (np.abs(lat_deg) <= 90).all() and (np.abs(lon_deg) <= 360).all():
         position_n_m = enu_m(lat_deg, lon_deg, alt_m, (lat_deg[0], lon_deg[0], alt_m[0]))
-        log.converted("truth position: latitude, longitude, altitude -> East-North-Up from the first fix")
+        log.add_conversion("truth position: latitude, longitude, altitude -> East-North-Up from the first fix")
     truth = Truth(t_ns, from_euler(rows[:, _ANGLES], "enu"), np.ones(len(t_ns), dtype=np.bool_), position_n_m)
     north, east = rows[:, _NORTH_EAST].T
     course_deg = np.rad2deg(np.arctan2(east, north)) % 360

@@ -51,7 +51,7 @@ def read_movella(file: Path, options: MovellaOptions) -> Imported:
     manager = "Quat_q0" in table.columns or "//" in text[:2]
     t_ns = _read_time(table, text, manager, options, log)
     unit = "rad/s" if manager else "deg/s"
-    log.converted(f"gyro {unit} -> rad/s; accelerometer m/s^2")
+    log.add_conversion(f"gyro {unit} -> rad/s; accelerometer m/s^2")
     inertial = _read(table, t_ns, tuple(needed), "imu", log)
     imu = Imu(inertial.t_ns, RATE[unit] * inertial.values[:, :3], inertial.values[:, 3:])
     mag, uncalibrated = None, options.mag_uncalibrated
@@ -89,7 +89,7 @@ def _read_time(table: Table, text: str, manager: bool, options: MovellaOptions, 
         clock = repair_clock(table.clock(column, "us"), log)
         if not clock.known.all():
             raise BadSource(f"{table.where}: {int((~clock.known).sum())} rows have no {column}; give --rate HZ")
-        log.converted(f"time {column} in {'0.1 ms' if manager else 'us'}")
+        log.add_conversion(f"time {column} in {'0.1 ms' if manager else 'us'}")
         return np.asarray(clock.t_ns * (100 if manager else 1))
     match = _RATE_LINE.search(text[:4000])
     rate_hz = options.rate or (float(match[1]) if match else None)
@@ -102,5 +102,5 @@ def _read_time(table: Table, text: str, manager: bool, options: MovellaOptions, 
             raise BadSource(f"{table.where}: PacketCounter is not a number in every row; remove these rows")
         counter = unwrap_counter(np.asarray(packets, np.int64), "PacketCounter", log)
         counter = counter - counter.min()
-    log.converted(f"stamps from the packet counter at {rate_hz:g} Hz")
+    log.add_conversion(f"stamps from the packet counter at {rate_hz:g} Hz")
     return np.asarray(np.round(counter * (1e9 / rate_hz)), dtype=np.int64)

@@ -105,7 +105,7 @@ def _find_sensors(table: Table, log: Log) -> Iterator[_Found]:
         if sensor is None or set(axes) != set("xyz"):
             continue
         if sensor == "accel" and _WITHOUT_GRAVITY.search(f"{what} {Path(table.where).name}"):
-            log.noted(f"{Path(table.where).name}: acceleration without gravity is not imported")
+            log.add_note(f"{Path(table.where).name}: acceleration without gravity is not imported")
             continue
         yield _Found(sensor, table, (axes["x"], axes["y"], axes["z"]), unit)
 
@@ -119,7 +119,7 @@ def _read_series(source: Path, sensor: str, found: list[_Found], starts: Floats,
         return None
     one = here[0]
     values = one.table.floats(one.columns) * _SENSORS[sensor][one.unit]
-    log.converted(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {_TARGET[sensor]}")
+    log.add_conversion(f"{sensor} from {Path(one.table.where).name}, {one.unit} -> {_TARGET[sensor]}")
     series = drop_incomplete_rows(Series(_read_clock(one.table, starts), values), sensor, log)
     return sort_by_time(drop_before_zero(series, sensor, log), sensor, log)
 
@@ -147,14 +147,14 @@ def _read_starts(bundle: Bundle, log: Log) -> Floats:
     """Return (K, 2) experiment time and system time, in s, of every start; K = 0 where they are not known."""
     name = bundle.find("meta/time.csv")
     if name is None:
-        log.noted("no meta/time.csv: times count from the start of the experiment, without its pauses")
+        log.add_note("no meta/time.csv: times count from the start of the experiment, without its pauses")
         return np.empty((0, 2))
     table = parse(bundle.texts[name], bundle.where(name))
     event = table.place("event")
     times = table.floats(("experiment time", "system time"))
     starts = times[[row[event].upper() == "START" for row in table.rows]]
     if len(starts):
-        log.converted(f"experiment time -> system time (UTC) by meta/time.csv, {len(starts)} starts")
+        log.add_conversion(f"experiment time -> system time (UTC) by meta/time.csv, {len(starts)} starts")
     return starts
 
 
@@ -177,5 +177,5 @@ def _read_gps(tables: list[Table], starts: Floats, log: Log) -> Gps | None:
             keep = find_finite_rows(series.values[:, :2])
             return make_gps(series.where(keep), log) if keep.any() else None
         if any(column.endswith("(°)") for column in table.columns):
-            log.noted(f"{Path(table.where).name}: a location in other words than English is not imported")
+            log.add_note(f"{Path(table.where).name}: a location in other words than English is not imported")
     return None

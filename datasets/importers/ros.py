@@ -112,7 +112,7 @@ def read_ros(source: Path, options: RosOptions) -> Imported:
         truth = turn_truth(truth, options.truth_frame, options.truth_inverse)
         if options.truth_frame != "enu" or options.truth_inverse:
             way = ", inverted" if options.truth_inverse else ""
-            log.converted(f"truth {options.truth_frame.upper()} -> East-North-Up{way}")
+            log.add_conversion(f"truth {options.truth_frame.upper()} -> East-North-Up{way}")
 
     sha256 = digests(bag.files, source.parent if source.is_file() else source)
     estimates: tuple[Estimate, ...] = ()
@@ -198,19 +198,19 @@ def _choose_truth_topic(bag: RosFiles, options: RosOptions, log: Log) -> str | N
     if options.truth_topic is not None:
         topic = _choose_topic(bag, "truth", tuple(POSES), options.truth_topic)
         if bag.types[options.truth_topic] == ODOMETRY:
-            log.noted(f"truth: {topic} is odometry, which drifts; its errors count as errors of what is scored")
+            log.add_note(f"truth: {topic} is odometry, which drifts; its errors count as errors of what is scored")
         return topic
     poses = tuple(kind for kind in POSES if kind != ODOMETRY and kind not in TF)
     topic = _choose_topic(bag, "truth", poses, None)
     if topic is not None:
         return topic
     for name in _find_topics(bag, (ODOMETRY,)):
-        log.noted(f"{name} is odometry and is not taken for the truth; --truth-topic {name} takes it")
+        log.add_note(f"{name} is odometry and is not taken for the truth; --truth-topic {name} takes it")
     transforms = [topic for topic in _find_topics(bag, TF) if topic != STATIC]
     if transforms and (options.truth_child is not None or options.truth_parent is not None):
         return _choose_topic(bag, "truth", TF, transforms[0] if len(transforms) == 1 else None)
     for name in transforms:
-        log.noted(f"{name} is not taken for the truth; --truth-topic {name} --truth-child FRAME takes a frame of it")
+        log.add_note(f"{name} is not taken for the truth; --truth-topic {name} --truth-child FRAME takes a frame of it")
     return None
 
 
@@ -232,7 +232,7 @@ def read_imu(
             raise BadSource(f"{source}: {names} gives no {what} (zeros, or covariance -1); name another --imu-topic")
     k, j = gyro_at[0], accel_at[0]
     if options.imu_topic is None and k != j:
-        log.noted(f"gyro of {parts[k].topic} and accelerometer of {parts[j].topic} united")
+        log.add_note(f"gyro of {parts[k].topic} and accelerometer of {parts[j].topic} united")
     gyro = _read_vectors(parts[k], "gyro", given[k]["gyro"], options, mounting, log)
     accel = _read_vectors(parts[j], "accel", given[j]["accel"], options, mounting, log)
     device = None
@@ -249,7 +249,7 @@ def read_imu(
 def read_mag(messages: Messages, options: RosOptions, mounting: StaticFrames, log: Log) -> tuple[Mag | None, bool]:
     """Return the magnetometer, and whether its size says nothing; see :func:`make_mag`."""
     series = _read_vectors(messages, "mag", np.ones(len(messages.stamps_ns), np.bool_), options, mounting, log)
-    log.converted("mag T -> uT")
+    log.add_conversion("mag T -> uT")
     return make_mag(Series(series.t_ns, FIELD["T"] * series.values), options.mag_uncalibrated, log)
 
 
@@ -273,7 +273,7 @@ def _read_vectors(
     """Return the vectors (N, 3) of one sensor, in the body frame where one was asked for."""
     absent = int((~given).sum())
     if absent:
-        log.noted(f"{what}: {absent} of {len(given)} messages of {messages.topic} do not give it (covariance -1)")
+        log.add_note(f"{what}: {absent} of {len(given)} messages of {messages.topic} do not give it (covariance -1)")
     messages = messages.where(given)
     chosen = options.frame
     if what == "mag" and len(set(messages.frames)) == 1:
@@ -281,7 +281,7 @@ def _read_vectors(
             None  # --frame tells sensors on one topic apart; a magnetometer alone on its topic has a frame of its own
         )
     messages = keep_frame(messages, chosen, "--frame")
-    log.converted(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
+    log.add_conversion(f"{what} from {messages.topic} ({messages.kind.replace('/msg/', '/')}), stamps of its headers")
     series = settle_stamps(messages, messages.numbers[what], log)
     series = sort_by_time(drop_incomplete_rows(series, what, log), what, log)
     if what == "accel":
@@ -290,7 +290,7 @@ def _read_vectors(
         return series
     frame = options.imu_frame if what != "mag" and options.imu_frame is not None else str(messages.frames[0])
     turn = mounting.rotation_to(options.body_frame, frame)
-    log.converted(f"{what} turned from {frame} to {options.body_frame} by /tf_static; its lever arm is left out")
+    log.add_conversion(f"{what} turned from {frame} to {options.body_frame} by /tf_static; its lever arm is left out")
     return Series(series.t_ns, turn.apply(series.values.copy()))
 
 
@@ -311,5 +311,5 @@ def _read_fixes(messages: Messages, log: Log) -> Series:
     fix = messages.numbers["fix"]
     values[:, :3] = fix[:, :3]
     values[fix[:, 3] < 0, :2] = np.nan
-    log.converted(f"gps from {messages.topic} (sensor_msgs/NavSatFix), stamps of its headers")
+    log.add_conversion(f"gps from {messages.topic} (sensor_msgs/NavSatFix), stamps of its headers")
     return settle_stamps(messages, values, log)

@@ -322,7 +322,9 @@ def settle_stamps(messages: Messages, values: NDArray[np.float64], log: ImportLo
     if n > 1 and unset[0] and unset.sum() == 1 and stamps_ns[1] < 10**9:
         unset[0] = False  # the true start of a simulated clock
     if unset.sum() > n / 2:
-        log.noted(f"{topic}: {int(unset.sum())} of {n} headers without a stamp; the times of receipt are used for all")
+        log.add_note(
+            f"{topic}: {int(unset.sum())} of {n} headers without a stamp; the times of receipt are used for all"
+        )
         return Series(messages.logged_ns, values)
     late_ns = stamps_ns - messages.logged_ns
     usual_ns = int(np.median(late_ns[~unset])) if n else 0
@@ -333,9 +335,9 @@ def settle_stamps(messages: Messages, values: NDArray[np.float64], log: ImportLo
     wild[~unset] = find_wild_stamps(stamps_ns[~unset])
     wild |= unsynced
     if unset.any():
-        log.noted(f"{topic}: {int(unset.sum())} of {n} messages without a stamp dropped")
+        log.add_note(f"{topic}: {int(unset.sum())} of {n} messages without a stamp dropped")
     if wild.any():
-        log.noted(f"{topic}: {int(wild.sum())} of {n} messages with a stamp far from all others dropped")
+        log.add_note(f"{topic}: {int(wild.sum())} of {n} messages with a stamp far from all others dropped")
     keep = ~unset & ~wild
     return Series(stamps_ns[keep], values[keep])
 
@@ -406,16 +408,16 @@ def _join(topic: str, kind: str, pieces: Sequence[Messages]) -> Messages:
     logged_ns = np.concatenate([piece.logged_ns for piece in pieces])
     order = np.argsort(logged_ns, kind="stable")
 
-    def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    def put_in_order(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate(columns)[order]
 
-    numbers = {name: joined([piece.numbers[name] for piece in pieces]) for name in pieces[0].numbers}
+    numbers = {name: put_in_order([piece.numbers[name] for piece in pieces]) for name in pieces[0].numbers}
     return Messages(
         topic,
         kind,
-        stamps_ns=joined([piece.stamps_ns for piece in pieces]),
+        stamps_ns=put_in_order([piece.stamps_ns for piece in pieces]),
         logged_ns=logged_ns[order],
-        frames=joined([piece.frames for piece in pieces]),
-        children=joined([piece.children for piece in pieces]),
+        frames=put_in_order([piece.frames for piece in pieces]),
+        children=put_in_order([piece.children for piece in pieces]),
         numbers=numbers,
     )

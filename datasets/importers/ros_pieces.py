@@ -87,7 +87,7 @@ class _Reader:
         if self._sizes[1:].min() > _MIXED_SHARE * self._sizes[0]:
             raise NotInPiecesError
         for line in self._found.conversions:
-            self._log.converted(line)
+            self._log.add_conversion(line)
         sha256 = digests(self._bag.files, self._source.parent if self._source.is_file() else self._source)
         estimate = self._make_estimate(sha256)
         long = self._found.close(f"ROS bag {self._source.name}", str(self._source), sha256, self._log)

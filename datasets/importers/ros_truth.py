@@ -60,7 +60,7 @@ def read_pose_topic(
     """
     kind = bag.types[topic]
     messages = collect_messages(topic, kind, logs, POSES[kind], TF_LIST if kind in TF else "")
-    log.converted(f"truth from {topic} ({kind.replace('/msg/', '/')}), stamps of its headers")
+    log.add_conversion(f"truth from {topic} ({kind.replace('/msg/', '/')}), stamps of its headers")
     if kind in TF and parent is not None and child is not None and not _is_direct(messages, parent, child):
         series, frames = _compose_chain(messages, _collect_static(bag, topic, logs), parent, child, log), parent
     else:
@@ -71,10 +71,10 @@ def read_pose_topic(
     norm = np.linalg.norm(series.values[:, :4], axis=1)
     known = find_finite_rows(series.values[:, :4]) & (norm > _LEAST_NORM)
     if not known.all():
-        log.noted(f"truth: {int((~known).sum())} samples without an attitude dropped")
+        log.add_note(f"truth: {int((~known).sum())} samples without an attitude dropped")
     if not known.any():
         raise BadSource(f"{bag.source}: {topic} holds no attitude; name another by --truth-topic")
-    log.converted(f"truth x, y, z, w -> w, x, y, z; its local frame {frames} is taken as East-North-Up (REP 103)")
+    log.add_conversion(f"truth x, y, z, w -> w, x, y, z; its local frame {frames} is taken as East-North-Up (REP 103)")
     q_nb = series.values[known, :4] / norm[known, None]
     position_n_m = series.values[known, 4:] if series.values.shape[1] == 7 else None
     return Truth(series.t_ns[known], q_nb, np.ones(len(q_nb), dtype=np.bool_), position_n_m)
@@ -130,18 +130,22 @@ def _compose_chain(moving: Messages, fixed: Messages | None, parent: str, child:
         raise BadParameter(
             f"--truth-parent {parent}: every link to {child} is fixed ({names}), so nothing moves; name another"
         )
-    log.converted(f"truth composed of the chain {names}, at the stamps of {leading.name}")
+    log.add_conversion(f"truth composed of the chain {names}, at the stamps of {leading.name}")
     keep = np.ones(len(leading.t_ns), dtype=np.bool_)
     for link in (one for one in links if not one.is_fixed):
         inside, is_exact = _has_neighbours(link.t_ns, leading.t_ns), np.isin(leading.t_ns, link.t_ns)
         count = int((inside & ~is_exact).sum())
         if count:
-            log.noted(f"truth: {link.name} ({len(link.t_ns)} transforms) interpolated at {count} of {len(keep)} stamps")
+            log.add_note(
+                f"truth: {link.name} ({len(link.t_ns)} transforms) interpolated at {count} of {len(keep)} stamps"
+            )
         keep &= inside
     if not keep.any():
         raise BadSource(f"{moving.topic}: the links of {names} do not overlap in time; name another --truth-parent")
     if not keep.all():
-        log.noted(f"truth: {int((~keep).sum())} of {len(keep)} stamps dropped, at which a link of the chain has a gap")
+        log.add_note(
+            f"truth: {int((~keep).sum())} of {len(keep)} stamps dropped, at which a link of the chain has a gap"
+        )
     t_ns = leading.t_ns[keep]
     turn, position_m = _compose(from_child, t_ns)
     parent_turn, parent_position_m = _compose(from_parent, t_ns)
@@ -207,7 +211,7 @@ def _read_link(messages: Messages, log: Log) -> _Link:
         norm = np.linalg.norm(series.values[:, :4], axis=1)
         known = find_finite_rows(series.values) & (norm > _LEAST_NORM)
         if not known.all():
-            log.noted(f"{parent} <- {child}: {int((~known).sum())} transforms without an attitude dropped")
+            log.add_note(f"{parent} <- {child}: {int((~known).sum())} transforms without an attitude dropped")
         values, t_ns = series.values[known], series.t_ns[known]
     if not len(values) or not np.linalg.norm(values[-1, :4]) > _LEAST_NORM:
         raise BadSource(f"{messages.topic}: {parent} <- {child} holds no attitude; name another --truth-parent")

@@ -56,12 +56,14 @@ def read_sensorlog(file: Path, options: SensorLogOptions) -> Imported:
         user, gravity = (_read(table, *names, _XYZ, "accelerometer", log) for names in (_USER, _GRAVITY))
         if user is not None and gravity is not None and np.array_equal(user.t_ns, gravity.t_ns):
             accel = Series(user.t_ns, user.values + gravity.values)
-            log.converted("accelerometer = motionUserAcceleration + motionGravity")
+            log.add_conversion("accelerometer = motionUserAcceleration + motionGravity")
     if gyro is None or accel is None:
         what = "gyro or motion rotation rate" if gyro is None else "accelerometer, or motion with gravity"
         raise BadSource(f"{file}: has no columns of the {what}; log it with SensorLog; it has {table.listed}")
     accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
-    log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS reads -1 g on the axis that points up)")
+    log.add_conversion(
+        "accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS reads -1 g on the axis that points up)"
+    )
     imu = merge_imu(gyro, accel, str(file), log)
     mag, uncalibrated = _read_mag(table, options, log)
     gps = _read_gps(table, gyro, log)
@@ -86,7 +88,7 @@ def _read(table: Table, time: str, columns: str, axes: str, what: str, log: Log)
     fresh = np.diff(t_ns, prepend=-1) != 0
     if not fresh.any():
         return None
-    log.converted(f"{what} from {names[0]} ..., one sample per stamp ({int(fresh.sum())} of {len(keep)} rows)")
+    log.add_conversion(f"{what} from {names[0]} ..., one sample per stamp ({int(fresh.sum())} of {len(keep)} rows)")
     return sort_by_time(Series(t_ns[fresh], values[fresh]), what, log)
 
 
@@ -96,7 +98,7 @@ def _read_mag(table: Table, options: SensorLogOptions, log: Log) -> tuple[Mag | 
         series = _read(table, *_MAGS[kind], _XYZ, "mag", log)
         if series is not None:
             return make_mag(series, kind == "raw" or options.mag_uncalibrated, log)
-    log.noted("no magnetometer was logged")
+    log.add_note("no magnetometer was logged")
     return None, options.mag_uncalibrated
 
 
@@ -117,5 +119,5 @@ def _read_gps(table: Table, gyro: Series, log: Log) -> Gps | None:
     fresh = (np.diff(t_ns, prepend=-1) != 0) & (t_ns >= 0)
     if not fresh.any():
         return None
-    log.converted("gps: stamps since 1970 -> since reboot by the median of loggingTime")
+    log.add_conversion("gps: stamps since 1970 -> since reboot by the median of loggingTime")
     return make_gps(Series(t_ns[fresh], values[keep][fresh]), log)

@@ -50,7 +50,7 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
     log = Log()
     empty = bundle.find_empty(*_GYRO_FILES, *_ACCEL_FILES, *_MAG_FILES["raw"])
     if empty:
-        log.noted(f"{', '.join(empty)}: empty in the export; the next file of the same sensor is taken")
+        log.add_note(f"{', '.join(empty)}: empty in the export; the next file of the same sensor is taken")
     gyro_file = bundle.find(*_GYRO_FILES)
     if gyro_file is None:
         raise BadSource(
@@ -58,7 +58,7 @@ def read_sensorlogger(source: Path, options: PhoneOptions) -> Imported:
         )
     phone = _read_phone(bundle, options, log)
     gyro = _read_series(bundle, gyro_file, log)
-    log.converted(f"gyro from {gyro_file}, rad/s")
+    log.add_conversion(f"gyro from {gyro_file}, rad/s")
     imu = merge_imu(gyro, _read_force(bundle, phone, log), str(source), log)
     mag, uncalibrated = _read_mag(bundle, options, log)
     gps = _read_gps(bundle, log)
@@ -97,7 +97,7 @@ def _read_phone(bundle: Bundle, options: PhoneOptions, log: Log) -> _Phone:
             "give --platform ios or --platform android"
         )
     if "standardisation" not in metadata and platform == "ios":
-        log.noted(
+        log.add_note(
             "Metadata.csv does not state whether units and frames were standardised; taken as off, the app's default"
         )
     standardised = metadata.get("standardisation", "").strip().lower() == "true"
@@ -118,10 +118,10 @@ def _read_force(bundle: Bundle, phone: _Phone, log: Log) -> Series:
     if raw is not None:
         series = _read_series(bundle, raw, log)
         unit = STANDARD_GRAVITY_MPS2 if phone.inverted else 1.0
-        log.converted(f"accelerometer from {raw}, " + ("g -> m/s^2 (x 9.80665)" if phone.inverted else "m/s^2"))
+        log.add_conversion(f"accelerometer from {raw}, " + ("g -> m/s^2 (x 9.80665)" if phone.inverted else "m/s^2"))
         force = Series(series.t_ns, sign * unit * series.values)
     elif total is not None:
-        log.converted(f"accelerometer from {total}, m/s^2")
+        log.add_conversion(f"accelerometer from {total}, m/s^2")
         series = _read_series(bundle, total, log)
         force = Series(series.t_ns, sign * series.values)
     else:
@@ -129,7 +129,7 @@ def _read_force(bundle: Bundle, phone: _Phone, log: Log) -> Series:
         force = Series(force.t_ns, sign * force.values)
     _check_platform(force, raw is not None, phone, str(bundle.source))
     if phone.inverted:
-        log.converted("accelerometer: all signs flipped (iOS reads -1 g on the axis that points up)")
+        log.add_conversion("accelerometer: all signs flipped (iOS reads -1 g on the axis that points up)")
     return force
 
 
@@ -162,8 +162,8 @@ def _add_gravity(bundle: Bundle, log: Log) -> Series:
             "too few to add them; log the uncalibrated accelerometer"
         )
     if lost:
-        log.noted(f"accelerometer: {lost} samples without gravity at the same stamp dropped")
-    log.converted(f"accelerometer = {motion_file} (without gravity) + {gravity_file}, m/s^2")
+        log.add_note(f"accelerometer: {lost} samples without gravity at the same stamp dropped")
+    log.add_conversion(f"accelerometer = {motion_file} (without gravity) + {gravity_file}, m/s^2")
     return Series(common, motion.values[at_motion] + gravity.values[at_gravity])
 
 
@@ -171,15 +171,15 @@ def _read_mag(bundle: Bundle, options: PhoneOptions, log: Log) -> tuple[Mag | No
     """Return the field, and whether its size has no meaning, as for a raw field with its hard iron."""
     name = bundle.find(*_MAG_FILES[options.mag])
     if name is None:
-        log.noted("no magnetometer was logged")
+        log.add_note("no magnetometer was logged")
         return None, options.mag_uncalibrated
     try:
         series = _read_series(bundle, name, log)
     except BadSource as error:
-        log.noted(f"mag left out: {error}")
+        log.add_note(f"mag left out: {error}")
         return None, options.mag_uncalibrated
     raw = "uncalibrated" in name.lower()
-    log.converted(f"mag from {name}, uT ({'raw, with its hard iron' if raw else 'calibrated by the phone'})")
+    log.add_conversion(f"mag from {name}, uT ({'raw, with its hard iron' if raw else 'calibrated by the phone'})")
     return make_mag(series, raw or options.mag_uncalibrated, log)
 
 
@@ -192,7 +192,7 @@ def _read_attitude(bundle: Bundle, log: Log) -> Series | None:
         table = parse(bundle.texts[name], bundle.where(name), ",")
         series = Series(table.times("time", "ns"), table.floats(("qw", "qx", "qy", "qz")))
     except BadSource as error:
-        log.noted(f"attitude left out: {error}")
+        log.add_note(f"attitude left out: {error}")
         return None
     return sort_by_time(drop_incomplete_rows(series, name, log), name, log)
 

@@ -22,19 +22,19 @@ class Log:
     dropped: dict[str, int] = field(default_factory=dict)  # sensor -> rows without a number, which have a note each
     is_resampled: bool = False  # the accelerometer was brought to other stamps
 
-    def converted(self, line: str) -> None:
+    def add_conversion(self, line: str) -> None:
         """Add a change of unit, sign, frame or clock."""
         self.conversions.append(line)
 
-    def noted(self, line: str) -> None:
+    def add_note(self, line: str) -> None:
         """Add something that was dropped, merged, missing or doubtful."""
         self.notes.append(line)
 
-    def dropped_rows(self, what: str, lost: int, rows: int) -> None:
+    def count_dropped_rows(self, what: str, lost: int, rows: int) -> None:
         """Add how many rows of a table hold no number for a sensor; nothing where each does."""
         if lost:
             self.dropped[what] = lost
-            self.noted(f"{what}: {lost} of {rows} rows without a number dropped")
+            self.add_note(f"{what}: {lost} of {rows} rows without a number dropped")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +70,10 @@ def sort_by_time(series: Series, what: str, log: Log) -> Series:
     if moved:
         order = np.argsort(series.t_ns, kind="stable")
         series = Series(series.t_ns[order], series.values[order])
-        log.noted(f"{what}: {moved} steps back in time; sorted by stamp")
+        log.add_note(f"{what}: {moved} steps back in time; sorted by stamp")
     first = np.diff(series.t_ns, prepend=series.t_ns[:1] - 1) > 0
     if not first.all():
-        log.noted(f"{what}: {int((~first).sum())} samples with the stamp of the one before dropped")
+        log.add_note(f"{what}: {int((~first).sum())} samples with the stamp of the one before dropped")
         series = series.where(first)
     return series
 
@@ -82,7 +82,7 @@ def drop_before_zero(series: Series, what: str, log: Log) -> Series:
     """Drop the samples before the zero of the clock and count them."""
     keep = series.t_ns >= 0
     if not keep.all():
-        log.noted(f"{what}: {int((~keep).sum())} samples before the zero of the clock dropped")
+        log.add_note(f"{what}: {int((~keep).sum())} samples before the zero of the clock dropped")
         series = series.where(keep)
     return series
 
@@ -91,7 +91,7 @@ def drop_incomplete_rows(series: Series, what: str, log: Log) -> Series:
     """Drop the rows that hold NaN or infinity and count them."""
     keep = find_finite_rows(series.values)
     if not keep.all():
-        log.noted(f"{what}: {int((~keep).sum())} of {len(keep)} rows without a number dropped")
+        log.add_note(f"{what}: {int((~keep).sum())} of {len(keep)} rows without a number dropped")
         series = series.where(keep)
     return series
 
@@ -123,10 +123,10 @@ def merge_imu(gyro: Series, accel: Series, where: str, log: Log) -> Imu:
     else:
         force, how = _interpolate(accel, t_ns), "interpolated linearly onto the gyro's stamps"
     log.is_resampled = True
-    log.converted(f"accelerometer ({len(accel.t_ns)} samples on its own stamps) {how}")
+    log.add_conversion(f"accelerometer ({len(accel.t_ns)} samples on its own stamps) {how}")
     lost = int((~keep).sum())
     if lost:
-        log.noted(f"gyro: {lost} samples without accelerometer samples around them dropped")
+        log.add_note(f"gyro: {lost} samples without accelerometer samples around them dropped")
     return Imu(t_ns, gyro.values[keep], force)
 
 
@@ -166,7 +166,7 @@ def fit_even_times(t_s: Floats, what: str, log: Log) -> Floats:
         residual = t_s - (start + slope * number)
         scale = MEDIAN_DEVIATION_TO_SD * float(np.median(np.abs(residual))) + 1e-12
         weight = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-300))
-    log.converted(
+    log.add_conversion(
         f"{what} times of receipt -> straight line at {1 / slope:.3f} Hz "
         f"(residual rms {1e3 * np.sqrt(np.mean(residual**2)):.1f} ms, largest {1e3 * np.abs(residual).max():.1f} ms)"
     )
@@ -182,12 +182,12 @@ def make_gps(series: Series, log: Log) -> Gps:
     lat, lon, alt, course, speed = series.values.T
     outside = (np.abs(lat) > 90) | (np.abs(lon) > 360)
     if outside.any():
-        log.noted(f"gps: {int(outside.sum())} fixes outside +-90, +-360 deg; marked as no fix")
+        log.add_note(f"gps: {int(outside.sum())} fixes outside +-90, +-360 deg; marked as no fix")
     unset = (lat == 0) & (lon == 0)  # receivers without a fix write zeros
     if unset.any():
-        log.noted(f"gps: {int(unset.sum())} fixes at 0, 0 deg; marked as no fix")
+        log.add_note(f"gps: {int(unset.sum())} fixes at 0, 0 deg; marked as no fix")
     valid = np.isfinite(lat) & np.isfinite(lon) & ~outside & ~unset
     course_rad = np.where(course >= 0, np.deg2rad(np.maximum(course, 0.0)), np.nan)
     speed_mps = np.where(speed >= 0, speed, np.nan)
-    log.converted("gps course deg -> rad, clockwise from true north")
+    log.add_conversion("gps course deg -> rad, clockwise from true north")
     return Gps(series.t_ns, lat, lon, alt, course_rad, speed_mps, valid)

@@ -135,7 +135,7 @@ def _read_columns(
     if text is None:
         raise BadParameter(f"{table.where}: name the {count} columns: {flag} A,B:UNIT; the file has {table.listed}")
     columns = parse_columns(text, flag, units, count)
-    log.converted(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
+    log.add_conversion(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
     return columns.values(table)
 
 
@@ -145,12 +145,12 @@ def _keep_samples(table: Table, clock: Clock, values: Floats, options: SpinOptio
     if not some.any():
         raise BadSource(f"{table.where}: no row has a number of any accelerometer; check the columns of --accels")
     if not some.all():
-        log.noted(f"spin: {int((~some).sum())} of {len(some)} rows without a number dropped")
+        log.add_note(f"spin: {int((~some).sum())} of {len(some)} rows without a number dropped")
     keep = some & clock.known
     series = Series(clock.t_ns[keep], values[keep])
     lost = int((~np.isfinite(series.values)).any(axis=1).sum())
     if lost:
-        log.noted(f"spin: {lost} rows lack some sensors; kept as NaN")
+        log.add_note(f"spin: {lost} rows lack some sensors; kept as NaN")
     lines = [table.lines[k] for k in np.flatnonzero(keep).tolist()]
     return order_series(series, lines, clock, table.where, "spin", options, log)
 
@@ -165,7 +165,7 @@ def _read_encoder_column(
     flag, target = f"--{what.replace('_', '-')}", "rad" if units is ANGLE else "rad/s"
     columns: Columns = parse_columns(text or usual, flag, units, 1)
     series = read_sensor(table, clock, columns, what, flag, options, log)
-    log.converted(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
+    log.add_conversion(f"{flag.removeprefix('--')} {columns.written} {columns.unit.written} -> {target}")
     return series
 
 
@@ -174,7 +174,7 @@ def _make_encoder(angle: Series | None, rate: Series | None, log: Log, where: st
     if angle is not None:
         turned = np.unwrap(angle.values[:, 0])
         if not np.array_equal(turned, angle.values[:, 0]):
-            log.converted(f"encoder angle unwrapped over {np.ptp(turned) / (2 * np.pi):.1f} turns")
+            log.add_conversion(f"encoder angle unwrapped over {np.ptp(turned) / (2 * np.pi):.1f} turns")
         angle = Series(angle.t_ns, turned[:, None])
     if angle is not None and rate is not None:
         t_ns, at, by = np.intersect1d(angle.t_ns, rate.t_ns, return_indices=True)
@@ -182,12 +182,12 @@ def _make_encoder(angle: Series | None, rate: Series | None, log: Log, where: st
     if angle is not None:
         if len(angle.t_ns) < 2:
             raise BadSource(f"{where}: one angle of the encoder gives no rate; check its column")
-        log.converted("encoder rate: difference of the angle over the step that ends at the stamp")
+        log.add_conversion("encoder rate: difference of the angle over the step that ends at the stamp")
         steps = np.diff(angle.values[:, 0]) / (np.diff(angle.t_ns) / 1e9)
         return Encoder(angle.t_ns, angle.values[:, 0], np.concatenate([steps[:1], steps]))
     if rate is None:
         return None
-    log.converted("encoder angle: integral of the rate from 0 (trapezoidal rule)")
+    log.add_conversion("encoder angle: integral of the rate from 0 (trapezoidal rule)")
     speed = rate.values[:, 0]
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(rate.t_ns) / 1e9)])
     return Encoder(rate.t_ns, turned, speed)

@@ -230,7 +230,7 @@ def _read_csv(table: Table, file: Path, options: _PoseOptions, log: Log) -> Trut
     q_nb = parse_quaternion(quaternions, "quaternion").values(table)
     keep = clock.known & find_finite_rows(q_nb)
     if not keep.all():
-        log.noted(f"{file.name}: {int((~keep).sum())} of {len(keep)} rows without an attitude")
+        log.add_note(f"{file.name}: {int((~keep).sum())} of {len(keep)} rows without an attitude")
     if not keep.any():
         raise BadSource(f"{file}: no row has a time and a quaternion in {quaternions}; check the columns")
     return _make_poses(clock.t_ns[keep], q_nb[keep], None, table.select(keep), log, f"{quaternions} are w, x, y, z")

@@ -85,17 +85,19 @@ def read_tyrex(folder: Path, options: TyrexOptions) -> Imported:
     ios = (folder / "description.txt").is_file()
     boot_s = _read_boot_time(folder / "description.txt") if ios else 0.0
     if boot_s:
-        log.converted(f"all phone times minus BootTime {boot_s:.4f} s")
+        log.add_conversion(f"all phone times minus BootTime {boot_s:.4f} s")
     gyro = _read_series(folder, "gyroscope.txt", boot_s, "gyro", log)
     accel = _read_series(folder, "accelerometer.txt", boot_s, "accelerometer", log)
     if ios:
         accel = Series(accel.t_ns, -STANDARD_GRAVITY_MPS2 * accel.values)
-        log.converted("accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS: -1 g on the axis that points up)")
+        log.add_conversion(
+            "accelerometer g -> m/s^2 (x 9.80665), all signs flipped (iOS: -1 g on the axis that points up)"
+        )
     imu = merge_imu(gyro, accel, str(folder), log)
     mag_file = _MAG_FILES[options.mag]
     mag = _read_series(folder, mag_file, boot_s, "mag", log)
     raw = options.mag == "raw"
-    log.converted(
+    log.add_conversion(
         f"mag: {'the raw field with its hard iron' if raw else 'the field calibrated by the phone'} ({mag_file})"
     )
     device = _read_device(folder, ios, boot_s, log)
@@ -161,7 +163,7 @@ def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]
     """
     path = folder.parent.parent / "qualisys" / f"{folder.name}.mat"
     if not path.is_file():
-        log.noted(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
+        log.add_note(f"no truth: there is no qualisys/{path.name} beside the phone's folder")
         return None, None, ""
     with reading(path, "a Qualisys export"):
         motion = next(iter(load_mat(path).values()))
@@ -183,20 +185,22 @@ def _read_truth(folder: Path, log: Log) -> tuple[Truth | None, Path | None, str]
         raise BadSource(f"{path}: positions or residuals are not one per frame; download it again")
     seen = np.isfinite(columns).all(axis=0) & np.isfinite(residual)
     seen[seen] = np.linalg.det(columns.T[seen].reshape(-1, 3, 3)) > 0.5  # a frame without body may hold zeros
-    log.noted(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
+    log.add_note(f"truth: {int((~seen).sum())} of {len(seen)} frames have no body (gaps)")
     scored = np.ones(len(seen), dtype=np.bool_)
     for start, end in _EXCLUDED_S.get(folder.name, ()):
         scored &= (frame_s < start) | (frame_s > end)
     if not scored.all():
-        log.noted(f"truth: {int((~scored & seen).sum())} frames are not scored: the dataset's authors leave them out")
+        log.add_note(
+            f"truth: {int((~scored & seen).sum())} frames are not scored: the dataset's authors leave them out"
+        )
     t_ns = seconds_to_ns(frame_s - late_s)
     early = t_ns < 0
     if early.any():
-        log.noted(f"truth: {int(early.sum())} frames before the zero of the phone's clock dropped")
+        log.add_note(f"truth: {int(early.sum())} frames before the zero of the phone's clock dropped")
     keep = seen & ~early
     rotations = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)[keep]  # stored column by column
-    log.converted(f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); given on a 10 ms grid")
-    log.converted("truth rotation matrix (body -> East-North-Up) -> quaternion; positions mm -> m")
+    log.add_conversion(f"truth time = frame / {rate_hz:g} Hz - timeAlignment ({late_s:g} s); given on a 10 ms grid")
+    log.add_conversion("truth rotation matrix (body -> East-North-Up) -> quaternion; positions mm -> m")
     q_nb = quaternion(Rotation.from_matrix(rotations))
     truth = Truth(t_ns[keep], q_nb, scored[keep], position_n_m[keep])
     return truth, path, recorded

@@ -57,7 +57,7 @@ def read_ulog(file: Path, options: OwnOptions) -> Imported:
             ulog = ULog(str(file), list(_TOPICS))
         data = {one.name: one.data for one in ulog.data_list if one.multi_id == 0}
         if ulog.file_corruption:
-            log.noted("the log is damaged; what could be read was read")
+            log.add_note("the log is damaged; what could be read was read")
         imu = _read_imu(file, data, log)
         mag, uncalibrated = _read_mag(data, options, log)
         gps, date = _read_gps(data, log)
@@ -89,8 +89,8 @@ def _read_imu(file: Path, data: dict[str, Any], log: Log) -> Any:
     given = relative_us != _NOT_VALID
     accel = Series(accel.t_ns + relative_us.astype(np.int64) * 1000, accel.values).where(given)
     if not given.all():
-        log.noted(f"accelerometer: {int((~given).sum())} samples marked as not valid dropped")
-    log.converted("gyro and accelerometer from sensor_combined, rad/s and m/s^2; body forward-right-down")
+        log.add_note(f"accelerometer: {int((~given).sum())} samples marked as not valid dropped")
+    log.add_conversion("gyro and accelerometer from sensor_combined, rad/s and m/s^2; body forward-right-down")
     gyro = sort_by_time(drop_incomplete_rows(gyro, "gyro", log), "gyro", log)
     accel = sort_by_time(drop_incomplete_rows(accel, "accelerometer", log), "accelerometer", log)
     return merge_imu(gyro, accel, str(file), log)
@@ -99,9 +99,9 @@ def _read_imu(file: Path, data: dict[str, Any], log: Log) -> Any:
 def _read_mag(data: dict[str, Any], options: OwnOptions, log: Log) -> tuple[Mag | None, bool]:
     series = _read_vectors(data, "vehicle_magnetometer", "magnetometer_ga", 3)
     if series is None:
-        log.noted("no magnetometer: there is no topic vehicle_magnetometer")
+        log.add_note("no magnetometer: there is no topic vehicle_magnetometer")
         return None, options.mag_uncalibrated
-    log.converted("mag gauss -> uT (x 100)")
+    log.add_conversion("mag gauss -> uT (x 100)")
     series = sort_by_time(drop_incomplete_rows(series, "mag", log), "mag", log)
     return make_mag(Series(series.t_ns, FIELD["gauss"] * series.values), options.mag_uncalibrated, log)
 
@@ -117,7 +117,7 @@ def _read_gps(data: dict[str, Any], log: Log) -> tuple[Gps | None, str]:
         place = [fixes["lat"] * 1e-7, fixes["lon"] * 1e-7, fixes["alt"] * 1e-3]
     values: Floats = np.column_stack([*place, np.rad2deg(fixes["cog_rad"]) % 360, fixes["vel_m_s"]]).astype(np.float64)
     values[np.asarray(fixes["fix_type"]) < 2, :2] = np.nan
-    log.converted("gps altitude above mean sea level")
+    log.add_conversion("gps altitude above mean sea level")
     utc_us = np.asarray(fixes.get("time_utc_usec", np.zeros(1)), np.float64)
     known = utc_us[utc_us > 1e15]
     date = datetime.fromtimestamp(float(known[0]) / 1e6, UTC).date().isoformat() if len(known) else ""
@@ -132,6 +132,6 @@ def _read_truth(data: dict[str, Any], log: Log) -> Truth | None:
     series = sort_by_time(series.where(find_finite_rows(series.values) & (norm > 0.5)), "truth", log)
     if len(series.t_ns) == 0:
         return None
-    log.converted("truth from vehicle_attitude_groundtruth, body -> North-East-Down -> East-North-Up")
+    log.add_conversion("truth from vehicle_attitude_groundtruth, body -> North-East-Down -> East-North-Up")
     q_nb = quaternion(local_from_enu("ned").inv() * rotation(series.values))
     return Truth(series.t_ns, q_nb, np.ones(len(q_nb), dtype=np.bool_))

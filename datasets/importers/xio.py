@@ -70,7 +70,7 @@ def read_ximu3(folder: Path, options: OwnOptions) -> Imported:
 def _read_folder(folder: Path, device: _Device, options: OwnOptions) -> Imported:
     log = Log()
     table = read_table(folder / device.imu, ",", log)
-    log.converted(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
+    log.add_conversion(f"gyro deg/s -> rad/s; accelerometer g -> m/s^2 (x 9.80665), from {device.imu}")
     columns = [
         f"{what} {axis} ({unit})" for what, unit in (("Gyroscope", "deg/s"), ("Accelerometer", "g")) for axis in _XYZ
     ]
@@ -108,13 +108,13 @@ def _read_mag(
 ) -> tuple[Mag | None, bool]:
     name, column, unit = device.mag
     if not (folder / name).is_file():
-        log.noted(f"no magnetometer: there is no {name}")
+        log.add_note(f"no magnetometer: there is no {name}")
         return None, options.mag_uncalibrated
     try:
         table = read_table(folder / name, ",", Log())
         series = _read_columns(table, device, tuple(column.format(axis) for axis in _XYZ), "mag", log)
     except BadSource as error:
-        log.noted(f"mag left out: {error}")
+        log.add_note(f"mag left out: {error}")
         return None, options.mag_uncalibrated
     files.append(folder / name)
     if unit:
@@ -127,5 +127,5 @@ def scale_arbitrary_field(series: Series, log: Log) -> tuple[Mag | None, bool]:
     size = float(np.median(np.linalg.norm(series.values, axis=1))) if len(series.t_ns) else 0.0
     if not np.isfinite(size) or size == 0:
         return make_mag(Series(series.t_ns, 0 * series.values), True, log)
-    log.noted(f"mag: in arbitrary units, scaled to a median of {_ARBITRARY_UT:g} uT; only its direction counts")
+    log.add_note(f"mag: in arbitrary units, scaled to a median of {_ARBITRARY_UT:g} uT; only its direction counts")
     return make_mag(Series(series.t_ns, _ARBITRARY_UT / size * series.values), True, log)

@@ -25,8 +25,8 @@ from stillpoint.datasets.mcap.scan import (
     DamagedError,
     Scan,
     iterate_records,
-    listed_offsets,
     parse_record,
+    read_offsets,
     unpack_chunk,
 )
 
@@ -115,7 +115,7 @@ class IndexedScan(Scan):
     def blocks(self) -> Iterator[Block]:
         """Yield the messages of the chunks that are needed; raises :class:`BadFile`."""
         try:
-            yield from self.read_chunks(self._wanted(self.read_summary()))
+            yield from self.read_chunks(self._select_chunks(self.read_summary()))
         except DamagedError as error:
             raise BadFile(f"{self.path}: is damaged: {error}; restore it from a copy") from None
 
@@ -158,7 +158,7 @@ class IndexedScan(Scan):
             raise DamagedError("its summary lists no chunk")
         return chunks
 
-    def _wanted(self, chunks: list[ChunkIndex]) -> list[ChunkIndex]:
+    def _select_chunks(self, chunks: list[ChunkIndex]) -> list[ChunkIndex]:
         numbers = {
             number for number, channel in self.channels.items() if self._topics is None or channel.topic in self._topics
         }
@@ -200,7 +200,7 @@ def _unpack(data: bytes, index: ChunkIndex) -> tuple[bytes, list[NDArray[np.int6
         if opcode == Opcode.CHUNK:
             unpacked = unpack_chunk(parse_record(Chunk, body))
         elif opcode == Opcode.MESSAGE_INDEX:
-            listed.append(listed_offsets(body))
+            listed.append(read_offsets(body))
     if len(unpacked) != index.uncompressed_size:
         raise DamagedError("a chunk has another size than its index says")
     return unpacked, listed

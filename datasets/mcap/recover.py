@@ -83,7 +83,7 @@ def recover_file(source: Path, target: Path) -> Recovered:
     if found.data_checksum_differs and not found.lost:
         found.lost.append("the checksum over all data differs and every chunk is right: check the facts in the result")
     kind, facts = _read_facts(found)
-    expected = _expected_counts(found, facts)
+    expected = _read_expected_counts(found, facts)
     blocks = _drop_unpaired(blocks, found, kind)
     kept = _count(blocks, found)
     for topic, count in expected.items():
@@ -266,7 +266,7 @@ def _read_facts(found: _Found) -> tuple[str, dict[str, Any] | None]:
     return record.get("kind", ""), facts
 
 
-def _expected_counts(found: _Found, facts: Mapping[str, Any] | None) -> dict[str, int]:
+def _read_expected_counts(found: _Found, facts: Mapping[str, Any] | None) -> dict[str, int]:
     if facts is not None:
         return {str(topic): int(count) for topic, count in facts["samples"].items()}
     counts: dict[str, int] = {}

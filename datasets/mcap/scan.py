@@ -119,7 +119,7 @@ class Scan:
                 elif opcode == Opcode.CHUNK:
                     chunk = unpack_chunk(parse_record(Chunk, body))
                 elif opcode == Opcode.MESSAGE_INDEX:
-                    listed.append(listed_offsets(body))
+                    listed.append(read_offsets(body))
                 else:
                     self.take_fact(opcode, body)
         except DamagedError as error:
@@ -303,7 +303,7 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
     return data
 
 
-def listed_offsets(body: bytes) -> NDArray[np.int64]:
+def read_offsets(body: bytes) -> NDArray[np.int64]:
     """Return the offsets of a message index."""
     usable = (len(body) - 6) // INDEX_ENTRY.itemsize * INDEX_ENTRY.itemsize
     if usable <= 0:

@@ -147,7 +147,7 @@ class _Body:
         elif isinstance(node, ast.If):
             self.add_if(node)
         elif isinstance(node, ast.While):
-            self.emit(f"while ({self.bare(node.test)}) {{")
+            self.emit(f"while ({self.strip_parentheses(node.test)}) {{")
             self.add_block(node.body)
             self.emit("}")
         elif isinstance(node, ast.For):
@@ -180,11 +180,11 @@ class _Body:
 
     def add_if(self, node: ast.If) -> None:
         """Translate a branch."""
-        self.emit(f"if ({self.bare(node.test)}) {{")
+        self.emit(f"if ({self.strip_parentheses(node.test)}) {{")
         self.add_block(node.body)
         rest = node.orelse
         while len(rest) == 1 and isinstance(rest[0], ast.If):
-            self.emit(f"}} else if ({self.bare(rest[0].test)}) {{")
+            self.emit(f"}} else if ({self.strip_parentheses(rest[0].test)}) {{")
             self.add_block(rest[0].body)
             rest = rest[0].orelse
         if rest:
@@ -301,7 +301,7 @@ class _Body:
 
     # Expressions
 
-    def bare(self, node: ast.expr) -> str:
+    def strip_parentheses(self, node: ast.expr) -> str:
         """Return an expression without the parentheses around it."""
         return _strip_parentheses(self.value(node)[0])
 
@@ -474,10 +474,10 @@ class _Body:
             else:
                 values.append(self.value(argument))
         kept = [(name, *value) for name, value in zip(made._fields, values, strict=True) if value[1] != NOTHING]
-        kind = self.known_struct(made, Struct(made, tuple(k[0] for k in kept), tuple(k[2] for k in kept)))
+        kind = self.find_equal_struct(made, Struct(made, tuple(k[0] for k in kept), tuple(k[2] for k in kept)))
         return f"({self.types.name(kind)}){{{', '.join(_strip_parentheses(k[1]) for k in kept)}}}", kind
 
-    def known_struct(self, made: type, kind: Struct) -> Struct:
+    def find_equal_struct(self, made: type, kind: Struct) -> Struct:
         """Return the type that this named tuple already has where only numbers differ, int for real."""
         for known in self.types.names:
             if isinstance(known, Struct) and known.of is made and known.names == kind.names:

@@ -154,7 +154,7 @@ def _check_vector(v: Vector, last: Vector, limit: float, largest: float) -> Read
 
 
 @compiled_inside
-def _hidden_by_clipping(rate: float, limit: float) -> float:
+def _bound_clipped_part(rate: float, limit: float) -> float:
     """Return what a component at the end of its range may hide: as much again."""
     return limit if abs(rate) >= limit else 0.0
 
@@ -184,7 +184,7 @@ def _choose_rate(gyro: Gyro, reading: Reading, t_ns: int, limit: float) -> tuple
     n_saturated += 1 if reading.is_saturated else 0
     if reading.is_usable:
         x, y, z = reading.vector
-        hidden = _hidden_by_clipping(x, limit), _hidden_by_clipping(y, limit), _hidden_by_clipping(z, limit)
+        hidden = _bound_clipped_part(x, limit), _bound_clipped_part(y, limit), _bound_clipped_part(z, limit)
         return Gyro(reading.vector, t_ns, n_bad, n_saturated, n_same), reading.vector, hidden
     unseen = _UNSEEN_RADPS
     rate, hidden = (0.0, 0.0, 0.0), (unseen, unseen, unseen)

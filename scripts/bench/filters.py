@@ -101,7 +101,7 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
     columns = (imu.t_ns, imu.gyro_b_radps, imu.accel_b_mps2, mag.mag_b_ut)
     rows = list(zip(*(column[:STREAMED].tolist() for column in columns), strict=True))
 
-    def fed() -> float:
+    def time_calls() -> float:
         stream = Stream(name)
         update = stream.update
         update(*rows[0])
@@ -112,7 +112,7 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
 
         return time_call(calls)
 
-    return fed
+    return time_calls
 
 
 def _time_ahrs(recording: Recording, kind: str) -> Callable[[], float]:

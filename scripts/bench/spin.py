@@ -73,7 +73,7 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
     assert spin is not None
     rows = list(zip(spin.t_ns[:_STREAMED].tolist(), spin.accel_mps2[:_STREAMED].tolist(), strict=True))
 
-    def fed() -> float:
+    def time_calls() -> float:
         update = SpinStream(name, spin.geometry).update
 
         def calls() -> None:
@@ -82,4 +82,4 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
 
         return time_call(calls)
 
-    return fed
+    return time_calls

@@ -29,7 +29,7 @@ def require_distinct(targets: Iterable[Path]) -> None:
         raise BadParameter(f"{twice[0].name}: two recordings have this name; write them to different folders")
 
 
-def made_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
+def make_row(named: Mapping[str, str], target: Path, outcome: Outcome[dict[str, Any]]) -> dict[str, Any]:
     """Return the row of one file: what it was made of, where it is, and its facts or the reason why there is none."""
     if outcome.value is None:
         return {**named, "file": None, "error": outcome.error, "defect": outcome.defect}

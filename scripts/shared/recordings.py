@@ -32,9 +32,9 @@ def find_rests_at_default(recording: Recording) -> Times:
     Rests while satellites see the body under way are left out: an even course looks like rest to an IMU.
     """
     from stillpoint.smoother import find_rests
-    from stillpoint.smoother.attitude.outside.satellite import not_under_way
+    from stillpoint.smoother.attitude.outside.satellite import drop_rests_under_way
 
-    return not_under_way(find_rests(recording.require_imu()), recording.gps)
+    return drop_rests_under_way(find_rests(recording.require_imu()), recording.gps)
 
 
 def list_references(source: Path, folders: Sequence[Path]) -> list[Path]:

@@ -106,7 +106,7 @@ def doctor(
     targets = {} if out is None else _targets(sources, output_dir(out))
     work = [_Job(source, where, when, targets.get(source), skip) for source in sources]
     console = Console(highlight=False, markup=False, soft_wrap=True, stderr=json == STDOUT)
-    shown = _shown_severities(errors, single=len(sources) == 1)
+    shown = _choose_severities(errors, single=len(sources) == 1)
     outcomes = run_kept(_examine_file, work, _decide, workers, keeping, "doctor", _Examined)
     made: list[Diagnosis] = []
     for job, outcome in zip(work, outcomes, strict=True):
@@ -135,7 +135,7 @@ def doctor(
     return failed
 
 
-def _shown_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
+def _choose_severities(errors: bool, single: bool) -> tuple[Severity, ...]:
     if errors:
         return ("error",)
     return SEVERITIES if single else ("error", "warning")

@@ -18,7 +18,7 @@ from stillpoint.filters.precision import Precision
 from stillpoint.filters.run import start_run
 from stillpoint.filters.table import ROLLS, Peer, find_estimator
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.batch import made_row, report_made, require_distinct
+from stillpoint.scripts.shared.batch import make_row, report_made, require_distinct
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
@@ -89,7 +89,7 @@ def estimate(
     work = _jobs(runs, None if out is None else inputs.output_dir(out), calibration)
     outcomes = run_kept(_make, work, _decide, workers, keeping, "estimate", dict)
     rows = [
-        made_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
+        make_row({"recording": job.source.stem, "estimator": job.run.estimator}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     return report_made("estimates", _COLUMNS, rows, _cells, json, columns)

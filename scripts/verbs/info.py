@@ -185,10 +185,10 @@ class _Recording:
         sensors = [clock for name, clock in clocks.items() if name not in TRUTHS]
         rests: list[dict[str, float]] = []
         if "imu" in clocks:
-            from stillpoint.smoother.attitude.outside.satellite import not_under_way
+            from stillpoint.smoother.attitude.outside.satellite import drop_rests_under_way
 
             gps = join_streams(self._fixes) if self._fixes else None
-            rests = _list_spans(not_under_way(self._rests.rests_ns(), gps), clocks["imu"].first_ns)
+            rests = _list_spans(drop_rests_under_way(self._rests.rests_ns(), gps), clocks["imu"].first_ns)
         geometry = self._geometry
         return {
             "name": head.name,

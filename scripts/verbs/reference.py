@@ -17,7 +17,7 @@ from stillpoint.datasets.mcap.store import sha256, write_trajectory_pieces
 from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.datasets.trajectory import Calibration, total_sd_rad
 from stillpoint.scripts.shared import inputs
-from stillpoint.scripts.shared.batch import assignments, made_row, report_made, require_distinct
+from stillpoint.scripts.shared.batch import assignments, make_row, report_made, require_distinct
 from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, OutBeside, SetFlag, Workers, split_names
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line
@@ -148,7 +148,7 @@ def reference(
         if outcome.error is None:
             remove_windows(job.target)  # of a run that was killed when the file was there
     rows = [
-        made_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
+        make_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
     if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):

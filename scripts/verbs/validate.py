@@ -226,7 +226,7 @@ def _fidelity_cells(judge: JudgeFidelity) -> list[str]:
 
 
 def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, wanted: str | None) -> None:
-    scored = [_figures(asdict(row)) + _found(row) for row in rows]
+    scored = [_figures(asdict(row)) + _format_found(row) for row in rows]
     named = [[row.recording, row.method, *cells] for row, cells in zip(rows, scored, strict=True)]
     below = [
         [f"{row['statistic']} of {row['scored']} of {row['of']}", row["method"], *_figures(row), "", "", ""]
@@ -242,7 +242,7 @@ def _figures(row: dict[str, Any]) -> list[str]:
     return ["-" if row[name] is None else f"{row[name]:.2f}" for name in FIGURES]
 
 
-def _found(row: ValidationRow) -> list[str]:
+def _format_found(row: ValidationRow) -> list[str]:
     found = row.found
     if found.heading_deg is None or found.mounting_deg is None or found.time_s is None:
         return ["-"] * 3

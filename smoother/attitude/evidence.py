@@ -17,12 +17,12 @@ from stillpoint.smoother.attitude.outside.satellite import (
     Fixes,
     align_headings,
     bias_by_satellites,
-    not_under_way,
+    drop_rests_under_way,
     path_of_fixes,
     select_fixes,
     start_at_standstill,
 )
-from stillpoint.smoother.attitude.outside.vehicle import calm_bias, not_in_curves, vehicle_generators
+from stillpoint.smoother.attitude.outside.vehicle import calm_bias, drop_rests_in_curves, vehicle_generators
 from stillpoint.smoother.attitude.params import GraphParams, allows_vehicle
 from stillpoint.smoother.attitude.returns import Votes
 from stillpoint.smoother.attitude.samples.slow_log import RESTORED_SHARE
@@ -136,9 +136,9 @@ def gather_evidence(recording: Recording, params: GraphParams, generators: Seque
     imu = recording.require_imu()
     seconds = (imu.t_ns[-1] - imu.t_ns[0]) / 1e9
     found_ns = find_rests(imu, params.rest)
-    rests_ns = not_under_way(found_ns, recording.gps)
+    rests_ns = drop_rests_under_way(found_ns, recording.gps)
     if recording.gps is None and allows_vehicle(params):
-        rests_ns = not_in_curves(rests_ns, imu, params.rest.bias_change_radps)
+        rests_ns = drop_rests_in_curves(rests_ns, imu, params.rest.bias_change_radps)
     least_s = _SHORTEST_S if len(rests_ns) else _SHORTEST_MOTION_S
     if seconds < least_s:
         raise Unobservable(

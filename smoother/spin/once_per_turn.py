@@ -85,7 +85,7 @@ class Windows:
         best = int(np.argmax(clear))
         return np.unwrap(np.angle(channels[best][0])), clear[best]
 
-    def turned(self, phase_rad: Floats) -> tuple[complex, complex, float, float]:
+    def remove_phase(self, phase_rad: Floats) -> tuple[complex, complex, float, float]:
         """Return the means of L_s and L_a with the phases (W,) removed, and their variances."""
         back = np.exp(-1j * phase_rad)
         by_squared, by_accel = 1 / self.squared_var, 1 / self.accel_var
@@ -103,7 +103,7 @@ def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | 
     phase, clear = windows.phase()
     if clear < params.significance:
         return None
-    squared, accel, squared_var, accel_var = windows.turned(phase)
+    squared, accel, squared_var, accel_var = windows.remove_phase(phase)
     free = windows.squared + 2j * windows.accel
     significance = _measure_excess(np.abs(free) ** 2 / (windows.squared_var + 4 * windows.accel_var))
     k_s, k_a = _gravity_sensitivity(samples.squared_gravity), _gravity_sensitivity(samples.accel_gravity)
@@ -112,7 +112,7 @@ def find_line(chain: Chain, state: SpinState, params: HarmonicParams) -> Line | 
     gravity, rate = 0j, float(np.median(interpolate_rates(chain, state)))
     if verdict == "gravity":
         phase = np.unwrap(np.angle(free / (k_s + 2j * k_a)))
-        squared, accel, _, _ = windows.turned(phase)
+        squared, accel, _, _ = windows.remove_phase(phase)
         gravity = (squared + 2j * accel) / (k_s + 2j * k_a)
     return Line(
         verdict=verdict,
@@ -135,7 +135,7 @@ def follow_line(chain: Chain, state: SpinState, line: Line, params: HarmonicPara
     if windows is None:
         return line
     phase, _ = windows.phase()
-    squared, accel, _, _ = windows.turned(phase)
+    squared, accel, _, _ = windows.remove_phase(phase)
     phase = np.interp(_elapsed_s(chain.samples), windows.middle_s, phase)
     return replace(line, squared=squared, accel=accel, phase_rad=phase)
 

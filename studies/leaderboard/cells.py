@@ -120,13 +120,13 @@ def score_cells(
 ) -> ScoredRuns:
     """Score all cells, each recording against its judge, on the samples that its estimates share."""
     jobs = _plan_scores(cells, judges, align, store)
-    missing = [job for job in jobs if job.scored() is None]
+    missing = [job for job in jobs if job.read_outcomes() is None]
     outcomes = run_jobs(score_recording, missing, "scores") if missing else []
     errors = {job.key: outcome.error for job, outcome in zip(missing, outcomes, strict=True)}
     scored: dict[tuple[str, str], Scored] = {}
     for job in jobs:
         error = errors.get(job.key) or "the scores are missing"
-        found = job.scored() or [Scored(entry.label, None, error) for entry in job.entries]
+        found = job.read_outcomes() or [Scored(entry.label, None, error) for entry in job.entries]
         scored |= {(job.source.recording, one.label): one for one in found}
     return _collect(cells, judges, scored, store)
 

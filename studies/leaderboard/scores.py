@@ -51,7 +51,7 @@ class ScoreJob:
     def __str__(self) -> str:
         return f"scores of {self.source.recording} against {self.judge.name}"
 
-    def scored(self) -> "list[Scored] | None":
+    def read_outcomes(self) -> "list[Scored] | None":
         """Return the outcome of each entry; None when the job has not been run."""
         facts = self.store.facts(self.key)
         return None if facts is None else [Scored(*each) for each in facts["scored"]]

@@ -97,7 +97,7 @@ def show(identity: str, /, *, archive: ArchiveDir = None, json: JsonFile = None)
 
 def _scores_of(archive: Archive, entry: Entry) -> list[dict[str, Any]]:
     """Rows of score tables and leaderboards that are about this object, or about an estimate of this recording."""
-    derived = json_text.dumps([one.sha256 for one in archive.derived(entry.sha256)] + [entry.sha256])
+    derived = json_text.dumps([one.sha256 for one in archive.find_derived(entry.sha256)] + [entry.sha256])
     rows = archive.catalogue.select(
         "SELECT s.* FROM scores s WHERE s.sha256 IN (SELECT value FROM json_each(?)) "
         "AND (s.sha256 = ? OR s.recording = ?) ORDER BY s.recording, s.estimator, s.against",

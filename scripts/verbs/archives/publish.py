@@ -124,7 +124,7 @@ def import_(
         Also write what became of each file as JSON to this file; - is the standard output.
     """
     with open_named(archive) as opened, open_bundle(bundle, max_bytes) as contents:
-        added = list(opened.add_given(contents.given()))
+        added = list(opened.add_given(contents.read_objects()))
     refused = [one for one in added if one.status == "refused"]
     for one in refused:
         print_line(f"stillpoint: {one.reason}", file=sys.stderr)

@@ -59,7 +59,7 @@ class Fixes:
         return replace(self, **{name: getattr(self, name)[there] for name in columns})
 
 
-def not_under_way(rests_ns: Times, gps: Gps | None) -> Times:
+def drop_rests_under_way(rests_ns: Times, gps: Gps | None) -> Times:
     """Return the rests (R, 2) without those of a body under way: sailing evenly looks like resting to an IMU.
 
     A rest is dropped when the satellites saw the body move by every fix within it, or, where there is none, by the last

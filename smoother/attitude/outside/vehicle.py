@@ -90,7 +90,7 @@ def calm_bias(t_s: Floats, gyro_b_radps: Floats) -> Floats | None:
     return np.asarray(np.median(mean[calmest], axis=0))
 
 
-def not_in_curves(rests_ns: Times, imu: Imu, change_radps: float) -> Times:
+def drop_rests_in_curves(rests_ns: Times, imu: Imu, change_radps: float) -> Times:
     """Return the rests (R, 2) of a vehicle without satellites, without the curves that it drove evenly.
 
     For seconds such a curve looks like a rest. Its mean rate differs from :func:`calm_bias` by more than

@@ -103,7 +103,7 @@ def phone_page(
         rows=make_method_rows(scenario, trials),
         judges=make_judge_rows(trials),
         drifts=[(hand, *(f"{x:.1f}" for x in compute_rms_drift_deg(some))) for hand, some in trials.items()],
-        found={hand: _found(some) for hand, some in trials.items()},
+        found={hand: _quote_figures(some) for hand, some in trials.items()},
         recorded=RECORDED in trials,
         has_benchmark=all(_find_judge(some) == "benchmark" for some in trials.values()),
         has_truth=all(_has_truth(some) for some in trials.values()),
@@ -200,7 +200,7 @@ def _facts(first: Sequence[Trial]) -> dict[str, str]:
     }
 
 
-def _found(trials: Sequence[Trial]) -> dict[str, str]:
+def _quote_figures(trials: Sequence[Trial]) -> dict[str, str]:
     """Return the figures that the text of the page quotes."""
     quoted = {
         f"{name}_{part}": (method, judge, f"{part}_rmse_deg")

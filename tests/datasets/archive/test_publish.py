@@ -90,11 +90,11 @@ def test_ro_crate_is_read_back_by_its_package(archive, tmp_path):
 def test_a_bundle_comes_back_with_the_same_hashes_tags_and_provenance(archive, bundle, tmp_path):
     with create_archive(tmp_path / "other") as other:
         with open_bundle(bundle) as contents:
-            assert [one.status for one in other.add_given(contents.given())] == ["added"] * 6
+            assert [one.status for one in other.add_given(contents.read_objects())] == ["added"] * 6
         assert other.catalogue.dump() == archive.catalogue.dump()
         assert verify_archive(other).faults == ()
         with open_bundle(bundle) as contents:
-            assert [one.status for one in other.add_given(contents.given())] == ["present"] * 6
+            assert [one.status for one in other.add_given(contents.read_objects())] == ["present"] * 6
 
 
 def test_the_same_objects_give_the_same_bytes(archive, tmp_path):
@@ -124,7 +124,7 @@ def test_a_damaged_member_is_refused_and_the_others_are_kept(archive, tmp_path):
     data[100] ^= 1
     broken.write_bytes(data)
     with create_archive(tmp_path / "other") as other, open_bundle(tmp_path / "b") as contents:
-        outcomes = {one.source.name: one for one in other.add_given(contents.given())}
+        outcomes = {one.source.name: one for one in other.add_given(contents.read_objects())}
     assert outcomes["walk.mcap"].status == "refused"
     assert "damaged" in outcomes["walk.mcap"].reason
     assert sum(one.status == "added" for one in outcomes.values()) == 5
@@ -191,7 +191,7 @@ def test_hostile_bundles_take_and_touch_nothing(tmp_path):
         with create_archive(tmp_path / f"archive-{place.name}") as archive:
             try:
                 with open_bundle(place) as contents:
-                    outcomes = list(archive.add_given(contents.given()))
+                    outcomes = list(archive.add_given(contents.read_objects()))
             except StillpointError as error:
                 assert "\n" not in str(error)  # noqa: PT017
             else:
@@ -206,7 +206,7 @@ def test_a_member_that_is_larger_than_its_manifest_says_is_not_read_to_its_end(t
     (folder / "manifest.json").write_bytes(manifest_of("x.bin", b"x" * 10))
     (folder / "x.bin").write_bytes(b"x" * (8 << 20))
     with create_archive(tmp_path / "archive") as archive, open_bundle(folder) as contents:
-        given = [replace(one) for one in contents.given()]
+        given = [replace(one) for one in contents.read_objects()]
         assert [one.status for one in archive.add_given(given)] == ["refused"]
 
 

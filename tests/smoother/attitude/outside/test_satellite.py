@@ -12,7 +12,7 @@ from stillpoint.datasets.frames import quaternion
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
-from stillpoint.smoother.attitude.outside.satellite import not_under_way
+from stillpoint.smoother.attitude.outside.satellite import drop_rests_under_way
 from stillpoint.smoother.attitude.params import PRESETS
 
 PLACE = (48.0, 11.0, 500.0)
@@ -65,8 +65,8 @@ def test_a_body_under_way_does_not_rest() -> None:
     gps = Gps(t_s * 10**9, zeros + 48, zeros + 11, zeros, zeros, speed, np.ones(n, dtype=bool))
     sailing, between, standing, after = (0.5, 2.5), (4.0, 8.0), (10.5, 12.5), (20.0, 25.0)
     rests_ns = np.round(np.array([sailing, between, standing, after]) * 1e9).astype(np.int64)
-    np.testing.assert_array_equal(not_under_way(rests_ns, gps), rests_ns[2:])
-    np.testing.assert_array_equal(not_under_way(rests_ns, None), rests_ns)
+    np.testing.assert_array_equal(drop_rests_under_way(rests_ns, gps), rests_ns[2:])
+    np.testing.assert_array_equal(drop_rests_under_way(rests_ns, None), rests_ns)
 
 
 @pytest.mark.slow
