@@ -9,7 +9,7 @@ The factors stand in factors.py, magnetometer.py and satellite.py.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,16 @@ _FAR_RADPS = np.deg2rad(5.0)  # RMS by which the gyro's matrix changes rates; be
 _RESTORED_COST = 4.0  # of a window: a larger rise of the cost says that the motion is not restored
 
 
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """A solution, and the recording and the evidence that it is of."""
+
+    recording: Recording
+    evidence: Evidence
+    solved: Solved
+    left_out: str | None = None  # why the magnetometer is not used
+
+
 def make_attitude_reference(
     recording: Recording,
     params: GraphParams,
@@ -63,30 +73,12 @@ def make_attitude_reference(
     """
     recording = recording if params.magnetic.use else replace(recording, mag=None)
     evidence = gather_evidence(recording, params, generators)
-    solved: Solved | None = None
-    left_out: str | None = None
-    priors, disturbed = _choose_priors(recording, evidence, priors_to_try(params, evidence))
-    try:
-        if disturbed:
-            raise Contradiction(recording.name, disturbed, of_field=True)
-        solved = _solve_with_priors(recording, evidence, priors, kept)
-        refuse_disturbed_field(solved.fit, recording.name, solved.params)
-    except (Contradiction, NoOptimum) as contradiction:
-        try:
-            recording, evidence, solved, left_out = _solve_without_magnetometer(
-                recording, params, generators, contradiction, kept
-            )
-        except Unobservable:
-            if solved is None and not disturbed:
-                raise
-            solved = solved or _solve_with_priors(recording, evidence, priors, kept)
-    refuse_wrong_axes(recording, solved.fit.field_inlier_share)
-    known = _find_far_calibration(evidence, solved)
+    answer = _solve_in_any_field(recording, evidence, params, generators, kept)
+    refuse_wrong_axes(answer.recording, answer.solved.fit.field_inlier_share)
+    known = _find_far_calibration(answer)
     if known is not None:
-        recording, evidence, solved = _solve_corrected(recording, generators, solved, known, kept)
-    evidence, solved = _try_restored(recording, evidence, solved, kept)
-    evidence, solved = _test_lone_return(recording, evidence, solved, kept)
-    made = report_reference(recording, evidence, solved, left_out)
+        answer = _solve_corrected(answer, generators, known, kept)
+    made = _refine_and_report(answer, kept)
     return made if known is None else express_in_raw_readings(made, known)
 
 
@@ -96,78 +88,105 @@ def reference_from_evidence(recording: Recording, evidence: Evidence, params: Gr
     Raises :class:`Unobservable` as :func:`make_attitude_reference` does, and never leaves out the magnetometer.
     """
     solved = _solve_with_priors(recording, evidence, priors_to_try(params, evidence), None)
-    evidence, solved = _try_restored(recording, evidence, solved, None)
-    evidence, solved = _test_lone_return(recording, evidence, solved, None)
-    return report_reference(recording, evidence, solved, None).whole()
+    return _refine_and_report(_Answer(recording, evidence, solved), None).whole()
 
 
-def _find_far_calibration(evidence: Evidence, solved: Solved) -> Calibration | None:
+def _solve_in_any_field(
+    recording: Recording,
+    evidence: Evidence,
+    params: GraphParams,
+    generators: Sequence[Generator],
+    kept: KeptWindows | None,
+) -> _Answer:
+    """Solve the graph; in a disturbed field without the magnetometer, or with the readings that fit."""
+    solved: Solved | None = None
+    priors, disturbed = _choose_priors(recording, evidence, priors_to_try(params, evidence))
+    try:
+        if disturbed:
+            raise Contradiction(recording.name, disturbed, of_field=True)
+        solved = _solve_with_priors(recording, evidence, priors, kept)
+        refuse_disturbed_field(solved.fit, recording.name, solved.params)
+    except (Contradiction, NoOptimum) as contradiction:
+        try:
+            return _solve_without_magnetometer(recording, params, generators, contradiction, kept)
+        except Unobservable:
+            if solved is None and not disturbed:
+                raise
+            solved = solved or _solve_with_priors(recording, evidence, priors, kept)
+    return _Answer(recording, evidence, solved)
+
+
+def _refine_and_report(answer: _Answer, kept: KeptWindows | None) -> LongReference:
+    """Restore the motion of a slow log, test a lone return, and report what is left."""
+    answer = _try_restored(answer, kept)
+    answer = _test_lone_return(answer, kept)
+    return report_reference(answer.recording, answer.evidence, answer.solved, answer.left_out)
+
+
+def _find_far_calibration(answer: _Answer) -> Calibration | None:
     """Return the gyro's matrix if it changes rates by too much for the graph's linear equations, None if not."""
-    matrix = solved.pieces[-1].calibration.gyro_matrix
+    matrix, keys = answer.solved.pieces[-1].calibration.gyro_matrix, answer.evidence.keys
     assert matrix is not None
-    moved = evidence.keys.gyro_b_radps[~evidence.keys.at_rest] @ (matrix - np.eye(3)).T
+    moved = keys.gyro_b_radps[~keys.at_rest] @ (matrix - np.eye(3)).T
     return Calibration(gyro_matrix=matrix) if np.sum(moved**2) > len(moved) * _FAR_RADPS**2 else None
 
 
 def _solve_corrected(
-    recording: Recording,
-    generators: Sequence[Generator],
-    solved: Solved,
-    known: Calibration,
-    kept: KeptWindows | None,
-) -> tuple[Recording, Evidence, Solved]:
-    """Return recording, evidence and solution with the gyro corrected by the matrix that was found, priors unchanged.
+    answer: _Answer, generators: Sequence[Generator], known: Calibration, kept: KeptWindows | None
+) -> _Answer:
+    """Return the answer for the gyro corrected by the matrix that was found, with unchanged priors.
 
     A gyro 8 % off makes a bias of 30 deg/s in fast motion, by which preintegration is corrected in the first order
     only: copies of BROAD were wrong by up to 2.1 deg and are right within 0.6 after the correction.
     """
-    nearer = correct_recording(recording, known)
-    evidence = gather_evidence(nearer, solved.params, generators)
-    return nearer, evidence, solve_both_headings(nearer, evidence, solved.params, kept)
+    params = answer.solved.params
+    nearer = correct_recording(answer.recording, known)
+    evidence = gather_evidence(nearer, params, generators)
+    return replace(
+        answer, recording=nearer, evidence=evidence, solved=solve_both_headings(nearer, evidence, params, kept)
+    )
 
 
-def _test_lone_return(
-    recording: Recording, evidence: Evidence, solved: Solved, kept: KeptWindows | None
-) -> tuple[Evidence, Solved]:
-    """Return evidence and solution without a lone return that was put back turned.
+def _test_lone_return(answer: _Answer, kept: KeptWindows | None) -> _Answer:
+    """Return the answer without a lone return that was put back turned.
 
     Where there is one return only, the first solution counts the magnetometer in full to test it. A return that stands
     the test is kept, and the magnetometer counts less in the second solution. Others are returned as they are.
     """
+    evidence, solved = answer.evidence, answer.solved
     if evidence.base is None or evidence.returns is None or len(evidence.returns.spans) != 1:
-        return evidence, solved
+        return answer
     squares = [square for piece in solved.pieces for square in piece.closing_squares]
     turned = contradicts_lone_return(squares)
     returns = Returns(evidence.returns.verdicts, (), ()) if turned else evidence.returns
     tested = evidence.with_returns(returns, solved.params, tested=True)
     try:
-        again = solve_both_headings(recording, tested, solved.params, kept)
+        again = solve_both_headings(answer.recording, tested, solved.params, kept)
     except Unobservable:
-        return evidence, solved
+        return answer
     if turned:
         q_nb = join_attitudes(again.pieces, evidence.motion)
         tested = replace(tested, returns=reject_lone_return(evidence.base, evidence.returns, q_nb))
-    return tested, again
+    return replace(answer, evidence=tested, solved=again)
 
 
-def _try_restored(
-    recording: Recording, evidence: Evidence, solved: Solved, kept: KeptWindows | None
-) -> tuple[Evidence, Solved]:
-    """Return evidence and solution of a slow log with the motion between readings restored, if the data allow it.
+def _try_restored(answer: _Answer, kept: KeptWindows | None) -> _Answer:
+    """Return the answer for a slow log with the motion between readings restored, if the data allow it.
 
     Readings of single moments in a violent motion contradict the smaller error: on copies of BROAD at 24 Hz the cost
-    rises by 0.5 to 2 where readings were averaged, and by 6 to 120 where they were dropped. Other recordings are
+    rises by 0.5 to 2 where readings were averaged, and by 6 to 120 where they were dropped. Other answers are
     returned as they are.
     """
+    evidence, solved = answer.evidence, answer.solved
     if not evidence.motion.gyro_sampling_radps.any():
-        return evidence, solved
+        return answer
     restored = evidence.as_restored()
     try:
-        again = solve_both_headings(recording, restored, solved.params, kept)
+        again = solve_both_headings(answer.recording, restored, solved.params, kept)
     except Unobservable:
-        return evidence, solved
+        return answer
     rise = sum(piece.cost for piece in again.pieces) - sum(piece.cost for piece in solved.pieces)
-    return (restored, again) if rise < _RESTORED_COST * len(solved.pieces) else (evidence, solved)
+    return replace(answer, evidence=restored, solved=again) if rise < _RESTORED_COST * len(solved.pieces) else answer
 
 
 def _choose_priors(
@@ -226,8 +245,8 @@ def _solve_without_magnetometer(
     generators: Sequence[Generator],
     contradiction: Contradiction | NoOptimum,
     kept: KeptWindows | None,
-) -> tuple[Recording, Evidence, Solved, str]:
-    """Return recording, evidence and solution without the magnetometer, and why it is left out.
+) -> _Answer:
+    """Return the answer without the magnetometer, and why it is left out.
 
     Raises ``contradiction`` where its axes are wrong, nothing tests the gyro instead, or the rest is contradictory too.
     """
@@ -237,7 +256,7 @@ def _solve_without_magnetometer(
     # Only the returns show the gyro's scale then, so the priors of a raw sensor are used without a test of the gyro.
     raw = replace(priors_to_try(params, evidence)[:2][-1], surprise_limit_sd=None)
     try:
-        return recording, evidence, _solve_with_priors(recording, evidence, [raw], kept), why
+        return _Answer(recording, evidence, _solve_with_priors(recording, evidence, [raw], kept), why)
     except Unobservable:
         raise contradiction from None
 
