@@ -46,7 +46,7 @@ def estimate(
     At each IMU sample a filter gets the newest field that it has not had, if there is one (``mag.t_ns <= t_ns``). The
     declination comes from the recording's date and place; without them n is magnetic East-North-Up. A magnetometer
     that is not calibrated is left out. The diagnostics say what the heading refers to; those that begin with ``n_``
-    are counts of what was left out or met, and ``asked`` holds ``heading``, ``heading_params`` and ``ranges`` where
+    are counts of what was left out or counted, and ``asked`` holds ``heading``, ``heading_params`` and ``ranges`` where
     they are not the defaults.
 
     Parameters
@@ -204,8 +204,8 @@ class _AttitudeRun:
 
     def close(self, last: Estimate) -> Estimate:
         """Return the last piece with the diagnostics of the whole run."""
-        met = collect_counts(self._state) | {"precision": self._precision}
-        return replace(last, diagnostics=self._front.report() | met, ns_per_sample=self._elapsed_ns / self._n)
+        counts = collect_counts(self._state) | {"precision": self._precision}
+        return replace(last, diagnostics=self._front.report() | counts, ns_per_sample=self._elapsed_ns / self._n)
 
 
 def _to_true_north(q_nb: Floats, declination_rad: float) -> Floats:
@@ -250,7 +250,7 @@ def _estimate_by_peer(
     if mag is not None:
         mag, dropped = drop_non_fields(mag, imu)
         counted = dropped.counts()
-    data, met = peers.at_constant_rate(imu, mag)
+    data, counts = peers.at_constant_rate(imu, mag)
     begun = perf_counter_ns()
     found = entry.batch(data, settings)
     elapsed_ns = perf_counter_ns() - begun
@@ -260,7 +260,7 @@ def _estimate_by_peer(
         name=name,
         recording=recording.name,
         params=asdict(settings),
-        diagnostics=facts | record_choices(heading, heading_params, ranges) | met | counted,
+        diagnostics=facts | record_choices(heading, heading_params, ranges) | counts | counted,
         ns_per_sample=elapsed_ns / len(t_ns),
         **columns,
     )

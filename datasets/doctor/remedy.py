@@ -25,8 +25,8 @@ def apply(recording: Recording, remedies: Iterable[Remedy]) -> Recording:
     """
     recording = replace(recording, info=replace(recording.info, units_unchecked=True))
     for remedy in remedies:
-        changed, said = _change(recording, remedy)
-        line = f"doctor: {remedy.text}" + (f" ({said})" if said else "")
+        changed, note = _change(recording, remedy)
+        line = f"doctor: {remedy.text}" + (f" ({note})" if note else "")
         info = replace(changed.info, conversions=(*changed.info.conversions, line))
         recording = replace(changed, info=info)
     try:
@@ -109,8 +109,8 @@ def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     stream = getattr(recording, remedy.target)
     keep = stream.t_ns + by_ns >= 0
     lost = len(keep) - int(keep.sum())
-    said = f"{lost} samples before time 0 dropped" if lost else ""
-    return _with(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), said
+    note = f"{lost} samples before time 0 dropped" if lost else ""
+    return _with(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), note
 
 
 def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Recording, str]:
@@ -125,16 +125,16 @@ def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Re
         else getattr(imu, name)[keep]
         for name in _SENSORS.values()
     }
-    said = f"interpolated at the other sensor's stamps, {len(keep) - int(keep.sum())} samples at the ends dropped"
-    return replace(recording, imu=Imu(imu.t_ns[keep], moved["gyro_b_radps"], moved["accel_b_mps2"])), said
+    note = f"interpolated at the other sensor's stamps, {len(keep) - int(keep.sum())} samples at the ends dropped"
+    return replace(recording, imu=Imu(imu.t_ns[keep], moved["gyro_b_radps"], moved["accel_b_mps2"])), note
 
 
 def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     stream = getattr(recording, remedy.target)
     even = line_through(stream.t_ns)
-    said = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
+    note = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
     even = even - min(int(even[0]), 0)  # a line may start a little before time 0
-    return _with(recording, remedy.target, replace(stream, t_ns=even)), said
+    return _with(recording, remedy.target, replace(stream, t_ns=even)), note
 
 
 def _drop(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -159,9 +159,9 @@ def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recordin
         raise BadParameter(
             f"{recording.name}: the remedy would drop every sample of {target}; leave it out (--skip CODE)"
         )
-    said = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
+    note = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
     stream = getattr(recording, target)
-    return _with(recording, target, _rows(stream, keep, stream.t_ns)), said
+    return _with(recording, target, _rows(stream, keep, stream.t_ns)), note
 
 
 def _rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:

@@ -63,8 +63,8 @@ def merge_diagnoses(diagnoses: Sequence[tuple[Window, Diagnosis]]) -> Diagnosis:
         stretches = {one.start_ns for one, _ in found}
         if len(stretches) < len(diagnoses):
             first = _say_time(min(stretches) - whole.start_ns)
-            said = f"{worst.message} (in {len(stretches)} of {len(diagnoses)} stretches, first in that at {first})"
-            worst = replace(worst, message=said)
+            message = f"{worst.message} (in {len(stretches)} of {len(diagnoses)} stretches, first in that at {first})"
+            worst = replace(worst, message=message)
         findings.append(worst)
     return Diagnosis(diagnoses[0][1].recording, tuple(findings))
 

@@ -60,7 +60,7 @@ def simulate_trial(
     t_ns = np.arange(max(int(round(minutes * 60e9) // step_ns), 2), dtype=np.int64) * step_ns
     motion = _motion(scenario, path, sensor.tilt_deg, t_ns / 1e9)
     spin, drawn, notes = _spin(scenario.geometry, motion, sensor, t_ns, seed)
-    said = asdict(scenario.motor) | {"speed_degps": scenario.motor.speed_degps.__name__}
+    motor = asdict(scenario.motor) | {"speed_degps": scenario.motor.speed_degps.__name__}
     flight = None if scenario.flight is None else asdict(scenario.flight)
     return Recording(
         f"{kind}-{sensor.name}-seed{seed}",
@@ -76,7 +76,7 @@ def simulate_trial(
             extra={
                 "sensor_model": json.dumps(asdict(sensor)),
                 "sensor_drawn": json.dumps(drawn),
-                "motion": json.dumps({"motor": said, "flight": flight}),
+                "motion": json.dumps({"motor": motor, "flight": flight}),
             },
         ),
     )

@@ -98,6 +98,6 @@ class SpinStream:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Return what was left out or met, before the estimator and by it."""
+        """Return what was left out or counted, before the estimator and by it."""
         _, _, passed, state, *_ = read_cell(self._cell)
         return collect_counts(passed) | collect_counts(state)

@@ -21,20 +21,20 @@ def describe_reference(reference: Reference) -> dict[str, Any]:
 
 
 def _list_facts(reference: Reference) -> dict[str, str]:
-    said = reference.diagnostics
+    diagnostics = reference.diagnostics
     sd_deg = np.rad2deg(total_sd_rad(reference.cov_b_rad2))
     rested_s = float(np.diff(reference.rests_ns, axis=1).sum()) / 1e9
     accepted = sum(back.accepted for back in reference.returns)
     facts = {
-        "heading": str(said.get("heading", "")),
-        "magnetometer left out": str(said.get("magnetometer_left_out", "")),
+        "heading": str(diagnostics.get("heading", "")),
+        "magnetometer left out": str(diagnostics.get("magnetometer_left_out", "")),
         "sd of the attitude": f"{np.median(sd_deg):.2f} deg (median), {sd_deg.max():.2f} deg (largest)",
         "rests": f"{len(reference.rests_ns)}, {rested_s:.0f} s in all",
         "returns": f"{accepted} of {len(reference.returns)} to the base pose used",
-        "gaps in the stamps": _describe_gaps(said),
-        "closing squares": ", ".join(f"{square:.2f}" for square in said.get("closing_squares", ())),
+        "gaps in the stamps": _describe_gaps(diagnostics),
+        "closing squares": ", ".join(f"{square:.2f}" for square in diagnostics.get("closing_squares", ())),
         "gyro bias": _describe_bias(reference.gyro_bias_b_radps),
-        "iterations": str(said.get("iterations", "")),
+        "iterations": str(diagnostics.get("iterations", "")),
     }
     if reference.heading_sd_rad > 0:
         facts["sd of the mean heading"] = f"{np.rad2deg(reference.heading_sd_rad):.2f} deg, an error all samples share"
@@ -46,8 +46,8 @@ def _list_facts(reference: Reference) -> dict[str, str]:
     return {title: fact for title, fact in facts.items() if fact}
 
 
-def _describe_gaps(said: Mapping[str, Any]) -> str:
-    return f"{said['gaps']}, the longest {said['longest_gap_s']:.2f} s" if said.get("gaps") else ""
+def _describe_gaps(diagnostics: Mapping[str, Any]) -> str:
+    return f"{diagnostics['gaps']}, the longest {diagnostics['longest_gap_s']:.2f} s" if diagnostics.get("gaps") else ""
 
 
 def _describe_bias(gyro_bias_b_radps: Floats) -> str:

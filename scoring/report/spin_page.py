@@ -122,12 +122,12 @@ def _list_facts(recording: Recording) -> dict[str, str]:
 def _describe_reference(reference: SpinReference) -> dict[str, str]:
     """Return the standard deviations of a reference, and its diagnostics in words."""
     angle_deg, rate_degps = np.rad2deg(reference.angle_sd_rad), np.rad2deg(reference.rate_sd_radps)
-    said = reference.diagnostics
+    diagnostics = reference.diagnostics
     return {
         "sd of the rate": f"{np.median(rate_degps):.2g} deg/s (median), {rate_degps.max():.2g} deg/s (largest)",
         "sd of the angle": f"{np.median(angle_deg):.2g} deg (median), {angle_deg[-1]:.2g} deg at the end",
-        **{key: str(value) for key, value in said.items() if isinstance(value, str)},
-        "met": _describe_counts(said),
+        **{key: str(value) for key, value in diagnostics.items() if isinstance(value, str)},
+        "met": _describe_counts(diagnostics),
     }
 
 

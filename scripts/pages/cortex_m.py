@@ -191,12 +191,12 @@ def run_on_cortex_m4(made: CSource, log: Log | SpinLog, folder: Path) -> OnTarge
     code = int(_run(["arm-none-eabi-size", f"{made.stem}.o"], folder).splitlines()[1].split()[0])
     machine = ["qemu-system-arm", "-M", "mps2-an386", "-icount", "shift=0", "-nographic", "-monitor", "none"]
     target = ["-serial", "none", "-semihosting-config", "enable=on,target=native", "-kernel", "run.elf"]
-    said = _run([*machine, *target], folder)
+    output = _run([*machine, *target], folder)
     words: dict[str, list[int]] = {}
-    for kind, word in re.findall(r"^(\w)([0-9a-f]{8})$", said, flags=re.MULTILINE):
+    for kind, word in re.findall(r"^(\w)([0-9a-f]{8})$", output, flags=re.MULTILINE):
         words.setdefault(kind, []).append(int(word, 16))
     if "z" not in words:
-        raise RuntimeError(f"{made.stem}: did not finish on the emulated target; it said {said[-200:]!r}")
+        raise RuntimeError(f"{made.stem}: did not finish on the emulated target; it printed {output[-200:]!r}")
     last = np.array(words["r"], np.uint32).view(np.float32)
     return OnTarget(last, code, words["z"][0], words["s"][0], words["n"][0], words["m"][0])
 

@@ -69,9 +69,9 @@ def _list_estimators() -> str:
 
 def _make_section(name: str) -> str:
     """Return the module docstring of an estimator as Markdown, and a place for its settings."""
-    said = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
-    said = re.sub(r":\w+:`([^`]*)`", r"`\1`", said.replace("``", "`"))
-    return f"## {name}\n\n{re.sub(r' ?::$', ':', said, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
+    text = sys.modules[find_estimator(name).params.__module__].__doc__ or ""
+    text = re.sub(r":\w+:`([^`]*)`", r"`\1`", text.replace("``", "`"))
+    return f"## {name}\n\n{re.sub(r' ?::$', ':', text, flags=re.MULTILINE)}\n<!-- settings {name} -->\n<!-- end -->\n\n"
 
 
 def _find_defaults(name: str) -> Settings:

@@ -83,7 +83,7 @@ def replay_live(
 
 
 def _send_messages(
-    timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", said: "_Estimates", speed: float
+    timed: Iterator[tuple[int, Any]], server: Any, raw: "_RawMessages", estimates: "_Estimates", speed: float
 ) -> None:
     """Send each message when its time has come."""
     begun, first_ns = time.monotonic(), None
@@ -93,7 +93,7 @@ def _send_messages(
         if ahead_s > 0:
             time.sleep(ahead_s)
         if isinstance(what, Arrival):
-            said.update(what)
+            estimates.update(what)
             server.broadcast_time(t_ns)
         else:
             raw.send(t_ns, *what)
@@ -139,14 +139,14 @@ class _Estimates:
 
     def update(self, sample: Arrival) -> None:
         """Feed one sample to every stream; send to Foxglove no more often than a screen shows it."""
-        said = {name: stream.update(*sample) for name, stream in self._streams.items()}
+        estimates = {name: stream.update(*sample) for name, stream in self._streams.items()}
         self.n_samples += 1
         if time.monotonic() - self._sent < 1 / _POSES_HZ:
             return
         self._sent = time.monotonic()
         stamp = Timestamp(sec=sample.t_ns // 10**9, nsec=sample.t_ns % 10**9)
         transforms = []
-        for name, output in said.items():
+        for name, output in estimates.items():
             w, x, y, z = output.q_nb
             turned = Quaternion(x=x, y=y, z=z, w=w)
             transforms.append(

@@ -216,13 +216,13 @@ def _cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["estimator"], "-", "-", "-"]
     diagnostics = row["diagnostics"]
-    met = [f"{name[2:].replace('_', ' ')} {n}" for name, n in diagnostics.items() if name.startswith("n_") and n]
+    counts = [f"{name[2:].replace('_', ' ')} {n}" for name, n in diagnostics.items() if name.startswith("n_") and n]
     if "off_double_max_deg" in diagnostics:
-        met.append(f"at most {diagnostics['off_double_max_deg']:.2g} deg off double")
+        counts.append(f"at most {diagnostics['off_double_max_deg']:.2g} deg off double")
     return [
         row["recording"],
         row["estimator"],
         str(row["samples"]),
         f"{row['ns_per_sample']:.0f}",
-        ", ".join(met) or "-",
+        ", ".join(counts) or "-",
     ]

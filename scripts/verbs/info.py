@@ -248,12 +248,12 @@ class _Trajectory:
 
 def _list_provenance(info: Info) -> dict[str, Any]:
     """Return what a recording says about its source."""
-    said = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
+    origin = {name: getattr(info, name) for name in ("source", "licence", "citation", "sensor", "date", "epoch")}
     marks = {name: getattr(info, name) for name in ("mag_uncalibrated", "units_unchecked")}
     place = None if info.place_lat_lon_alt is None else list(info.place_lat_lon_alt)
     lists = {"conversions": list(info.conversions), "notes": list(info.notes)}
     return {
-        **said,
+        **origin,
         "place_lat_lon_alt": place,
         **marks,
         "extra": dict(info.extra),

@@ -157,10 +157,10 @@ def reference(
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
         left_out = "magnetometer_left_out"
-        print_refusals("without magnetometer", ((said[left_out], name) for name, said in made if left_out in said))
-        print_refusals("presets", ((_describe_preset(said), name) for name, said in made if "preset" in said))
-        print_refusals("satellites", ((_describe_fixes(said), name) for name, said in made if "fixes" in said))
-        print_refusals("left out", ((_describe_islands(said), name) for name, said in made if said.get("left_out")))
+        print_refusals("without magnetometer", ((facts[left_out], name) for name, facts in made if left_out in facts))
+        print_refusals("presets", ((_describe_preset(facts), name) for name, facts in made if "preset" in facts))
+        print_refusals("satellites", ((_describe_fixes(facts), name) for name, facts in made if "fixes" in facts))
+        print_refusals("left out", ((_describe_islands(facts), name) for name, facts in made if facts.get("left_out")))
     return code
 
 
@@ -270,14 +270,14 @@ def _describe_preset(diagnostics: Mapping[str, Any]) -> str:
 def _describe_fixes(diagnostics: Mapping[str, Any]) -> str:
     """Return in words what became of the satellite fixes."""
     fixes = diagnostics["fixes"]
-    said = [f"{fixes['used']} fixes used"]
-    said += [f"{fixes['n_jumps']} left out, as no vehicle jumps so far"] if fixes["n_jumps"] else []
-    said += [f"{fixes['n_doubtful']} with less than half of their weight"] if fixes["n_doubtful"] else []
+    parts = [f"{fixes['used']} fixes used"]
+    parts += [f"{fixes['n_jumps']} left out, as no vehicle jumps so far"] if fixes["n_jumps"] else []
+    parts += [f"{fixes['n_doubtful']} with less than half of their weight"] if fixes["n_doubtful"] else []
     if fixes["n_outages"]:
-        said.append(f"{fixes['n_outages']} outages, the longest of {fixes['longest_outage_s']:.0f} s")
+        parts.append(f"{fixes['n_outages']} outages, the longest of {fixes['longest_outage_s']:.0f} s")
     if "late_s" in fixes:
-        said.append(f"their stamps are {fixes['late_s']:.2f} s late, which is corrected")
-    return ", ".join(said)
+        parts.append(f"their stamps are {fixes['late_s']:.2f} s late, which is corrected")
+    return ", ".join(parts)
 
 
 def _describe_islands(diagnostics: Mapping[str, Any]) -> str:

@@ -201,16 +201,18 @@ def _read_geometry(runs: Sequence[Run], options: SpinOptions, declination_deg: f
 
 def _print_summary(passed: Counts, streams: Mapping[str, Live]) -> None:
     """Print the summary to stderr."""
-    said = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
+    lines = [f"{passed.n_samples} samples, {passed.n_malformed} malformed lines, {passed.ended_by}"]
     for what, latency in (("estimators", passed.update), ("line to line", passed.whole)):
         if not latency.n:
             continue
         facts = latency.facts()
-        said.append(f"{what}: median {facts['median_us']:.1f}, p99 {facts['p99_us']:.1f}, max {facts['max_us']:.1f} us")
+        lines.append(
+            f"{what}: median {facts['median_us']:.1f}, p99 {facts['p99_us']:.1f}, max {facts['max_us']:.1f} us"
+        )
     for name, one in streams.items():
-        met = ", ".join(f"{what[2:].replace('_', ' ')} {n}" for what, n in one.counts.items() if n)
-        said.append(f"{name} counted: {met or 'nothing'}")
-    for text in said:
+        counts = ", ".join(f"{what[2:].replace('_', ' ')} {n}" for what, n in one.counts.items() if n)
+        lines.append(f"{name} counted: {counts or 'nothing'}")
+    for text in lines:
         print_line(f"stillpoint: {text}", file=sys.stderr)
 
 
