@@ -44,7 +44,9 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     if recording.imu is None:
         return case.diagnosis()
     if any(finding.code in _UNUSABLE for finding in case.findings):
-        case.found([Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")])
+        case.add_findings(
+            [Finding("motion-not-tested", "fact", "axes, lags and field: not tested, as a sensor is unusable")]
+        )
         return case.diagnosis()
     case.run(check_truth_values)
     case.run(check_gyro_size)
@@ -54,12 +56,12 @@ def diagnose(recording: Recording, rests_ns: Times) -> Diagnosis:
     if case.now.mag is not None:
         iron = mag.hard_iron_b_ut if mag is not None and mag.choice is not None and all(mag.choice.tested) else None
         unit = check_field_unit(case.now, iron)
-        case.found(unit)
+        case.add_findings(unit)
         mag = _convert_iron(mag, unit)
-    case.found(report_tested_axes(witnesses))
+    case.add_findings(report_tested_axes(witnesses))
     lag_by_gravity = None if lag_by_truth is not None else _accel_lag(case, witnesses)
     lags = {one.name: one.lag for one in witnesses if one.choice is not None}
-    case.found(check_lags(case.now, lags.get("truth"), lag_by_truth, lag_by_gravity, lags.get("mag")))
+    case.add_findings(check_lags(case.now, lags.get("truth"), lag_by_truth, lag_by_gravity, lags.get("mag")))
     case.run(lambda now: check_base_pose(now, case.rests_ns))
     if case.now.mag is not None:
         case.run(lambda now: check_field(now, mag, case.rests_ns))
@@ -76,9 +78,9 @@ class _Case:
         self.findings: list[Finding] = []
 
     def run(self, test: Callable[[Recording], Iterable[Finding]]) -> None:
-        self.found(test(self.now))
+        self.add_findings(test(self.now))
 
-    def found(self, findings: Iterable[Finding]) -> None:
+    def add_findings(self, findings: Iterable[Finding]) -> None:
         new = list(findings)
         self.findings += new
         remedies = [finding.remedy for finding in new if finding.remedy is not None]
@@ -116,7 +118,7 @@ def _settle_axes(case: _Case) -> tuple[list[Witness], Lag | None]:
             confirmed = verdict.best.changes_nothing and any(one.choice is not None for one in witnesses)
             faults = check_truth_mismatch(fits, case.now.truth, confirmed) + faults
         mended = [one for one in faults if one.remedy is not None]
-        case.found(mended or faults)  # faults without a remedy are reported last, after all others are corrected
+        case.add_findings(mended or faults)  # faults without a remedy are reported last, after all others are corrected
         if not mended:
             break
     return witnesses, _compare_truth(case, verdict, witnesses)
@@ -137,7 +139,7 @@ def _compare_truth(case: _Case, verdict: Verdict, witnesses: list[Witness]) -> L
     imu, turned = case.now.require_imu(), turn_truth(truth, view)
     gyro = next(one for one in witnesses if one.name == "truth")
     if gyro.choice is not None:
-        case.found(check_slips(imu, turned, gyro.lag.lag_s if gyro.lag is not None else 0.0))
+        case.add_findings(check_slips(imu, turned, gyro.lag.lag_s if gyro.lag is not None else 0.0))
     return None if view.wrong or verdict.best.fault.corrections else find_accel_lag(imu, turned)
 
 

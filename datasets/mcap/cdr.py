@@ -130,43 +130,45 @@ class _Walk:
         self.words: list[tuple[int, bytes]] = []
 
     def layout(self, message_type: MessageType) -> Layout:
-        self._message(message_type.definitions, message_type.name, "", depth=0)
+        self._add_message(message_type.definitions, message_type.name, "", depth=0)
         size = self.end if self.size is None else self.size
         places = {"names": list(self.offsets), "offsets": list(self.offsets.values())}
         spec: Any = {**places, "formats": self.formats, "itemsize": size}
         return Layout(np.dtype(spec), tuple(self.words))
 
-    def _message(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], name: str, path: str, depth: int) -> None:
+    def _add_message(
+        self, definitions: Mapping[str, Sequence[tuple[str, Any]]], name: str, path: str, depth: int
+    ) -> None:
         if depth > 32:
             raise Undecodable(f"the type {name} holds itself")
         if name in _BUILTIN and name not in definitions:
             for field, primitive in _BUILTIN[name]:
-                self._leaf(f"{path}.{field}" if path else field, primitive, None)
+                self._add_leaf(f"{path}.{field}" if path else field, primitive, None)
             return
         if name not in definitions:
             raise Undecodable(f"its schema does not define {name}")
         if not definitions[name] and self.aligned:  # CDR sends a type without fields as one byte
-            self._leaf(f"{path}.structure_needs_at_least_one_member", "uint8", None)
+            self._add_leaf(f"{path}.structure_needs_at_least_one_member", "uint8", None)
         for field, node in definitions[name]:
-            self._node(definitions, node, f"{path}.{field}" if path else field, depth)
+            self._add_node(definitions, node, f"{path}.{field}" if path else field, depth)
 
-    def _node(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], node: Any, path: str, depth: int) -> None:
+    def _add_node(self, definitions: Mapping[str, Sequence[tuple[str, Any]]], node: Any, path: str, depth: int) -> None:
         kind, detail = node
         if kind == Nodetype.NAME:
-            self._message(definitions, detail, path, depth + 1)
+            self._add_message(definitions, detail, path, depth + 1)
         elif kind == Nodetype.BASE:
-            self._leaf(path, detail[0], None)
+            self._add_leaf(path, detail[0], None)
         else:
             inner, count = detail
             if kind == Nodetype.SEQUENCE:
                 count = self._length(path, empty=0)
             if inner[0] == Nodetype.BASE and inner[1][0] in PRIMITIVES:
-                self._leaf(path, inner[1][0], count)
+                self._add_leaf(path, inner[1][0], count)
                 return
             if count > _MOST_LEAVES:
                 raise Undecodable(f"a message has {count} elements in {path}")
             for k in range(count):
-                self._node(definitions, inner, f"{path}[{k}]", depth)
+                self._add_node(definitions, inner, f"{path}[{k}]", depth)
 
     def _length(self, path: str, empty: int) -> int:
         """Return the length word of a string or sequence; an empty string in CDR has 1 for its NUL."""
@@ -176,7 +178,7 @@ class _Walk:
         self.end += 4
         return length
 
-    def _leaf(self, path: str, primitive: str, count: int | None) -> None:
+    def _add_leaf(self, path: str, primitive: str, count: int | None) -> None:
         """Place one primitive, ``count`` of them in a row, or a string."""
         if primitive == "string":
             length = self._length(path, empty=1)

@@ -106,11 +106,11 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
         update = stream.update
         update(*rows[0])
 
-        def calls() -> None:
+        def run_calls() -> None:
             for row in rows[1:]:
                 update(*row)
 
-        return time_call(calls)
+        return time_call(run_calls)
 
     return time_calls
 

@@ -76,10 +76,10 @@ def _time_stream(recording: Recording, name: str) -> Callable[[], float]:
     def time_calls() -> float:
         update = SpinStream(name, spin.geometry).update
 
-        def calls() -> None:
+        def run_calls() -> None:
             for t_ns, accel_mps2 in rows:
                 update(t_ns, accel_mps2)
 
-        return time_call(calls)
+        return time_call(run_calls)
 
     return time_calls

@@ -74,30 +74,30 @@ def show_thing(scene: rr.RecordingStream, name: str, thing: Kept) -> None:
     if isinstance(thing, SpinReference) or thing.q_nb is None:
         _show_spin(scene, name, thing)
         return
-    _attitude(scene, name, thing.t_ns, thing.q_nb)
+    _show_attitude(scene, name, thing.t_ns, thing.q_nb)
     if thing.cov_b_rad2 is not None:
         _spread(scene, name, thing.t_ns, thing.q_nb, thing.cov_b_rad2)
     if thing.gyro_bias_b_radps is not None:
-        _lines(scene, _BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
+        _show_lines(scene, _BIAS, name, thing.t_ns, np.rad2deg(thing.gyro_bias_b_radps))
     if isinstance(thing, Reference):
         at_rest = is_inside(thing.t_ns, thing.rests_ns)
-        _lines(scene, _REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
+        _show_lines(scene, _REST, name, thing.t_ns, at_rest.astype(np.float64)[:, None])
         _log_returns(scene, name, thing)
 
 
 def _show_recording(scene: rr.RecordingStream, name: str, recording: Recording) -> None:
     if recording.imu is not None:
-        _lines(scene, _RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
-        _lines(scene, _FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
+        _show_lines(scene, _RATE, name, recording.imu.t_ns, np.rad2deg(recording.imu.gyro_b_radps))
+        _show_lines(scene, _FORCE, name, recording.imu.t_ns, recording.imu.accel_b_mps2)
     if recording.mag is not None:
-        _lines(scene, _FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
+        _show_lines(scene, _FIELD, name, recording.mag.t_ns, recording.mag.mag_b_ut)
     if recording.truth is not None:
-        _attitude(scene, f"{name} truth", recording.truth.t_ns, recording.truth.q_nb)
+        _show_attitude(scene, f"{name} truth", recording.truth.t_ns, recording.truth.q_nb)
     spin = recording.spin
     if spin is not None:
-        _lines(scene, _SPIN_FORCE, name, spin.t_ns, spin.accel_mps2)
+        _show_lines(scene, _SPIN_FORCE, name, spin.t_ns, spin.accel_mps2)
         if spin.gyro_radps.shape[1]:
-            _lines(scene, _SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
+            _show_lines(scene, _SPIN_GYRO, name, spin.t_ns, np.rad2deg(spin.gyro_radps))
     for what, shaft in (("truth", recording.roll_truth), ("encoder", recording.encoder)):
         if shaft is not None:
             _show_spin(scene, f"{name} {what}", shaft)
@@ -113,19 +113,19 @@ def _show_spin(scene: rr.RecordingStream, name: str, thing: Encoder | SpinRefere
     }
     for quantity, values in columns.items():
         if values is not None:
-            _lines(scene, quantity, name, thing.t_ns, np.rad2deg(values)[:, None])
+            _show_lines(scene, quantity, name, thing.t_ns, np.rad2deg(values)[:, None])
     if thing.angle_rad is not None:
         half, zero = thing.angle_rad / 2, np.zeros(len(thing.t_ns))
-        _body(scene, name, thing.t_ns, np.column_stack([np.cos(half), np.sin(half), zero, zero]))
+        _show_body(scene, name, thing.t_ns, np.column_stack([np.cos(half), np.sin(half), zero, zero]))
 
 
-def _attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
+def _show_attitude(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
     """Show the body, and its angles."""
-    _body(scene, name, t_ns, q_nb)
-    _lines(scene, _ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
+    _show_body(scene, name, t_ns, q_nb)
+    _show_lines(scene, _ANGLES, name, t_ns, np.rad2deg(euler(q_nb, "nwu")))
 
 
-def _body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
+def _show_body(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats) -> None:
     """Show the body as three axes that turn."""
     entity = _entity("body", name)
     rr.log(entity, rr.TransformAxes3D(_AXIS_LENGTH), static=True, recording=scene)
@@ -137,11 +137,11 @@ def _spread(scene: rr.RecordingStream, name: str, t_ns: Times, q_nb: Floats, cov
     """Show standard deviations about east, north and up, and of the whole."""
     turn = rotation(q_nb).as_matrix()
     variance = np.einsum("nij,njk,nik->ni", turn, cov_b_rad2, turn)
-    _lines(scene, _SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
-    _lines(scene, _SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
+    _show_lines(scene, _SD_ABOUT, name, t_ns, np.rad2deg(np.sqrt(np.maximum(variance, 0.0))))
+    _show_lines(scene, _SD, name, t_ns, np.rad2deg(total_sd_rad(cov_b_rad2))[:, None])
 
 
-def _lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
+def _show_lines(scene: rr.RecordingStream, quantity: str, name: str, t_ns: Times, values: Floats) -> None:
     """One line per column of (N, k)."""
     entity = _entity(quantity, name)
     numbers = tuple(str(k + 1) for k in range(values.shape[1])) if quantity in (_SPIN_FORCE, _SPIN_GYRO) else _AXES

@@ -35,7 +35,7 @@ def draw_radial(ax: Axes, rig: Rig, chosen: Placement) -> None:
         ax.plot(arms_m, np.rad2deg(values), color=colour)
         at = (arms_m[_LABEL_AT], np.rad2deg(values[_LABEL_AT]))
         ax.annotate(label, at, xytext=above, textcoords="offset points", color=colour)
-    _range(ax, limit_m, rig.headroom)
+    _mark_range(ax, limit_m, rig.headroom)
     ax.plot(chosen.d1_m, np.rad2deg(chosen.raw_rate_sd_radps), _CHOSEN, color=COLOURS[0])
     ax.set(xlabel="d1 (m)", ylabel="error of the rate (deg/s)", yscale="log", title="radial accelerometer F4")
 
@@ -46,7 +46,7 @@ def draw_tangential(ax: Axes, rig: Rig, chosen: Placement) -> None:
     arms_m = np.linspace(min(0.02, chosen.d2_m / 2), max(1.2 * limit_m, 1.2 * chosen.d2_m), _POINTS)
     sds = [np.sqrt(evaluate_placement(rig, chosen.d1_m, float(arm)).q_rad2ps4) for arm in arms_m]
     ax.plot(arms_m, np.rad2deg(sds), color=COLOURS[0])
-    _range(ax, limit_m, rig.headroom)
+    _mark_range(ax, limit_m, rig.headroom)
     ax.plot(chosen.d2_m, np.rad2deg(np.sqrt(chosen.q_rad2ps4)), _CHOSEN, color=COLOURS[0])
     ax.set(xlabel="d2 (m)", ylabel="sd of the acceleration (deg/s²)", yscale="log", title="tangential accelerometer F5")
 
@@ -68,7 +68,7 @@ def draw_both(ax: Axes, rig: Rig, chosen: Placement) -> None:
     ax.set(xlabel="d1 (m)", ylabel="d2 (m)", title="filtered rate, sd (deg/s); grey does not fit")
 
 
-def _range(ax: Axes, limit_m: float, headroom: float) -> None:
+def _mark_range(ax: Axes, limit_m: float, headroom: float) -> None:
     last_m = ax.get_xlim()[1]
     ax.axvspan(limit_m, last_m, color="0.85", lw=0)
     ax.set_xlim(right=last_m)

@@ -28,7 +28,7 @@ def draw_mission(axes: Sequence[Axes], series: Series) -> None:
     axes[0].set_xlabel("east (m)")
     axes[0].set_ylabel("north (m)")
     span = (float(series.t_s[0]), float(series.t_s[-1]))
-    _line(axes[1], series, -up_m, span, color=rcParams["text.color"], lw=1.2)
+    _draw_line(axes[1], series, -up_m, span, color=rcParams["text.color"], lw=1.2)
     axes[1].invert_yaxis()
     _finish(axes[1], series, span, "depth (m)")
     axes[1].set_xlabel("time (s)")
@@ -40,14 +40,14 @@ def draw_angle(
     """Draw one angle over each of the spans: measured (roll and pitch), estimates in colour, the truth on top."""
     for ax, span in zip(axes, spans, strict=True):
         if part < 2:
-            _line(ax, series, series.measured_deg[:, part], span, color=REST_GREY, lw=0.7, label="measured")
+            _draw_line(ax, series, series.measured_deg[:, part], span, color=REST_GREY, lw=0.7, label="measured")
         for method, colour in methods.items():
-            _line(
+            _draw_line(
                 ax, series, series.estimated_deg[method][:, part], span, color=get_colour(colour), lw=1.0, label=method
             )
-        _line(ax, series, series.true_deg[:, part], span, color=rcParams["text.color"], lw=1.2, label="truth")
+        _draw_line(ax, series, series.true_deg[:, part], span, color=rcParams["text.color"], lw=1.2, label="truth")
         if part == 2:
-            _fixes(ax, series, span, series.course_deg)
+            _draw_fixes(ax, series, span, series.course_deg)
         _finish(ax, series, span, f"{_PARTS[part]} (deg)")
     axes[-1].set_xlabel("time (s)")
 
@@ -57,10 +57,10 @@ def draw_heading_errors(axes: Sequence[Axes], series: Series, methods: Mapping[s
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     true = np.interp(series.fix_s, series.t_s, np.unwrap(series.true_deg[:, 2], period=360.0))
     for ax, shown in zip(axes, (methods, {m: k for m, k in methods.items() if m != "gyro"}), strict=True):
-        _fixes(ax, series, span, compute_difference_deg(series.course_deg, true))
+        _draw_fixes(ax, series, span, compute_difference_deg(series.course_deg, true))
         for method, colour in shown.items():
             error = compute_difference_deg(series.estimated_deg[method][:, 2], series.true_deg[:, 2])
-            _line(ax, series, error, span, color=get_colour(colour), lw=1.0, label=method)
+            _draw_line(ax, series, error, span, color=get_colour(colour), lw=1.0, label=method)
         _finish(ax, series, span, "error (deg)")
     axes[1].set_ylim(-6, 6)
 
@@ -71,7 +71,9 @@ def draw_gains(axes: Sequence[Axes], series: Series, which: str, methods: Mappin
     for part, ax in enumerate(axes):
         for method, colour in methods.items():
             gain = get_gain(series.gains[method], which)[:, part]
-            _line(ax, series, np.maximum(gain, _RANGE[which][0]), span, color=get_colour(colour), lw=1.0, label=method)
+            _draw_line(
+                ax, series, np.maximum(gain, _RANGE[which][0]), span, color=get_colour(colour), lw=1.0, label=method
+            )
         _finish(ax, series, span, f"{_PARTS[part]} ({unit})")
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -84,13 +86,13 @@ def get_gain(gains: Gains, which: str) -> Floats:
     return np.asarray(getattr(gains, which))
 
 
-def _fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None:
+def _draw_fixes(ax: Axes, series: Series, span: Span, value_deg: Floats) -> None:
     inside = (series.fix_s >= span[0]) & (series.fix_s <= span[1])
     style: dict[str, Any] = {"color": REST_GREY, "marker": ".", "ms": 3, "lw": 0, "zorder": 1}
     ax.plot(series.fix_s[inside], value_deg[inside], label="GPS course", **style)
 
 
-def _line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
+def _draw_line(ax: Axes, series: Series, value: Floats, span: Span, **style: Any) -> None:
     inside = slice(*np.searchsorted(series.t_s, span))
     draw_line(ax, series.t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 

@@ -37,8 +37,10 @@ def draw_angles(
     for ax, part in zip(axes, parts, strict=True):
         k = AXES.index(part)
         for name, colour in methods.items():
-            _line(ax, series.t_s, series.angles_deg[name][:, k], span, color=get_colour(colour), lw=1.0, label=name)
-        _line(
+            _draw_line(
+                ax, series.t_s, series.angles_deg[name][:, k], span, color=get_colour(colour), lw=1.0, label=name
+            )
+        _draw_line(
             ax,
             series.t_s,
             series.angles_deg[judge][:, k],
@@ -57,7 +59,7 @@ def draw_judges(ax: Axes, series: Series, references: Mapping[str, int]) -> None
     span = (float(series.t_s[0]), float(series.t_s[-1]))
     for name, colour in references.items():
         t_s, error_deg = series.errors[name]
-        _line(ax, t_s, error_deg, span, color=get_colour(colour), lw=1.0, label=name)
+        _draw_line(ax, t_s, error_deg, span, color=get_colour(colour), lw=1.0, label=name)
     ax.set_ylim(bottom=0)
     ax.set_ylabel("deg")
     _finish(ax, series, span)
@@ -95,7 +97,7 @@ def draw_map(axes: Sequence[Axes], map_deg: Floats, printed_deg: Sequence[float]
     axes[-1].set_xlabel("ζ")
 
 
-def _line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> None:
+def _draw_line(ax: Axes, t_s: Floats, value: Floats, span: Span, **style: Any) -> None:
     inside = slice(*np.searchsorted(t_s, span))
     draw_line(ax, t_s[inside], value[inside], largest_jump=WRAP_DEG, **style)
 

@@ -31,9 +31,9 @@ def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) ->
     """Draw figure 5: the gyro's roll from the start of the span on, and its error."""
     rows = _within(series, span)
     roll = restart_at(series, GYRO, span[0])
-    _line(axes[0], series, roll, rows, get_colour(colour), GYRO)
-    _truth(axes[0], series, rows)
-    _line(axes[1], series, roll - series.true_roll_deg, rows, get_colour(colour), GYRO)
+    _draw_line(axes[0], series, roll, rows, get_colour(colour), GYRO)
+    _draw_truth(axes[0], series, rows)
+    _draw_line(axes[1], series, roll - series.true_roll_deg, rows, get_colour(colour), GYRO)
     axes[0].set_ylabel("roll (deg)")
     axes[1].set_ylabel("error (deg)")
 
@@ -44,8 +44,8 @@ def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int],
         rows = _within(series, span)
         for method, colour in methods.items():
             roll = restart_at(series, method, span[0]) if method == GYRO else series.roll_deg[method]
-            _line(ax, series, roll, rows, get_colour(colour), method)
-        _truth(ax, series, rows)
+            _draw_line(ax, series, roll, rows, get_colour(colour), method)
+        _draw_truth(ax, series, rows)
         ax.set_ylabel("roll (deg)")
     axes[-1].set_xlabel("time (s)")
 
@@ -55,9 +55,9 @@ def _within(series: Series, span: Span) -> slice:
     return slice(int(first), int(last))
 
 
-def _line(ax: Axes, series: Series, values: Floats, rows: slice, colour: str, label: str) -> None:
+def _draw_line(ax: Axes, series: Series, values: Floats, rows: slice, colour: str, label: str) -> None:
     ax.plot(series.t_s[rows], values[rows], color=colour, lw=1.0, label=label)
 
 
-def _truth(ax: Axes, series: Series, rows: slice) -> None:
+def _draw_truth(ax: Axes, series: Series, rows: slice) -> None:
     ax.plot(series.t_s[rows], series.true_roll_deg[rows], color=rcParams["text.color"], lw=1.1, label="truth")
