@@ -1,8 +1,9 @@
 """One call per sample: guard, heading source and estimator as one compiled function that holds the state.
 
-Between two calls the state lies in a *cell*, a compiled list with one entry: converting some fifty numbers to Python
-objects and back costs more than a step. The compiled functions close over the estimator's *module*, which numba keeps
-on disk; over the function itself it would compile anew in every process.
+Between two calls the state lies in a *cell*, a compiled structure that is passed by reference: converting some fifty
+numbers to Python objects and back costs more than a step. (A compiled list with one entry would do too, and take more
+than a second longer to compile for each kind of state.) The compiled functions close over the estimator's *module*,
+which numba keeps on disk; over the function itself it would compile anew in every process.
 """
 
 from collections.abc import Callable
@@ -10,8 +11,8 @@ from functools import cache
 from types import ModuleType
 from typing import Any, cast
 
-from numba import boolean, float64, int64, typeof
-from numba.typed import List
+from numba import boolean, float64, int64, typeof, types
+from numba.experimental import structref
 
 from stillpoint.datasets.compiled import compiled_entry
 from stillpoint.filters.front import front
@@ -25,6 +26,18 @@ Advance = Callable[..., Any]
 _ARGUMENTS = (int64, *(float64,) * 9, boolean, float64, float64, boolean)
 
 
+@structref.register
+class _CellType(types.StructRef):
+    """numba's type of a :class:`Cell`, which has the types of both fields."""
+
+
+class Cell(structref.StructRefProxy):
+    """What a stream holds: ``constants``, and ``state``, which each sample replaces; both are tuples."""
+
+
+structref.define_proxy(Cell, _CellType, ["constants", "state"])
+
+
 @cache
 def make_begin(estimator: ModuleType) -> Callable[[Any, Any], Any]:
     """Return the function that makes the cell of a new stream from both sets of constants."""
@@ -34,9 +47,7 @@ def make_begin(estimator: ModuleType) -> Callable[[Any, Any], Any]:
         none = (0.0, 0.0, 0.0)
         # What is said before the first sample is what is said after nothing.
         _, output = estimator.step(estimator.start(c), Sample(0.0, none, none, none, False, False, none), c)
-        cell = List()
-        cell.append((front_c, c, front.start(front_c), estimator.start(c), output))
-        return cell
+        return Cell((front_c, c), (front.start(front_c), estimator.start(c), output))
 
     return begin
 
@@ -63,13 +74,14 @@ def _make_advance(estimator: ModuleType) -> Any:
         speed_mps: float,
         has_fix: bool,
     ) -> Any:
-        front_c, c, front_state, state, output = cell[0]
+        front_c, c = cell.constants
+        front_state, state, output = cell.state
         rate, force, field = (gyro_x, gyro_y, gyro_z), (accel_x, accel_y, accel_z), (mag_x, mag_y, mag_z)
         raw = Raw(t_ns, rate, force, field, has_mag, Fix(course_rad, speed_mps), has_fix)
         front_state, sample, is_taken = front.step(front_state, raw, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
-        cell[0] = (front_c, c, front_state, state, output)
+        cell.state = (front_state, state, output)
         return output
 
     return advance
@@ -82,13 +94,11 @@ def compile_advance(estimator: ModuleType, cell: Any) -> Advance:
 
 @compiled_entry
 def read_cell(cell: Any) -> Any:
-    """Return both sets of constants, both states and the newest output; arrays are those of the stream itself."""
-    return cell[0]
+    """Return both states and the newest output; arrays are those of the stream itself."""
+    return cell.state
 
 
 @compiled_entry
 def restore_cell(front_c: Any, c: Any, front_state: State, state: Any, output: Any) -> Any:
     """Return the cell of a stream that continues from saved states."""
-    cell = List()
-    cell.append((front_c, c, front_state, state, output))
-    return cell
+    return Cell((front_c, c), (front_state, state, output))

@@ -118,10 +118,10 @@ class Stream:
 
     def save(self) -> Saved:
         """Return all that is needed to go on from here, also in another process."""
-        return Saved(*self._kind, *deepcopy(read_cell(self._cell)[2:]))
+        return Saved(*self._kind, *deepcopy(read_cell(self._cell)))
 
     @property
     def counts(self) -> dict[str, int]:
         """Return what was left out or counted, by the guard, by the heading source, and by the estimator itself."""
-        _, _, passed, state, _ = read_cell(self._cell)
+        passed, state, _ = read_cell(self._cell)
         return collect_counts(passed) | collect_counts(state)

@@ -1,7 +1,7 @@
 """One call per sample of a spin: both stages as one compiled function that holds the state.
 
-As in :mod:`stillpoint.filters.advance`, the state lies in a cell between two calls, a compiled list with one entry. The
-cell also holds the row of the sensors' values: the stream writes them there, however many there are.
+As in :mod:`stillpoint.filters.advance`, the state lies in a cell between two calls. Among its constants is the row of
+the sensors' values, whose memory stays the same: the stream writes them there, however many there are.
 """
 
 from collections.abc import Callable
@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numba import int64, typeof
-from numba.typed import List
 
 from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats
+from stillpoint.filters.advance import Cell
 from stillpoint.filters.spin import front as roll_front
 from stillpoint.filters.spin.sample import SpinOutput, unwrap_angle
 
@@ -66,9 +66,7 @@ def make_begin(estimator: ModuleType) -> Callable[[Any, Any, Row], Any]:
 
     @compiled
     def begin(front_c: Any, c: Any, row: Row) -> Any:
-        cell = List()
-        cell.append((front_c, c, roll_front.start(), estimator.start(c), _start_answer(), row))
-        return cell
+        return Cell((front_c, c, row), (roll_front.start(), estimator.start(c), _start_answer()))
 
     return begin
 
@@ -79,12 +77,13 @@ def _make_advance(estimator: ModuleType) -> Any:
 
     @compiled
     def advance(cell: Any, t_ns: int) -> SpinAnswer:
-        front_c, c, passed, state, said, row = cell[0]
+        front_c, c, row = cell.constants
+        passed, state, said = cell.state
         passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, 0, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
             said = _make_answer(output)
-        cell[0] = (front_c, c, passed, state, said, row)
+        cell.state = (passed, state, said)
         return said
 
     return advance
@@ -98,6 +97,4 @@ def compile_advance(estimator: ModuleType, cell: Any) -> SpinAdvance:
 @compiled
 def restore_cell(front_c: Any, c: Any, passed: roll_front.State, state: Any, said: SpinAnswer, row: Row) -> Any:
     """Return the cell of a stream that continues from saved states."""
-    cell = List()
-    cell.append((front_c, c, passed, state, said, row))
-    return cell
+    return Cell((front_c, c, row), (passed, state, said))

@@ -94,10 +94,10 @@ class SpinStream:
 
     def save(self) -> SavedSpin:
         """Return all that is needed to go on from here, also in another process."""
-        return SavedSpin(*self._kind, *deepcopy(read_cell(self._cell)[2:5]))
+        return SavedSpin(*self._kind, *deepcopy(read_cell(self._cell)))
 
     @property
     def counts(self) -> dict[str, int]:
         """Return what was left out or counted, before the estimator and by it."""
-        _, _, passed, state, *_ = read_cell(self._cell)
+        passed, state, _ = read_cell(self._cell)
         return collect_counts(passed) | collect_counts(state)
