@@ -27,6 +27,18 @@ def _own_results(_results: Path, request: pytest.FixtureRequest, monkeypatch: py
     monkeypatch.setenv("STILLPOINT_RESULTS", str(_results / str(abs(hash(request.node.nodeid)))))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _small_batches_here() -> None:
+    """Let a batch that is not told how many processes to take work in this one.
+
+    A process imports for more than a second, a small input takes less. How a batch uses processes is tested in
+    ``tests/scripts/test_jobs.py``, and wherever a test asks for some.
+    """
+    from stillpoint.scripts.shared import jobs
+
+    jobs.HERE_UP_TO = 100
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder named by STILLPOINT_DATA (with broad/, tyrex/, bench/, disc/); the test is skipped without it."""

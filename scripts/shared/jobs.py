@@ -28,6 +28,7 @@ from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.output import print_line
 from stillpoint.scripts.shared.progress import show_progress
 
+HERE_UP_TO = 1  # items that a batch works on in this process where it is not told how many
 SHORT = 15  # items of less than a second, up to which processes are not worth their start
 ITEMS_PER_WORKER = 4  # a process takes seconds to start, an input about one second
 
@@ -38,7 +39,7 @@ def run_jobs(
     workers: Workers,
     what: str,
     *,
-    here_up_to: int = 1,
+    here_up_to: int | None = None,
     on_done: Callable[[int, Outcome[Result]], None] | None = None,
 ) -> list[Outcome[Result]]:
     """Return the outcome of ``function`` for each item, in their order, with progress on stderr.
@@ -55,7 +56,8 @@ def run_jobs(
     what
         Names the work in the progress.
     here_up_to
-        The number of items up to which this process does the work where ``workers`` asks for nothing.
+        The number of items up to which this process does the work where ``workers`` asks for nothing; None:
+        ``HERE_UP_TO``.
     on_done
         Called with the place and the outcome of each item as soon as it is there.
 
@@ -72,7 +74,8 @@ def run_jobs(
         require_memory_limits()
     outcomes: list[Outcome[Result]] = [Outcome() for _ in items]
     with show_progress(what, len(items)) as count:
-        for place, outcome in _run_anywhere(function, items, workers, here_up_to):
+        up_to = HERE_UP_TO if here_up_to is None else here_up_to
+        for place, outcome in _run_anywhere(function, items, workers, up_to):
             outcomes[place] = _print_defect(items[place], outcome)
             if on_done is not None:
                 on_done(place, outcomes[place])

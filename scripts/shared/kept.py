@@ -89,7 +89,7 @@ def run_kept(
     what: str,
     result: Any,
     *,
-    here_up_to: int = 1,
+    here_up_to: int | None = None,
 ) -> list[Outcome[Result]]:
     """Return the outcome of each item: kept ones of earlier runs, all others by :func:`run_jobs`.
 

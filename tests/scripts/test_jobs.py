@@ -6,9 +6,11 @@ import signal
 import time
 
 import pytest
+from farm_work import work
 
 from stillpoint.datasets import BadParameter
 from stillpoint.datasets.earth import decimal_year
+from stillpoint.scripts.shared import jobs as jobs_module
 from stillpoint.scripts.shared.flags import LOCAL, Workers
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 
@@ -49,6 +51,15 @@ def test_a_dead_process_and_a_defect_cost_their_own_input_only(jobs, capfd):
     assert all("\n" not in one.error for one in outcomes.values() if one.error)
     assert "Traceback" in capfd.readouterr().err, "a defect of ours shows where it happened"
     assert exit_code(list(outcomes.values())) == 1
+
+
+@pytest.mark.slow
+def test_two_inputs_run_in_another_process_where_nobody_asks_for_one(monkeypatch):
+    """So that a crash of native code costs one of them; up to four share a process."""
+    monkeypatch.setattr(jobs_module, "HERE_UP_TO", 1)
+    pids = {one.value for one in run_jobs(work, ["here"] * 2, LOCAL, "tests")}
+    assert pids == {os.getpid()}, "the parent of the process that did the work"
+    assert [one.value for one in run_jobs(work, ["here"] * 2, LOCAL, "tests", here_up_to=2)] == [os.getppid()] * 2
 
 
 def test_a_single_input_runs_here_and_its_defect_is_an_outcome_too(capfd):

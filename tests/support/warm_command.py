@@ -1,7 +1,8 @@
 """The command `stillpoint` for shell scripts in tests, without its imports: each call is a fork of one warm process.
 
-Importing what a verb needs takes about 1.5 s of CPU, which scripts of many commands would pay for each of them. How the
-installed command starts is tested in ``tests/scripts/test_command.py``.
+Importing what a verb needs takes about 1.5 s of CPU, which scripts of many commands would pay for each of them, and for
+each process of a batch: batches work in the process of the command where they are not told otherwise. How the installed
+command starts is tested in ``tests/scripts/test_command.py``, processes of batches in ``tests/scripts/test_jobs.py``.
 """
 
 import json
@@ -54,7 +55,9 @@ def _serve(address: str) -> None:
     import stillpoint.smoother
     import stillpoint.studies.leaderboard  # noqa: F401
     from stillpoint.scripts.main import main
+    from stillpoint.scripts.shared import jobs
 
+    jobs.HERE_UP_TO = 100
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # children leave nothing to wait for
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(address)
