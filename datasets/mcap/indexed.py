@@ -5,7 +5,6 @@ and that of the summary; those of the parts that are not read are not. :func:`~s
 reads and tests everything.
 """
 
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex, Statistics
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.files.remote import RangedFile, is_url
@@ -140,7 +140,7 @@ class IndexedScan(Scan):
             tail = self._source.fetch(start, tail_start) + tail
             tail_start = start
         summary = tail[start - tail_start : len(tail) - len(MAGIC)]
-        if footer.summary_crc not in (0, zlib.crc32(summary[:-4])):
+        if footer.summary_crc not in (0, crc32(summary[:-4])):
             raise DamagedError("the checksum of its summary differs")
         chunks: list[ChunkIndex] = []
         for opcode, body in iterate_records(summary):

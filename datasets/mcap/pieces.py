@@ -7,9 +7,10 @@ time. A file that is no plain row of chunks with message indexes, or is behind a
 
 import struct
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -40,6 +41,7 @@ from stillpoint.datasets.trajectory import Estimate, Reference, SpinReference
 
 _PIECE_ROWS = 1 << 17  # messages of one topic in a piece, and up to a chunk more: 11 minutes at 200 Hz
 AnyPiece = Piece | Reference | SpinReference | Estimate
+OnePiece = TypeVar("OnePiece", bound=AnyPiece)
 _CHUNK_HEAD = struct.Struct("<Q")  # message_start_time
 _INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the entries
 
@@ -129,6 +131,15 @@ class PieceReader:
                 ends_ns[name] = int(topic.t_ns[-1]) if len(topic.t_ns) else ends_ns.get(name, -1)
             yield log
         check_counts(self._last, self._samples)
+
+
+def read_ahead(pieces: Iterator[OnePiece]) -> Iterator[OnePiece]:
+    """Yield the pieces of an iterator; a thread reads the next one while the caller works on this one."""
+    with ThreadPoolExecutor(1, thread_name_prefix="read") as reader:
+        coming = reader.submit(next, pieces, None)
+        while (piece := coming.result()) is not None:
+            coming = reader.submit(next, pieces, None)
+            yield piece
 
 
 def read_window(path: Path | str, window: Window, units_unchecked: bool = False) -> Recording:

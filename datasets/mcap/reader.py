@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.mcap import cdr
-from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.mcap.file import MESSAGE_HEAD, RECORD_HEAD, take_records
 from stillpoint.datasets.mcap.scan import Block, Scan
 
 Columns = Mapping[str, tuple[str, ...]]  # name of a column -> the leaves side by side in it
@@ -258,19 +258,17 @@ class _Gather:
             return
         self.t_ns.add(len(heads), np.dtype(np.int64))[:] = heads["log_time"]
         try:
-            left = np.ones(len(offsets), np.bool_)
-            while left.any():
-                length = heads["length"][left.argmax()]
+            for length in _list_once(heads["length"]):
                 same = heads["length"] == length
-                self._take_equal(block.data, offsets[same], rows[same], int(length) + RECORD_HEAD.itemsize)
-                left &= ~same
+                some = slice(None) if same.all() else same
+                self._take_equal(block.data, offsets[some], rows[some], length + RECORD_HEAD.itemsize)
         except cdr.Undecodable as error:
             self.refusal = str(error)
             self.found.clear()
 
     def _take_equal(self, data: bytes, offsets: NDArray[np.int64], rows: NDArray[np.int64], size: int) -> None:
         """Take messages of equal length: those that one layout fits together, then the rest by the next layout."""
-        records = windows(data, size)[offsets]
+        records = take_records(data, size, offsets)
         view = self.views.get(size)
         while len(rows):
             if view is None:
@@ -378,15 +376,31 @@ class _View:
 
     def __init__(self, layout: cdr.Layout) -> None:
         self.dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
-        self.words = [(MESSAGE_HEAD.itemsize + at, f"<u{len(word)}", word) for at, word in layout.words]
+        self.words = [int.from_bytes(word, "little") for _, word in layout.words]
+        self.of_words = np.dtype(
+            {
+                "names": [str(k) for k in range(len(layout.words))],
+                "formats": [f"<u{len(word)}" for _, word in layout.words],
+                "offsets": [MESSAGE_HEAD.itemsize + at for at, _ in layout.words],
+                "itemsize": self.dtype.itemsize,
+            }
+        )
 
     def fits(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
         """Return which records have the lengths of the message that the layout was made from."""
         fits = np.ones(len(records), np.bool_)
-        for at, form, word in self.words:
-            column: NDArray[Any] = np.ndarray((len(records),), form, records, at, (records.itemsize,))
-            fits &= column == int.from_bytes(word, "little")
+        columns = records.view(self.of_words)
+        for k, word in enumerate(self.words):
+            fits &= columns[str(k)] == word
         return fits
+
+
+def _list_once(values: NDArray[Any]) -> list[int]:
+    """Return each value once, in the order in which they come."""
+    if bool((values == values[0]).all()):
+        return [int(values[0])]
+    found, first = np.unique(values, return_index=True)
+    return [int(value) for value in found[np.argsort(first)]]
 
 
 class _Growing:

@@ -6,7 +6,6 @@ damage holds is exact; what is lost is counted and said.
 """
 
 import mmap
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +26,7 @@ from mcap.records import (
     Statistics,
 )
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.mcap.facts import from_json, to_json
@@ -125,7 +125,7 @@ def _read_summary(data: mmap.mmap, found: _Found) -> None:
         found.lost.append("the end of the file: the index of its chunks cannot be used")
         return
     footer = parse_record(Footer, data[end - 20 : end])
-    if not 0 < footer.summary_start < end or footer.summary_crc != zlib.crc32(data[footer.summary_start : end - 4]):
+    if not 0 < footer.summary_start < end or footer.summary_crc != crc32(data[footer.summary_start : end - 4]):
         found.lost.append("the summary is damaged: the index of the chunks cannot be used")
         return
     for opcode, start, stop in _frames(data, footer.summary_start, end):
@@ -167,7 +167,7 @@ def _walk_records(data: mmap.mmap, found: _Found) -> None:
                 found.loose.append((start - _HEAD, stop))
             elif opcode == Opcode.DATA_END:
                 crc = parse_record(DataEnd, data[start:stop]).data_section_crc
-                checksum_is_right = crc in (0, zlib.crc32(data[: start - _HEAD]))
+                checksum_is_right = crc in (0, crc32(data[: start - _HEAD]))
                 stop = end
                 break
             else:

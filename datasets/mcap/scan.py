@@ -8,7 +8,6 @@ raises :class:`~stillpoint.datasets.errors.BadFile`.
 import bz2
 import io
 import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,11 +33,12 @@ from mcap.records import (
     Statistics,
 )
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from stillpoint.datasets.errors import BadFile
 from stillpoint.datasets.files.limits import limit_chunk
 from stillpoint.datasets.files.remote import open_binary
-from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows
+from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, take_records
 
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
 _HEAD = struct.Struct("<BQ")
@@ -145,7 +145,7 @@ class Scan:
         elif opcode == Opcode.ATTACHMENT:
             attachment = parse_record(Attachment, body)
             crc = int.from_bytes(body[-4:], "little")
-            if crc not in (0, zlib.crc32(body[:-4])):
+            if crc not in (0, crc32(body[:-4])):
                 raise DamagedError(f"the checksum of the attachment {attachment.name} differs")
             self.attachments[attachment.name] = attachment.data
 
@@ -155,14 +155,15 @@ class Scan:
         for opcode, begin, end in others:
             self.take_fact(opcode, data[begin:end])
         block = Block(data, {}, {})
-        heads = windows(data, MESSAGE_HEAD.itemsize)[offsets]
-        channels = heads.view(MESSAGE_HEAD)["channel"]
-        for channel in np.flatnonzero(np.bincount(channels)).tolist():
+        channels = take_records(data, MESSAGE_HEAD.itemsize, offsets).view(MESSAGE_HEAD)["channel"]
+        present = np.flatnonzero(np.bincount(channels)).tolist()
+        for channel in present:
             if channel not in self.channels:
                 raise DamagedError(f"a message belongs to channel {channel}, which is not declared")
-            own = np.flatnonzero(channels == channel)
-            block.offsets[channel], block.heads[channel] = offsets[own], heads[own].view(MESSAGE_HEAD)
-            self.counts[channel] = self.counts.get(channel, 0) + len(block.offsets[channel])
+            own = offsets if len(present) == 1 else offsets[channels == channel]
+            block.offsets[channel] = own
+            block.heads[channel] = take_records(data, MESSAGE_HEAD.itemsize, own).view(MESSAGE_HEAD)
+            self.counts[channel] = self.counts.get(channel, 0) + len(own)
         return block
 
     def _summary(self, rest: bytes) -> None:
@@ -171,7 +172,7 @@ class Scan:
         sound = False
         if len(rest) >= FOOTER_SIZE and body[-FOOTER_SIZE + len(MAGIC) :][:9] == _HEAD.pack(Opcode.FOOTER, 20):
             footer = parse_record(Footer, body[-20:])
-            sound = footer.summary_crc in (0, zlib.crc32(body[:-4]))
+            sound = footer.summary_crc in (0, crc32(body[:-4]))
         if not rest.endswith(MAGIC) and not sound:
             self.lost = "the end of the file is cut off; all of its messages are there"
             return
@@ -204,7 +205,7 @@ class _Records:
         return head, self.file.read(length)
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        crc = zlib.crc32(MAGIC)
+        crc = crc32(MAGIC)
         while True:
             head, body = self._next()
             if head[0] == Opcode.DATA_END:
@@ -215,7 +216,7 @@ class _Records:
             if head[0] == Opcode.FOOTER:
                 raise DamagedError("the record that ends its data is missing")
             yield head[0], body
-            crc = zlib.crc32(body, zlib.crc32(head, crc))
+            crc = crc32(body, crc32(head, crc))
 
     def until_footer(self) -> Iterator[tuple[int, bytes]]:
         """Yield the records of the summary."""
@@ -268,7 +269,7 @@ def unpack_chunk(chunk: Chunk) -> bytes:
         data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
     except ValueError as error:
         raise DamagedError(str(error)) from error
-    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+    if chunk.uncompressed_crc not in (0, crc32(data)):
         raise DamagedError("the checksum of a chunk differs")
     return data
 
@@ -323,7 +324,7 @@ def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int6
     ends = listed
     sound = bool(len(listed)) and listed[0] >= 0 and listed[-1] <= size - MESSAGE_HEAD.itemsize
     if sound:
-        heads = windows(data, RECORD_HEAD.itemsize)[listed].view(RECORD_HEAD)
+        heads = take_records(data, RECORD_HEAD.itemsize, listed).view(RECORD_HEAD)
         lengths = np.minimum(heads["length"], np.uint64(size + 1)).astype(np.int64)
         ends = listed + RECORD_HEAD.itemsize + lengths
         sound = bool(

@@ -51,7 +51,7 @@ OneKind = TypeVar("OneKind", Recording, Reference, SpinReference, Estimate)
 RECORD = "stillpoint"  # name of the metadata record
 _ORIGIN = "stillpoint-made"  # of the record that says what made a file
 _FORMAT = "1"
-_TRAJECTORY_LEVEL = 1  # of zstd: files of estimates and references are no larger than by level 3, and sooner written
+_TRAJECTORY_LEVEL = -1  # of zstd, for estimates and references; docs/mcap.md has sizes and speeds
 _ROWS_AT_ONCE = 1 << 17  # of a stream that are laid out as messages together
 OWN_COLUMNS = {
     topic.name: {column.field: column.leaves for column in topic.columns if not column.derived} for topic in TOPICS

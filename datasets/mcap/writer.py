@@ -10,15 +10,13 @@ import math
 import os
 import struct
 import threading
-import zlib
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 import numpy as np
 import zstandard
@@ -41,6 +39,7 @@ from mcap.records import (
     SummaryOffset,
 )
 from numpy.typing import NDArray
+from zlib_ng.zlib_ng import crc32
 
 from stillpoint.datasets.mcap import cdr
 from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, windows, write_file
@@ -116,8 +115,8 @@ def write_blocks(
     with write_file(path) as file, _open_writer(file, "stillpoint") as out:
         out.declare(schemas, channels)
         out.describe(metadata, attachments)
-        for buffer, indexes in blocks:
-            out.chunk(buffer, indexes)
+        for block in blocks:
+            out.chunk(lambda block=block: block)  # type: ignore[misc]
         out.finish()
 
 
@@ -163,7 +162,7 @@ class MessageWriter:
             first = min(self._groups, key=lambda group: group.next_ns(until_ns))  # the first of equals, as in one piece
             if not first.finished:
                 return
-            self._out.chunk(*first.finished.popleft())
+            self._out.chunk(first.finished.popleft().lay_out)
 
 
 class _Messages:
@@ -194,13 +193,21 @@ class _Messages:
         self.blank = blank.view((np.void, self.dtype.itemsize))
         self.stamped = "header.stamp.sec" in (layout.dtype.names or ())
 
-    def fill(self, stream: Stream, rows: slice, room: NDArray[np.uint8], step: int) -> None:
-        """Write the records of the next rows into the bytes of ``room``, each ``step`` bytes after the one before."""
+    def take_numbers(self, count: int) -> int:
+        """Return the sequence number of the next message, and count these many."""
+        first = self.done
+        self.done += count
+        return first
+
+    def fill(self, stream: Stream, rows: slice, first: int, room: NDArray[np.uint8], step: int) -> None:
+        """Write the records of some rows into the bytes of ``room``, each ``step`` bytes after the one before.
+
+        ``first`` is the sequence number of the first row.
+        """
         t_ns = stream.t_ns[rows]
         out: NDArray[np.void] = np.ndarray((len(t_ns),), self.dtype, room, strides=(step,))
         out.view(self.blank.dtype)[...] = self.blank
-        out["sequence"] = np.arange(self.done, self.done + len(t_ns))
-        self.done += len(t_ns)
+        out["sequence"] = np.arange(first, first + len(t_ns))
         out["log_time"] = out["publish_time"] = t_ns
         body = out["body"]
         if self.stamped:
@@ -209,34 +216,81 @@ class _Messages:
             body[leaf] = column[rows].reshape(body[leaf].shape)
 
 
+_Laid = tuple[NDArray[np.uint8], Mapping[int, NDArray[np.void]]]  # the bytes of messages, and their message indexes
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of one topic in a part of a chunk, the number of the first one, and where their messages begin."""
+
+    maker: _Messages
+    stream: Stream
+    rows: slice
+    number: int
+    offsets: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Messages of one piece that lie side by side in a chunk. Threads lay them out."""
+
+    size: int  # bytes
+    turn: int  # from a message to the next of its topic, where the topics follow each other in turn; else 0
+    topics: Sequence[_Rows]
+
+    def lay_out(self) -> _Laid:
+        """Return the messages and their indexes."""
+        buffer = np.empty(self.size, np.uint8)
+        indexes = {}
+        for one in self.topics:
+            maker, size = one.maker, one.maker.dtype.itemsize
+            if self.turn:  # the records lie evenly, so that they are written where they belong
+                maker.fill(one.stream, one.rows, one.number, buffer[int(one.offsets[0]) :], self.turn)
+            else:
+                records = np.empty(len(one.offsets) * size, np.uint8)
+                maker.fill(one.stream, one.rows, one.number, records, size)
+                windows(buffer, size)[one.offsets] = records.view((np.void, size))
+            entries = np.empty(len(one.offsets), INDEX_ENTRY)
+            entries["log_time"], entries["offset"] = one.stream.t_ns[one.rows], one.offsets
+            indexes[maker.channel] = entries
+        return buffer, indexes
+
+
 @dataclass
 class _OpenChunk:
-    """A chunk to which the next piece may add: its bytes and its message indexes, as they came."""
+    """A chunk to which the next piece may add."""
 
     key: tuple[int, int]  # which of the chunks by size, and by time, since the first message of its group
-    parts: list[NDArray[np.uint8]] = field(default_factory=list)
-    entries: dict[int, list[NDArray[np.void]]] = field(default_factory=dict)
+    first_ns: int
+    parts: list[_Part] = field(default_factory=list)
+    laid: list[_Laid] = field(default_factory=list)  # of pieces before
     size: int = 0
 
-    def add(self, part: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
-        """Add bytes, and the message indexes of them by channel."""
-        for channel, entries in indexes.items():
-            entries["offset"] += self.size
-            self.entries.setdefault(channel, []).append(entries)
+    def add(self, part: _Part) -> None:
+        """Add messages."""
         self.parts.append(part)
-        self.size += len(part)
+        self.size += part.size
 
-    def close(self) -> "_Packed":
+    def settle(self) -> None:
+        """Lay out what is there, so that the arrays of its piece are no longer needed."""
+        self.laid += [part.lay_out() for part in self.parts]
+        self.parts = []
+
+    def lay_out(self) -> _Laid:
         """Return the bytes of the chunk, and its message indexes in the order of their channels."""
-        indexes = {channel: _join(self.entries[channel]) for channel in sorted(self.entries)}
-        return _join(self.parts), indexes
+        self.settle()
+        found: dict[int, list[NDArray[np.void]]] = {}
+        at = 0
+        for buffer, indexes in self.laid:
+            for channel, entries in indexes.items():
+                entries["offset"] += at
+                found.setdefault(channel, []).append(entries)
+            at += len(buffer)
+        return _join([buffer for buffer, _ in self.laid]), {channel: _join(found[channel]) for channel in sorted(found)}
 
 
 def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-_Packed = tuple[NDArray[np.uint8], dict[int, NDArray[np.void]]]  # the bytes of a chunk, and its message indexes
 
 
 class _Group:
@@ -244,7 +298,7 @@ class _Group:
 
     def __init__(self, makers: Sequence[_Messages]) -> None:
         self.makers = makers
-        self.finished: deque[_Packed] = deque()
+        self.finished: deque[_OpenChunk] = deque()
         self.open: _OpenChunk | None = None
         self.size = 0  # bytes of all messages so far
         self.start_ns: int | None = None  # of the first message
@@ -252,9 +306,9 @@ class _Group:
     def next_ns(self, until_ns: int | None) -> float:
         """Return the time at which the next chunk begins, or, where there is no message yet, cannot begin before."""
         if self.finished:
-            return _first_time(self.finished[0][1])
+            return self.finished[0].first_ns
         if self.open is not None:
-            return min(int(entries[0]["log_time"][0]) for entries in self.open.entries.values())
+            return self.open.first_ns
         return math.inf if until_ns is None else until_ns
 
     def close_before(self, until_ns: int | None) -> None:
@@ -262,8 +316,10 @@ class _Group:
         if self.open is None or self.start_ns is None:
             return
         if until_ns is None or (until_ns - self.start_ns) // _CHUNK_SPAN_NS > self.open.key[1]:
-            self.finished.append(self.open.close())
+            self.finished.append(self.open)
             self.open = None
+        else:
+            self.open.settle()
 
     def take(self, by_topic: Mapping[str, Stream]) -> None:
         """Add the messages of one piece, by time; chunks end at multiples of their size and of their span."""
@@ -271,63 +327,129 @@ class _Group:
         if not makers:
             return
         streams = [by_topic[maker.topic] for maker in makers]
-        times, which, in_turn = _merge([np.asarray(stream.t_ns) for stream in streams])
+        order = _put_in_order([np.asarray(stream.t_ns) for stream in streams], [m.dtype.itemsize for m in makers])
         if self.start_ns is None:
-            self.start_ns = int(times[0])
-        sizes = np.array([maker.dtype.itemsize for maker in makers], np.int64)[which]
-        end = self.size + np.cumsum(sizes)
-        start = end - sizes
-        self.size = int(end[-1])
-        numbers, spans = end // _CHUNK_BYTES, (times - self.start_ns) // _CHUNK_SPAN_NS
-        bounds = np.flatnonzero((np.diff(numbers) > 0) | (np.diff(spans) > 0)) + 1
-        done, turn = [0] * len(makers), sum(maker.dtype.itemsize for maker in makers)
-        for first, last in pairwise([0, *bounds.tolist(), len(end)]):
-            buffer = np.empty(int(end[last - 1] - start[first]), np.uint8)
-            offsets, of_chunk = start[first:last] - start[first], which[first:last]
-            indexes = {}
+            self.start_ns = order.time_of(0)
+        first = 0
+        while first < order.count:
+            number = (self.size + order.end_of(first)) // _CHUNK_BYTES
+            span = (order.time_of(first) - self.start_ns) // _CHUNK_SPAN_NS
+            last = min(
+                order.find_end((number + 1) * _CHUNK_BYTES - self.size),
+                order.find_time(self.start_ns + (span + 1) * _CHUNK_SPAN_NS),
+            )
+            rows = []
             for k, (maker, stream) in enumerate(zip(makers, streams, strict=True)):
-                own = offsets[(k - first) % len(makers) :: len(makers)] if in_turn else offsets[of_chunk == k]
-                rows = slice(done[k], done[k] + len(own))
-                done[k] = rows.stop
-                if not len(own):
-                    continue
-                size = maker.dtype.itemsize
-                if in_turn:  # the records lie evenly, so that they are written where they belong
-                    maker.fill(stream, rows, buffer[int(own[0]) :], turn)
-                else:
-                    records = np.empty(len(own) * size, np.uint8)
-                    maker.fill(stream, rows, records, size)
-                    windows(buffer, size)[own] = records.view((np.void, size))
-                entries = np.empty(len(own), INDEX_ENTRY)
-                entries["log_time"], entries["offset"] = stream.t_ns[rows], own
-                indexes[maker.channel] = entries
-            self._append((int(numbers[first]), int(spans[first])), buffer, indexes)
+                own, offsets = order.rows_of(k, first, last)
+                if len(offsets):
+                    rows.append(_Rows(maker, stream, own, maker.take_numbers(len(offsets)), offsets))
+            begin = order.end_of(first - 1) if first else 0
+            part = _Part(order.end_of(last - 1) - begin, order.turn, rows)
+            self._append((number, span), order.time_of(first), part)
+            first = last
+        self.size += order.end_of(order.count - 1)
 
-    def _append(self, key: tuple[int, int], buffer: NDArray[np.uint8], indexes: dict[int, NDArray[np.void]]) -> None:
+    def _append(self, key: tuple[int, int], first_ns: int, part: _Part) -> None:
         if self.open is not None and self.open.key != key:
-            self.finished.append(self.open.close())
+            self.finished.append(self.open)
             self.open = None
         if self.open is None:
-            self.open = _OpenChunk(key)
-        self.open.add(buffer, indexes)
+            self.open = _OpenChunk(key, first_ns)
+        self.open.add(part)
 
 
-def _merge(times: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int32], bool]:
-    """Return the stamps of all streams by time, which stream each is of, and whether each stream follows in its turn.
+class _Order(Protocol):
+    """The order of the messages of one piece: message m of ``count`` is of one of the streams."""
 
-    At equal times the order is that of the streams.
-    """
-    count = len(times)
-    if all(np.array_equal(own, times[0]) for own in times[1:]):  # as of most groups, and much faster
-        return np.repeat(times[0], count), np.tile(np.arange(count, dtype=np.int32), len(times[0])), True
-    together = np.concatenate(times)
-    which = np.repeat(np.arange(count, dtype=np.int32), [len(own) for own in times])
-    order = np.argsort(together, kind="stable")
-    return together[order], which[order], False
+    count: int
+    turn: int  # bytes from a message to the next of its stream; 0 where the streams do not follow each other in turn
+
+    def time_of(self, m: int) -> int:
+        """Return the time of message m."""
+
+    def end_of(self, m: int) -> int:
+        """Return the bytes of all messages up to m, with it."""
+
+    def find_end(self, size: int) -> int:
+        """Return the first message whose end is ``size`` bytes or more; ``count`` where there is none."""
+
+    def find_time(self, t_ns: int) -> int:
+        """Return the first message at ``t_ns`` or later; ``count`` where there is none."""
+
+    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of a stream among some messages, and their offsets from the beginning of the first one."""
 
 
-def _first_time(indexes: Mapping[int, NDArray[np.void]]) -> int:
-    return min(int(entries["log_time"][0]) for entries in indexes.values())
+class _InTurn:
+    """Streams of the same times: each has a message in its turn. So it is in most groups, and needs no sorting."""
+
+    def __init__(self, t_ns: NDArray[np.int64], sizes: Sequence[int]) -> None:
+        self._t_ns, self._ends = t_ns, np.cumsum(sizes)
+        self._streams = len(sizes)
+        self.count, self.turn = len(t_ns) * self._streams, int(self._ends[-1])
+
+    def time_of(self, m: int) -> int:
+        return int(self._t_ns[m // self._streams])
+
+    def end_of(self, m: int) -> int:
+        return m // self._streams * self.turn + int(self._ends[m % self._streams])
+
+    def find_end(self, size: int) -> int:
+        turns, rest = divmod(size - 1, self.turn)
+        return min(turns * self._streams + int(np.searchsorted(self._ends, rest + 1)), self.count)
+
+    def find_time(self, t_ns: int) -> int:
+        return _find_time(self._t_ns, t_ns) * self._streams
+
+    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+        own = first + (stream - first) % self._streams
+        count = max(-(-(last - own) // self._streams), 0)
+        row = own // self._streams
+        begin = (self.end_of(own - 1) if own else 0) - (self.end_of(first - 1) if first else 0)
+        return slice(row, row + count), begin + self.turn * np.arange(count, dtype=np.int64)
+
+
+class _Merged:
+    """Streams of different times, merged by time; at equal times the order is that of the streams."""
+
+    def __init__(self, times: Sequence[NDArray[np.int64]], sizes: Sequence[int]) -> None:
+        together = np.concatenate(times)
+        which = np.repeat(np.arange(len(times), dtype=np.int32), [len(own) for own in times])
+        order = np.argsort(together, kind="stable")
+        self._times, which = together[order], which[order]
+        self._ends = np.cumsum(np.array(sizes, np.int64)[which])
+        self._begins = self._ends - np.array(sizes, np.int64)[which]
+        self._own = [np.flatnonzero(which == k) for k in range(len(times))]
+        self.count, self.turn = len(together), 0
+
+    def time_of(self, m: int) -> int:
+        return int(self._times[m])
+
+    def end_of(self, m: int) -> int:
+        return int(self._ends[m])
+
+    def find_end(self, size: int) -> int:
+        return int(np.searchsorted(self._ends, size))
+
+    def find_time(self, t_ns: int) -> int:
+        return _find_time(self._times, t_ns)
+
+    def rows_of(self, stream: int, first: int, last: int) -> tuple[slice, NDArray[np.int64]]:
+        own = self._own[stream]
+        rows = slice(*np.searchsorted(own, [first, last]).tolist())
+        return rows, self._begins[own[rows]] - self._begins[first]
+
+
+def _find_time(times: NDArray[np.int64], t_ns: int) -> int:
+    """Return the first of some times that is ``t_ns``, which may lie beyond 64 bits, or later."""
+    return len(times) if t_ns > np.iinfo(np.int64).max else int(np.searchsorted(times, t_ns))
+
+
+def _put_in_order(times: Sequence[NDArray[np.int64]], sizes: Sequence[int]) -> _Order:
+    """Return the order of the messages of some streams, of which each has one size."""
+    if all(np.array_equal(own, times[0]) for own in times[1:]):
+        return _InTurn(times[0], sizes)
+    return _Merged(times, sizes)
 
 
 def _declarations(streams: Sequence[Stream]) -> tuple[list[Schema], list[Channel]]:
@@ -365,20 +487,22 @@ def _open_writer(file: IO[bytes], library: str, level: int = ZSTD_LEVEL) -> "Ite
 _OF_THREAD = threading.local()
 
 
-def _pack(raw: memoryview, level: int) -> tuple[bytes, int]:
-    """Return the packed bytes of a chunk and its checksum; both are computed without the interpreter's lock."""
+@dataclass(frozen=True)
+class _Packed:
+    """A chunk as it goes into the file."""
+
+    data: bytes
+    size: int  # unpacked
+    crc: int
+    indexes: Mapping[int, NDArray[np.void]]
+
+
+def _pack(lay_out: Callable[[], _Laid], level: int) -> _Packed:
+    """Lay out a chunk, and return it packed; most of it is computed without the interpreter's lock."""
     if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads; a file has threads of its own
         _OF_THREAD.compressor = zstandard.ZstdCompressor(level=level)
-    return _OF_THREAD.compressor.compress(raw), zlib.crc32(raw)
-
-
-@dataclass(frozen=True)
-class _Waiting:
-    """A chunk that is being packed."""
-
-    packed: "Future[tuple[bytes, int]]"
-    size: int
-    indexes: Mapping[int, NDArray[np.void]]
+    buffer, indexes = lay_out()
+    return _Packed(_OF_THREAD.compressor.compress(buffer.data), len(buffer), crc32(buffer.data), indexes)
 
 
 class _Writer:
@@ -387,7 +511,7 @@ class _Writer:
     def __init__(self, file: IO[bytes], packers: ThreadPoolExecutor, level: int) -> None:
         self.file, self.position, self.crc = file, 0, 0
         self.packers, self.level = packers, level
-        self.waiting: deque[_Waiting] = deque()
+        self.waiting: deque[Future[_Packed]] = deque()
         self.schemas: list[McapRecord] = []
         self.channels: list[McapRecord] = []
         self.metadata: list[McapRecord] = []
@@ -398,7 +522,7 @@ class _Writer:
     def file_bytes(self, data: bytes) -> None:
         self.file.write(data)
         self.position += len(data)
-        self.crc = zlib.crc32(data, self.crc)
+        self.crc = crc32(data, self.crc)
 
     def record(self, record: McapRecord) -> tuple[int, int]:
         """Write it; returns its offset and length in the file."""
@@ -434,30 +558,29 @@ class _Writer:
             )
         )
 
-    def chunk(self, buffer: NDArray[np.uint8], indexes: Mapping[int, NDArray[np.void]]) -> None:
-        """Take one chunk and its message indexes, and write the oldest of those that wait to be packed."""
-        self.waiting.append(_Waiting(self.packers.submit(_pack, buffer.data, self.level), len(buffer), indexes))
+    def chunk(self, lay_out: Callable[[], _Laid]) -> None:
+        """Take one chunk, which a thread lays out and packs, and write the oldest of those that wait for that."""
+        self.waiting.append(self.packers.submit(_pack, lay_out, self.level))
         if len(self.waiting) > _MOST_WAITING:
-            self._write_chunk(self.waiting.popleft())
+            self._write_chunk(self.waiting.popleft().result())
 
     def flush(self) -> None:
         """Write the chunks that wait."""
         while self.waiting:
-            self._write_chunk(self.waiting.popleft())
+            self._write_chunk(self.waiting.popleft().result())
 
-    def _write_chunk(self, waiting: _Waiting) -> None:
+    def _write_chunk(self, packed: _Packed) -> None:
         """Write one chunk and its message indexes."""
-        packed, crc = waiting.packed.result()
-        indexes = waiting.indexes
-        first = _first_time(indexes)
+        indexes = packed.indexes
+        first = min(int(entries["log_time"][0]) for entries in indexes.values())
         last = max(int(entries["log_time"][-1]) for entries in indexes.values())
         chunk = Chunk(
             compression="zstd",
-            data=packed,
+            data=packed.data,
             message_start_time=first,
             message_end_time=last,
-            uncompressed_crc=crc,
-            uncompressed_size=waiting.size,
+            uncompressed_crc=packed.crc,
+            uncompressed_size=packed.size,
         )
         at, length = self.record(chunk)
         offsets, start = {}, self.position
@@ -475,8 +598,8 @@ class _Writer:
                 message_index_offsets=offsets,
                 message_index_length=self.position - start,
                 compression="zstd",
-                compressed_size=len(packed),
-                uncompressed_size=waiting.size,
+                compressed_size=len(packed.data),
+                uncompressed_size=packed.size,
             )
         )
 
@@ -514,7 +637,7 @@ class _Writer:
         for offset in offsets:
             offset.write(builder)
         summary = builder.end()
-        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start), zlib.crc32(summary))
+        crc = crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start), crc32(summary))
         self.file.write(summary)
         self.record(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
         self.file.write(MAGIC)

@@ -4,6 +4,7 @@ The pool of this machine and each worker of a cluster use the same children. A c
 and when its parent dies.
 """
 
+import gc
 import multiprocessing
 import os
 import pickle
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any, Generic, NoReturn, TypeVar
 
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
+from stillpoint.scripts.main import GARBAGE_THRESHOLD
 
 # A process that is asked to end first removes the file that it is writing, and native code, as that of the compiler,
 # hears of a signal only when it returns.
@@ -189,6 +191,7 @@ def _work(pipe: Connection, pickled: bytes, surroundings: Surroundings) -> None:
     os.environ.update(surroundings.environment)
     if surroundings.folder is not None and Path(surroundings.folder).is_dir():
         os.chdir(surroundings.folder)
+    gc.set_threshold(GARBAGE_THRESHOLD)
     function = pickle.loads(pickled)
     if surroundings.memory_limit_bytes is not None:
         _limit_memory(surroundings.memory_limit_bytes)

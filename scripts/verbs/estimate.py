@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets import BadRecording, Estimate
 from stillpoint.datasets.calibration.apply import apply_calibration
-from stillpoint.datasets.mcap.pieces import PieceReader
+from stillpoint.datasets.mcap.pieces import PieceReader, read_ahead
 from stillpoint.datasets.mcap.store import open_trajectory, sha256
 from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
@@ -162,7 +162,7 @@ def _run_in_pieces(task: Task[_Job]) -> dict[str, Any]:
     )
     samples, last = 0, None
     with open_trajectory(job.target) as out:
-        for piece in reader.recording():
+        for piece in read_ahead(reader.recording()):
             estimated = run.add(piece)
             if estimated is not None:
                 out.add(estimated)
