@@ -325,10 +325,11 @@ class TruthFits:
         return np.where(near, 0.0, excess).reshape(len(_READINGS), 2, 48)
 
     @cached_property
-    def _mountings(self) -> list[Rotation]:
+    def _mountings(self) -> list[list[Rotation]]:
         """The mountings (48) for each wrong gyro, by reading: scipy takes as long for one as for all."""
         parity = (np.linalg.det(CANDIDATES) < 0).astype(np.intp)
-        return [Rotation.from_matrix(rotations[parity] @ CANDIDATES) for _, rotations, _ in self.rates]
+        stacks = [Rotation.from_matrix(rotations[parity] @ CANDIDATES) for _, rotations, _ in self.rates]
+        return [[stack[k] for k in range(len(CANDIDATES))] for stack in stacks]
 
     def views(self, gyro: Floats, accel: Floats) -> tuple[TruthView, ...]:
         """Return the view of each reading when gyro and accelerometer measure in these wrong axes (3, 3)."""

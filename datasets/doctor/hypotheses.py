@@ -108,9 +108,13 @@ def compare_hypotheses(
     """
     excess = {one.name: one.choice.excess for one in witnesses if one.choice is not None}
     found: list[Hypothesis] = []
+    of_signs: dict[tuple[int, int], float] = {}  # the same for every fault of the gyro
     for fault in _list_faults("mag" in {one.name for one in witnesses}):
         misfit = _imu_misfit(fault, excess)
-        penalty = fault.penalty + _sign_penalty(fault, dips, accel_up)
+        signs = index_of(fault.accel), index_of(fault.mag)
+        if signs not in of_signs:
+            of_signs[signs] = _sign_penalty(fault, dips, accel_up)
+        penalty = fault.penalty + of_signs[signs]
         if truth is None or not truth.informative:
             found.append(Hypothesis(fault, None, misfit, misfit + penalty))
             continue

@@ -23,7 +23,7 @@ planted = st.tuples(
 
 
 @pytest.mark.slow
-@settings(max_examples=12)
+@settings(max_examples=8)  # each searches the clock
 @given(planted)
 def test_alignment_finds_what_was_planted(differences):
     """Any heading, mountings up to 30 deg, any clock within +-0.45 s: as far as slerp at 100 Hz follows the path."""

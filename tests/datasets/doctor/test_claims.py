@@ -37,7 +37,7 @@ def test_a_cruising_vehicle_does_not_rest(mission):
 
 @pytest.mark.slow
 def test_a_cruise_is_clean():
-    assert examine(simulate("auv-dolphin", seed=0)).codes("error", "warning") == ()
+    assert examine(simulate("auv-dolphin", seed=0, minutes=7.0)).codes("error", "warning") == ()
 
 
 def test_without_satellites_the_imu_alone_decides(mission):
@@ -117,6 +117,6 @@ def test_estimates_of_a_cut_file_say_so_once(call, cut, tmp_path, capfd):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_bench_that_turns_about_one_axis_says_nothing_of_the_others(seed):
     """Misaligned axes see 2 % of the turn, with either sign: no fault of theirs."""
-    bench = simulate("servo-bench", seed=seed, minutes=5)
+    bench = simulate("servo-bench", seed=seed, minutes=3.5)
     faults = examine(bench).codes("error", "warning")
     assert not [code for code in faults if code.endswith(("-axes", "-mismatch", "-inverted"))]

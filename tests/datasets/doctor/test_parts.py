@@ -88,10 +88,13 @@ def test_white_noise_is_told_from_drift_and_jolts(sd, seed):
     assert white_noise(values, np.ones(5000, dtype=bool)) == pytest.approx([sd] * 3, rel=0.1)
 
 
-@pytest.mark.slow
-@given(st.floats(1e-3, 1e3))
-def test_calm_seconds_do_not_depend_on_the_unit(factor):
-    recording = simulate("phone-1", seed=0, minutes=0.6)
-    scaled = replace(recording.imu, accel_b_mps2=factor * recording.imu.accel_b_mps2)
-    assert np.array_equal(calm_seconds(scaled), calm_seconds(recording.imu))
-    assert len(calm_seconds(recording.imu)) >= 8  # of the ten seconds of rest
+@pytest.fixture(scope="module")
+def table():
+    return simulate("phone-1", seed=0, minutes=0.6)
+
+
+@given(factor=st.floats(1e-3, 1e3))
+def test_calm_seconds_do_not_depend_on_the_unit(table, factor):
+    scaled = replace(table.imu, accel_b_mps2=factor * table.imu.accel_b_mps2)
+    assert np.array_equal(calm_seconds(scaled), calm_seconds(table.imu))
+    assert len(calm_seconds(table.imu)) >= 8  # of the ten seconds of rest

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -51,6 +52,17 @@ def logs():
     return {"clean": log, "spoilt": spoil(log)}
 
 
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    """Return :func:`compile_filter`, which compiles each source once per compiler and precision."""
+
+    @cache
+    def build_once(made, loop, compiler, single=False):
+        return compile_filter(made, tmp_path_factory.mktemp(made.stem), loop, single, compiler)
+
+    return build_once
+
+
 def run_step(name, log, params, precision="double"):
     """What the compiled step says."""
     entry = ESTIMATORS[name]
@@ -76,9 +88,9 @@ CASES = [(name, kind, {}) for name in ATTITUDES for kind in ("clean", "spoilt")]
 
 @pytest.mark.parametrize("compiler", mark_slow_except(COMPILERS, *COMPILERS[:1]))
 @pytest.mark.parametrize(("name", "kind", "params"), CASES)
-def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, logs, tmp_path):
+def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, logs, build):
     made = export_filter(name, params, declination_rad=0.05)
-    found = run_attitude(compile_filter(made, tmp_path, ATTITUDE_LOOP, compiler=compiler), logs[kind])
+    found = run_attitude(build(made, ATTITUDE_LOOP, compiler), logs[kind])
     step = run_step(name, logs[kind], params)
     assert step.ready.any()
     assert_array_equal(found["ready"], step.ready)
@@ -91,11 +103,10 @@ def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, log
 
 
 @pytest.mark.parametrize("name", ATTITUDES)
-def test_single_precision_is_that_of_the_compiled_step_in_single(name, logs, tmp_path):
+def test_single_precision_is_that_of_the_compiled_step_in_single(name, logs, build):
     made = export_filter(name, declination_rad=0.05)
     log = logs["clean"]
-    run = compile_filter(made, tmp_path, ATTITUDE_LOOP, single=True, compiler=COMPILERS[0])
-    found = run_attitude(run, log, np.float32)
+    found = run_attitude(build(made, ATTITUDE_LOOP, COMPILERS[0], single=True), log, np.float32)
     single, double = run_step(name, log, {}, "single"), run_step(name, log, {})
     assert turn_deg(found["q_nb"], single.q_nb).max() < SINGLE_APART_DEG
     assert turn_deg(found["q_nb"], double.q_nb)[double.ready].max() < 0.05
@@ -119,7 +130,7 @@ def turn_deg(p, q):
     ],
 )
 @pytest.mark.parametrize("kind", ["spin-constant", "spin-variable"])
-def test_c_gives_the_bits_of_the_compiled_step_of_a_spin(name, params, kind, compiler, tmp_path):
+def test_c_gives_the_bits_of_the_compiled_step_of_a_spin(name, params, kind, compiler, build):
     entry, spin = ESTIMATORS[name], simulate(kind, seed=1).spin
     settings = replace(entry.params(), **params)
     front_c = spin_front.coefficients(make_channels(settings, spin.geometry), settings, "double")
@@ -133,7 +144,7 @@ def test_c_gives_the_bits_of_the_compiled_step_of_a_spin(name, params, kind, com
     c, track = entry.coefficients(settings, spin.geometry), empty_track(len(one))
     entry.run(log, entry.start(c), c, track)
     made = export_filter(name, params, geometry=spin.geometry)
-    found = run_spin(compile_filter(made, tmp_path, SPIN_LOOP, compiler=compiler), log)
+    found = run_spin(build(made, SPIN_LOOP, compiler), log)
     assert_array_equal(found["ready"], track.ready)
     assert_array_equal(found["rate_radps"], track.rate_radps)
     assert_array_equal(found["variances"][:, [0, 2]], np.column_stack([track.angle_var, track.rate_var]))
@@ -142,11 +153,11 @@ def test_c_gives_the_bits_of_the_compiled_step_of_a_spin(name, params, kind, com
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", ATTITUDES)
-def test_c_gives_the_bits_of_the_compiled_step_on_broad(name, data_dir, tmp_path):
+def test_c_gives_the_bits_of_the_compiled_step_on_broad(name, data_dir, build):
     """The same bits on all trials in double precision, and nearly the same attitude in single."""
     made = export_filter(name, declination_rad=0.05)
-    double = compile_filter(made, tmp_path, ATTITUDE_LOOP, compiler=COMPILERS[0])
-    single = compile_filter(made, tmp_path, ATTITUDE_LOOP, single=True, compiler=COMPILERS[0])
+    double = build(made, ATTITUDE_LOOP, COMPILERS[0])
+    single = build(made, ATTITUDE_LOOP, COMPILERS[0], single=True)
     trials = list(IMPORTERS["broad"](data_dir / "broad"))
     assert trials
     for recording in trials:

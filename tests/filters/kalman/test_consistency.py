@@ -13,6 +13,7 @@ from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Floats
 
 SEEDS = 50
+draw_matched = cache(matched)  # the same recordings for every filter
 SECONDS = 40.0
 SETTLED = 500  # samples: the first tilt and heading are told by one sample each, whose error the model only bounds
 
@@ -30,7 +31,7 @@ class Runs(NamedTuple):
 def runs(name: str) -> Runs:
     found = []
     for seed in range(SEEDS):
-        recording, true, bias = matched(seed, SECONDS)
+        recording, true, bias = draw_matched(seed, SECONDS)
         track, state = run(name, columns(recording), PARAMS)
         d = (rotation(track.q_nb[-1]).inv() * true[-1]).as_rotvec()
         off = bias[-1] - track.gyro_bias_b_radps[-1]
@@ -87,7 +88,7 @@ def test_a_turn_that_the_gyro_hid_leaves_attitude_and_bias_as_wrong_as_they_say(
     """43 deg are lost in half a second. 29 s later it is as if they had not been, if the filter was told of them."""
     nees = {told: np.zeros(2) for told in (True, False)}
     for seed in range(12):
-        recording, true, bias = matched(seed, SECONDS)
+        recording, true, bias = draw_matched(seed, SECONDS)
         log = columns(recording)
         t_s = np.arange(len(log.dt_s)) / RATE_HZ
         lost_b_radps = ((t_s >= 10) & (t_s < 10.5))[:, None] * np.roll([1.5, 0.0, 0.0], seed)
@@ -108,7 +109,7 @@ def test_a_large_turn_is_found_again_within_three_seconds_and_no_sooner_believed
     """One linear update of 86 deg is off by several degrees; taken at its word, NEES was 30 to 50 times as expected."""
     squares, seeds = np.zeros(3), 12
     for seed in range(seeds):
-        recording, true, _ = matched(seed, 14.0)
+        recording, true, _ = draw_matched(seed, 14.0)
         log = columns(recording)
         t_s = np.arange(len(log.dt_s)) / RATE_HZ
         lost_b_radps = ((t_s >= 10) & (t_s < 10.5))[:, None] * np.roll([np.deg2rad(lost_deg) * 2, 0.0, 0.0], seed)
@@ -130,7 +131,7 @@ def worst_deg(q_nb: Floats, true: Rotation, begin_s: float, end_s: float) -> flo
 
 def test_the_gain_of_the_adaptive_one_has_a_floor() -> None:
     """A wrong rate makes residuals, these enlarge alpha, alpha reduces the gain, and that makes larger residuals."""
-    recording, true, _ = matched(4, SECONDS)
+    recording, true, _ = draw_matched(4, SECONDS)
     log = columns(recording)
     from_10_s = np.arange(len(log.dt_s)) >= 10 * RATE_HZ
     faulty = log._replace(gyro_b_radps=log.gyro_b_radps + from_10_s[:, None] * np.deg2rad([3.0, 0.0, 0.0]))
