@@ -17,6 +17,15 @@ from stillpoint.studies.papers.spin.recorded import identify_noise
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(autouse=True)
+def _pictures_without_ink(monkeypatch):
+    """Draw the pictures but do not write them as SVG, which takes half of the time of a page.
+
+    The tests of each experiment look at that.
+    """
+    monkeypatch.setattr("stillpoint.scoring.report.pictures._render_svg", lambda figure, title, name: "<svg></svg>")
+
+
 @pytest.fixture(scope="module")
 def files(call, tmp_path_factory):
     """One short recording of each paper, as ``simulate`` writes it."""
@@ -40,7 +49,7 @@ def test_a_phone_is_judged_by_redistribution_and_graph_and_by_a_truth_that_it_ha
 
 def test_where_the_redistribution_refuses_the_graph_alone_judges(call, tmp_path):
     """A recording that begins in motion has no benchmark; its page is made all the same."""
-    assert call("simulate", "phone-1", "--minutes", "4", "-o", tmp_path / "whole") == 0
+    assert call("simulate", "phone-1", "--minutes", "2.5", "-o", tmp_path / "whole") == 0
     assert call("cut", tmp_path / "whole", "--from", 30, "-o", tmp_path) == 0
     (moving,) = tmp_path.glob("*.mcap")
     words = ("--recording", moving, "-o", tmp_path, "--json", tmp_path / "facts.json", "--jobs", "1")
