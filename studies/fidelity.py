@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.table import ESTIMATORS
 from stillpoint.scoring import AlignKind
@@ -31,7 +32,6 @@ from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import number_rows, survey_sources
 from stillpoint.studies.leaderboard.study import NONE
 from stillpoint.studies.leaderboard.verdicts import PairTable, compare_pairs, merge_rows
-from stillpoint.studies.result_store import ResultStore
 
 _SPLITS = 120  # random halves of the rows
 _LEAST_ROWS_IN_HALF = 2

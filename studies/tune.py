@@ -18,6 +18,7 @@ import numpy as np
 from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.cut import cut_recording
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable, require_known
+from stillpoint.datasets.files.result_store import ResultStore, product_version
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording, Truth
 from stillpoint.datasets.settings import choose_settings
@@ -38,7 +39,6 @@ from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import number_rows, survey_sources
 from stillpoint.studies.leaderboard.study import AGAINST, NONE, Against
 from stillpoint.studies.leaderboard.verdicts import merge_rows
-from stillpoint.studies.result_store import ResultStore, product_version
 
 Sampler = Literal["tpe", "random", "grid"]
 _LEAD_S = 5.0  # before the first motion, for an estimator to start

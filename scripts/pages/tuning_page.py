@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.filters import ESTIMATORS
 from stillpoint.scripts.shared.children import Outcome
 from stillpoint.scripts.shared.flags import Workers
@@ -23,7 +24,6 @@ from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, Summary, Table, leaderboard
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.sources import survey_sources
-from stillpoint.studies.result_store import ResultStore
 from stillpoint.studies.tune import ParamRange, Sampler, Tuning, tune, tuning_toml
 
 _PAGE = Path("docs/estimator-accuracy.md")

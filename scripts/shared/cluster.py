@@ -18,6 +18,7 @@ from typing import Any
 from distributed import Client, Future, Worker, WorkerPlugin, as_completed, get_worker
 
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.files.result_store import product_version
 from stillpoint.scripts.shared.children import (
     Child,
     Item,
@@ -29,7 +30,6 @@ from stillpoint.scripts.shared.children import (
 )
 from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.output import print_line
-from stillpoint.studies.result_store import product_version
 
 _CONNECT_S = 20.0
 _LEAST_AHEAD = 64  # inputs that the scheduler knows of at a time, so that ten million do not fill it

@@ -19,13 +19,13 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadFile, StillpointError
+from stillpoint.datasets.files.result_store import ResultStore, hash_code, key_of, product_version
 from stillpoint.datasets.mcap.facts import from_json, to_json
 from stillpoint.datasets.mcap.store import read_origin, sha256
 from stillpoint.scripts.shared.children import Item, Outcome, Result
 from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line
-from stillpoint.studies.result_store import ResultStore, hash_code, key_of, product_version
 
 _FOLDER = "STILLPOINT_RESULTS"  # the variable that names the folder of results
 _ROW = "row"  # of the record in a file that was made: the facts that the verb prints, as JSON

@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from stillpoint.datasets.archive import resolve_paths
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
@@ -28,7 +29,6 @@ from stillpoint.studies.publish.curves import read_entries
 from stillpoint.studies.publish.page import make_page_html
 from stillpoint.studies.publish.paper import write_paper
 from stillpoint.studies.publish.run_pages import write_run_pages
-from stillpoint.studies.result_store import ResultStore
 
 _DEFAULT_OUT = Path("leaderboard")
 _COLUMNS = (

@@ -23,11 +23,11 @@ from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_k
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.tables import print_refusals
+from stillpoint.scripts.shared.window_folder import WindowFolder, remove_windows
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.long_reference import LongReference
 from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, make_reference_in_pieces, settings_of
-from stillpoint.studies.window_folder import WindowFolder, remove_windows
 
 _AUTO = "auto"  # the preset that each recording's streams speak for
 

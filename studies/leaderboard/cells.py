@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.scoring import AlignKind
 from stillpoint.studies.job_runner import JobRunner
 from stillpoint.studies.leaderboard.board import Row, Run, Source
@@ -15,7 +16,6 @@ from stillpoint.studies.leaderboard.ranking import ErrorSeries, JudgeSeries, Sco
 from stillpoint.studies.leaderboard.references import References
 from stillpoint.studies.leaderboard.scores import Entry, Scored, ScoreJob, judge_key, plan_score, score_recording
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE
-from stillpoint.studies.result_store import ResultStore
 
 
 @dataclass(frozen=True)

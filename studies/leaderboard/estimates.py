@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from stillpoint.datasets.calibration.apply import apply_calibration, load_calibration
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
+from stillpoint.datasets.files.result_store import Result, ResultStore, key_of
 from stillpoint.datasets.mcap.store import read_recording, sha256
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.entrants import Entrant
 from stillpoint.studies.leaderboard.files import find_file
-from stillpoint.studies.result_store import Result, ResultStore, key_of
 
 _UPPER = np.triu_indices(3)
 LEFT_OUT = "arbitrary: the magnetometer is not calibrated"  # as the diagnostics of an estimate say it

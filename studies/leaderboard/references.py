@@ -6,11 +6,11 @@ from pathlib import Path
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.files.result_store import ResultStore, key_of
 from stillpoint.datasets.mcap.store import provenance, read_recording, sha256
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 from stillpoint.studies.job_runner import JobRunner
 from stillpoint.studies.leaderboard.board import Source
-from stillpoint.studies.result_store import ResultStore, key_of
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from stillpoint.datasets import write
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.datasets.files.result_store import ResultStore, product_version
 from stillpoint.datasets.recording import Recording
 from stillpoint.scoring import AlignKind
 from stillpoint.studies.job_runner import JobRunner, run_here
@@ -21,7 +22,6 @@ from stillpoint.studies.leaderboard.references import References, find_reference
 from stillpoint.studies.leaderboard.series import RESULTS
 from stillpoint.studies.leaderboard.sources import survey_sources
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE, Against, Study
-from stillpoint.studies.result_store import ResultStore, product_version
 
 _LEAST_IN_GROUP = 2  # recordings of a tag or device that get a table of their own
 

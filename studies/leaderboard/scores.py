@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import BadRecording, StillpointError
+from stillpoint.datasets.files.result_store import Result, ResultStore, key_of
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Recording
 from stillpoint.datasets.trajectory import Estimate, Reference
@@ -21,7 +22,6 @@ from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.estimates import load_estimate
 from stillpoint.studies.leaderboard.judges import Judge, JudgeSpec, covariance_n_deg2, load_judge
 from stillpoint.studies.leaderboard.series import pack_curves
-from stillpoint.studies.result_store import Result, ResultStore, key_of
 
 _LEAST_COVERED = 0.5  # an estimate of fewer of the judged samples would take them from all others
 _MOST_BINS = 2000  # of mean error vectors: one per second up to 33 minutes

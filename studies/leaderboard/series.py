@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.datasets.recording import Times
 from stillpoint.scoring.report.curves import Curve
 from stillpoint.studies.leaderboard.board import Run
-from stillpoint.studies.result_store import ResultStore
 
 RESULTS = "results"  # folder of the store in the output folder
 _CURVE, _GRID = "curve ", "curve_grid_s"  # names of arrays in the store

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter, StillpointError
+from stillpoint.datasets.files.result_store import ResultStore, key_of
 from stillpoint.datasets.mcap.store import provenance, sha256
 from stillpoint.studies.leaderboard.board import Source
-from stillpoint.studies.result_store import ResultStore, key_of
 
 _NO_MOTION = ("all_trials", "no_breaks", "with_breaks")  # groups of BROAD that do not tell one motion from another
 _MAG, _TRUTH = "/imu/mag", "/truth/pose"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtr, stdtrit
 
 from stillpoint.datasets.recording import Floats
 
@@ -75,9 +75,9 @@ def find_typical_rmse(rmse_deg: Floats, judge: Floats | None = None) -> tuple[Fl
     n = len(logs)
     sampling = np.zeros(logs.shape[1])
     if n >= LEAST_ROWS:
-        sampling = stats.t.ppf(0.975, n - 1) * logs.std(0, ddof=1) / np.sqrt(n)
+        sampling = stdtrit(n - 1, 0.975) * logs.std(0, ddof=1) / np.sqrt(n)
     own = np.zeros_like(sampling) if judge is None else np.diagonal(judge, axis1=1, axis2=2).mean(0)
-    middle, half = logs.mean(0), np.maximum(sampling, stats.norm.ppf(0.975) * own)
+    middle, half = logs.mean(0), np.maximum(sampling, ndtri(0.975) * own)
     return np.exp(middle), np.exp(middle - half), np.exp(middle + half)
 
 
@@ -92,15 +92,15 @@ def compare_pairs(rmse_deg: Floats, judge: Floats | None = None) -> PairTable:
     n, estimators = logs.shape
     each = logs[:, :, None] - logs[:, None, :]
     middle = each.mean(0)
-    half = np.zeros_like(middle) if judge is None else stats.norm.ppf(0.975) * judge.mean(0)
+    half = np.zeros_like(middle) if judge is None else ndtri(0.975) * judge.mean(0)
     np.fill_diagonal(half, 0)
     general = n >= LEAST_ROWS
     allowed = np.ones_like(half, dtype=np.bool_)
     if general:
         borrowed = _BORROWED_ROWS if estimators >= _LEAST_ESTIMATORS else 0
         error, freedom = _standard_error(each, borrowed), n - 1 + borrowed
-        half = np.maximum(stats.t.ppf(0.975, freedom) * error, half)
-        allowed = _allow_discoveries(2 * stats.t.sf(np.abs(middle / error), freedom))
+        half = np.maximum(stdtrit(freedom, 0.975) * error, half)
+        allowed = _allow_discoveries(2 * stdtr(freedom, -np.abs(middle / error)))
     better = allowed & (middle < -np.maximum(half, np.log(_LEAST_RATIO)))
     return PairTable(np.exp(middle), np.exp(middle - half), np.exp(middle + half), better, general)
 
@@ -127,9 +127,11 @@ def _standard_error(each: Floats, borrowed: int) -> Floats:
 
 def _allow_discoveries(chance: Floats) -> Bools:
     """Return the pairs (E, E) that pass Benjamini-Hochberg, each pair counted once."""
+    from scipy.stats import false_discovery_control  # takes half a second to import, in every process of a batch
+
     upper = np.triu_indices(len(chance), 1)
     p = chance[upper]
     passed = np.zeros_like(chance, dtype=np.bool_)
     if len(p):
-        passed[upper] = stats.false_discovery_control(p, method="bh") <= _FALSE_DISCOVERIES
+        passed[upper] = false_discovery_control(p, method="bh") <= _FALSE_DISCOVERIES
     return passed | passed.T

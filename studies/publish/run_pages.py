@@ -15,6 +15,7 @@ from urllib.parse import quote
 
 from stillpoint.datasets.errors import BadRecording, StillpointError
 from stillpoint.datasets.files.atomic import write_atomically
+from stillpoint.datasets.files.result_store import ResultStore, key_of
 from stillpoint.datasets.mcap.store import read_recording, read_reference, sha256
 from stillpoint.datasets.trajectory import Estimate, Reference
 from stillpoint.scoring import AlignKind, compare, score_of
@@ -26,7 +27,6 @@ from stillpoint.studies.leaderboard.estimates import load_estimate
 from stillpoint.studies.leaderboard.judges import TRUTH, JudgeSpec, judge_by_truth, load_judge
 from stillpoint.studies.leaderboard.scores import find_common_samples
 from stillpoint.studies.leaderboard.series import RESULTS
-from stillpoint.studies.result_store import ResultStore, key_of
 
 _FOLDER = "runs"  # of the pages, in the output folder
 _HOME = "../index.html"

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from boards import make_board
 
+from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.scoring.report.curves import reduce_series
 from stillpoint.studies.leaderboard.series import RESULTS, pack_curves
 from stillpoint.studies.publish.curves import PAGE_BYTES, read_entries
-from stillpoint.studies.result_store import ResultStore
 
 
 def keep_runs(out, board, columns=1000):

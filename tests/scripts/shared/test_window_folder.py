@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stillpoint.scripts.shared.window_folder import WindowFolder, remove_windows
 from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
-from stillpoint.studies.window_folder import WindowFolder, remove_windows
 
 WINDOW = PackedWindow({"windows": 3, "window": {"cost": 0.1}}, {"a0": np.arange(3.0), "a1": np.eye(2, order="F")})
 

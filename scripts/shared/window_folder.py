@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stillpoint.datasets.errors import BadParameter
-from stillpoint.studies.result_store import ResultStore
+from stillpoint.datasets.files.result_store import ResultStore
 
 if TYPE_CHECKING:
     from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
