@@ -187,12 +187,14 @@ def _block_means(
             before_s, after_s = middle * dt_s[k], (1.0 - middle) * dt_s[k]
             if block < len(starts) and k == starts[block]:
                 block += 1
-                turn[:] = np.eye(3)
+                for i in range(3):  # assigning an array to a slice would take numba seconds to compile
+                    for j in range(3):
+                        turn[i, j] = 1.0 if i == j else 0.0
                 swept[:] = 0.0
             else:
                 _rotate_by(rate[k, 0] * before_s, rate[k, 1] * before_s, rate[k, 2] * before_s, step)
                 _multiply(turn, step, turned)
-                turn[:] = turned
+                turn, turned = turned, turn
                 for i in range(3):
                     for j in range(3):
                         swept[i, j] -= turn[i, j] * before_s
@@ -205,7 +207,7 @@ def _block_means(
             if middle < 1.0 and k > starts[block - 1]:
                 _rotate_by(rate[k, 0] * after_s, rate[k, 1] * after_s, rate[k, 2] * after_s, step)
                 _multiply(turn, step, turned)
-                turn[:] = turned
+                turn, turned = turned, turn
                 for i in range(3):
                     for j in range(3):
                         swept[i, j] -= turn[i, j] * after_s

@@ -104,7 +104,8 @@ def _eliminate(
     roots, roots_first, ties, ties_first, right = out
     m = len(parent)
     front = np.zeros((sizes[0], sizes[0]))
-    stack, top = np.empty(sizes[1]), 0
+    top = int(np.int64(0))  # a plain 0 has a type of its own, for which callees compile again
+    stack = np.empty(sizes[1])
     of_rows, squares = np.empty((sizes[2], sizes[3])), np.empty(sizes[3])
     at, column = np.zeros(m, dtype=np.int64), np.empty(sizes[3], dtype=np.int64)
     children = np.zeros(m, dtype=np.int64)
@@ -153,7 +154,8 @@ def _eliminate(
         if parent[j] >= 0:
             for a in range(d, width + 1):
                 row = top + (a - d) * (width + 1 - d) - d
-                stack[row + a : row + width + 1] = front[a, a : width + 1]
+                for b in range(a, width + 1):  # a slice would take numba seconds to compile
+                    stack[row + b] = front[a, b]
             top += (width + 1 - d) ** 2
             waiting[n_waiting] = j
             n_waiting += 1

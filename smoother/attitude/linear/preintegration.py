@@ -74,7 +74,9 @@ def preintegrate(
                     cov[6 + a, 3 + b] += 0.5 * by_accel * dt * dt
                     cov[6 + a, 6 + b] += by_accel * dt
             _multiply_left(step, by_bias[i], other)
-            by_bias[i] = other
+            for a in range(9):  # assigning an array to a slice would take numba seconds to compile
+                for b in range(6):
+                    by_bias[i, a, b] = other[a, b]
             for a in range(3):
                 for b in range(3):
                     by_bias[i, a, 3 + b] -= inverse[a, b] * dt

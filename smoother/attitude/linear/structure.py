@@ -109,11 +109,12 @@ def _tie(
     sibling, child = np.full(m, -1), np.full(m, -1)
     seen = np.full(m, -1)
     later = np.empty(16 * m + 64, dtype=np.int64)
-    total = 0
+    total = int(np.int64(0))  # a plain 0 has a type of its own, for which callees compile again
     for j in range(m):
         if total + m > len(later) and total + 4096 > len(later):
             longer = np.empty(2 * len(later), dtype=np.int64)
-            longer[:total] = later[:total]
+            for k in range(total):  # numba compiles this in a tenth of the time of a slice
+                longer[k] = later[k]
             later = longer
         seen[j] = j
         begin = total
@@ -124,12 +125,26 @@ def _tie(
         while c >= 0:
             total = _append_unseen(later, later_first[c], later_first[c + 1], j, seen, later, total)
             c = sibling[c]
-        later[begin:total].sort()
+        _sort_run(later, begin, total)
         later_first[j + 1] = total
         if total > begin:
             parent[j] = later[begin]
             sibling[j], child[parent[j]] = child[parent[j]], j
     return later[:total].copy(), later_first, parent
+
+
+@compiled
+def _sort_run(values: Indices, begin: int, end: int) -> None:
+    """Sort a run of values by insertion: it is short, and made of runs that are sorted.
+
+    numba takes 2 s to compile numpy's sort.
+    """
+    for k in range(begin + 1, end):
+        value, to = values[k], k
+        while to > begin and values[to - 1] > value:
+            values[to] = values[to - 1]
+            to -= 1
+        values[to] = value
 
 
 @compiled

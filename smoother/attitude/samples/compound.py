@@ -61,7 +61,8 @@ def _compound(
         speed[:], place[:], way[:] = 0.0, 0.0, 0.0  # way: the place that gtsam gets to without the push
         q, turn, elapsed_s = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
         for part in range(parts):
-            speed_before[:] = speed
+            for axis in range(3):
+                speed_before[axis] = speed[axis]
             for k in range(first + part * count // parts, first + (part + 1) * count // parts):
                 pushed = _rotate(q, (accel[k, 0], accel[k, 1], accel[k, 2]))
                 for axis in range(3):
