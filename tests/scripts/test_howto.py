@@ -41,7 +41,7 @@ def readers_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reader")
     (folder / "recordings").mkdir()
     for seed in range(2):
-        whole = simulate("phone-3", seed=seed)
+        whole = simulate("phone-3", seed=seed, minutes=3.0)
         first_ns = find_start_ns(whole) + 45_000_000_000  # it rests for the first minute
         short = cut_recording(whole, first_ns, first_ns + 40_000_000_000, f"walk{seed}")
         write(folder / "recordings" / f"{short.name}.mcap", short)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,17 +18,20 @@ MAIN = "from stillpoint.scripts.main import main; main()"
 pytestmark = pytest.mark.slow
 
 
-def start(recording: Path, out: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", MAIN, "reference", str(recording), "-o", str(out), *options]
+def start(recording: Path, out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", MAIN, "reference", str(recording), "-o", str(out)]
     return subprocess.Popen([*command, *SETTINGS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def make(recording: Path, out: Path, *options: str) -> str:
-    """Run to the end, and return what is said on stderr."""
-    run = start(recording, out, *options)
-    _, said = run.communicate(timeout=PATIENCE_S)
-    assert run.returncode == 0, said
-    return said
+@pytest.fixture
+def make(call: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run to the end in this process, and return what is said on stderr."""
+
+    def run(recording: Path, out: Path, *options: str) -> str:
+        assert call("reference", recording, "-o", out, *options, *SETTINGS) == 0
+        return capsys.readouterr().err
+
+    return run
 
 
 def kill_after_windows(recording: Path, out: Path, count: int) -> int:
@@ -51,14 +55,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wanted(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def wanted(call: Callable[..., int], recording: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("whole")
-    make(recording, folder)
+    assert call("reference", recording, "-o", folder, *SETTINGS) == 0
     (file,) = folder.iterdir()  # and no windows
     return file.read_bytes()
 
 
-def test_a_killed_run_goes_on_and_ends_in_the_same_bytes(recording: Path, wanted: bytes, tmp_path: Path) -> None:
+def test_a_killed_run_goes_on_and_ends_in_the_same_bytes(
+    recording: Path, wanted: bytes, make: Callable[..., str], tmp_path: Path
+) -> None:
     solved = kill_after_windows(recording, tmp_path, 2)
     assert not (tmp_path / "walk.reference.mcap").exists()
     said = make(recording, tmp_path)
@@ -67,7 +73,9 @@ def test_a_killed_run_goes_on_and_ends_in_the_same_bytes(recording: Path, wanted
     assert (tmp_path / "walk.reference.mcap").read_bytes() == wanted
 
 
-def test_windows_go_when_the_reference_is_there(recording: Path, wanted: bytes, tmp_path: Path) -> None:
+def test_windows_go_when_the_reference_is_there(
+    recording: Path, wanted: bytes, make: Callable[..., str], tmp_path: Path
+) -> None:
     """A run may be killed between the last byte of its file and the removal of its windows."""
     kill_after_windows(recording, tmp_path, 1)
     (tmp_path / "walk.reference.mcap").write_bytes(wanted)
@@ -75,7 +83,9 @@ def test_windows_go_when_the_reference_is_there(recording: Path, wanted: bytes, 
     assert [file.name for file in tmp_path.iterdir()] == ["walk.reference.mcap"]
 
 
-def test_force_solves_all_windows_anew(recording: Path, wanted: bytes, tmp_path: Path) -> None:
+def test_force_solves_all_windows_anew(
+    recording: Path, wanted: bytes, make: Callable[..., str], tmp_path: Path
+) -> None:
     kill_after_windows(recording, tmp_path, 1)
     assert "windows kept" not in make(recording, tmp_path, "--force")
     assert [file.name for file in tmp_path.iterdir()] == ["walk.reference.mcap"]

@@ -31,6 +31,7 @@ from stillpoint.scripts.streaming.pipe import Counts, run_pipe
 from stillpoint.scripts.streaming.streams import describe_run, make_attitude_stream, open_streams, save_streams
 
 COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
+Feed = Callable[..., tuple[int, str, str]]
 HEADER = "t_ns,gx,gy,gz,ax,ay,az,mx,my,mz"
 AT_REST = "0,0,0,0,0,9.81,0,20,-44"
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
@@ -328,25 +329,20 @@ def test_a_signal_ends_it_while_nobody_reads_the_output(number: signal.Signals, 
     assert kept_ns - stamps[-1] in (0, 10_000_000)
 
 
-@pytest.mark.slow
-def test_an_empty_input_is_said_without_latencies() -> None:
-    done = subprocess.run([*COMMAND, "-e", "gyro"], input="", text=True, capture_output=True, check=True)
-    assert (done.stdout, "nan" in done.stderr) == ("", False)
-    assert done.stderr.startswith("stillpoint: 0 samples, 0 malformed lines, end of input\n")
+def test_an_empty_input_is_said_without_latencies(feed: Feed) -> None:
+    code, out, err = feed("", "-e", "gyro")
+    assert (code, out, "nan" in err) == (0, "", False)
+    assert err.startswith("stillpoint: 0 samples, 0 malformed lines, end of input\n")
 
 
-@pytest.mark.slow
-def test_going_on_with_other_options_is_refused(tmp_path: Path) -> None:
+def test_going_on_with_other_options_is_refused(feed: Feed, tmp_path: Path) -> None:
     state = tmp_path / "state.json"
-    one = f"{HEADER}\n0,{AT_REST}\n"
-    done = subprocess.run(
-        [*COMMAND, "-e", "cf", "--save", str(state)], input=one, text=True, check=True, capture_output=True
-    )
-    assert "1 samples" in done.stderr
-    other = [*COMMAND, "-e", "cf", "--resume", str(state), "--set", "cf.zeta=2"]
-    again = subprocess.run(other, input="", text=True, capture_output=True, check=False)
-    assert again.returncode == 2
-    assert "was saved with other options" in again.stderr
+    code, _, err = feed(f"{HEADER}\n0,{AT_REST}\n", "-e", "cf", "--save", state)
+    assert code == 0
+    assert "1 samples" in err
+    code, _, err = feed("", "-e", "cf", "--resume", state, "--set", "cf.zeta=2")
+    assert code == 2
+    assert "was saved with other options" in err
 
 
 @pytest.mark.parametrize(

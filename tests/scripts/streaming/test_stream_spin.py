@@ -2,8 +2,7 @@
 
 import io
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,6 @@ from stillpoint.filters.saved import from_plain, to_plain
 from stillpoint.filters.table import ROLLS
 from stillpoint.scripts.streaming.lines import Lines, make_spin_layout
 from stillpoint.scripts.streaming.pipe import Counts, run_pipe
-
-COMMAND = [sys.executable, "-c", "from stillpoint.scripts.main import main; main()", "stream"]
 
 
 def bench_with_glitches() -> Recording:
@@ -87,23 +84,20 @@ def test_the_columns_are_those_of_the_geometry_in_its_order() -> None:
     assert lines.read(b"7,6,1,5,4,3,2,1,0\n") == (10**9, (1.0, 2.0, 3.0, 4.0, 5.0), (6.0, 7.0))
 
 
-@pytest.mark.slow
-def test_the_command_with_a_geometry_of_ones_own_saves_and_goes_on(tmp_path: Path) -> None:
+def test_the_command_with_a_geometry_of_ones_own_saves_and_goes_on(
+    feed: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
     rig, state = tmp_path / "rig.toml", tmp_path / "state.json"
     rig.write_text("accel_r_m = [[0, 0, 0.2], [0, 0.5, 0]]\naccel_axis = [[0, 0, 1], [0, 0, 1]]\nfixed_axis = true\n")
-    options = [*COMMAND, "-e", "roll-obs", "--geometry", str(rig)]
-
-    def run(more: list[str], text: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*options, *more], input=text, text=True, capture_output=True, check=False)
-
-    first = run(["--save", str(state)], "t_s,a1,a2\n0,-180,0\n")
-    assert json.loads(first.stdout)["rate_radps"] == pytest.approx(30)  # sqrt(180 / 0.2)
-    second = run(["--resume", str(state)], "t_s,a1,a2\n0.5,-180,0\n")
-    assert json.loads(second.stdout)["angle_rad"] == pytest.approx(15)
+    options = ["-e", "roll-obs", "--geometry", rig]
+    _, first, _ = feed("t_s,a1,a2\n0,-180,0\n", *options, "--save", state)
+    assert json.loads(first)["rate_radps"] == pytest.approx(30)  # sqrt(180 / 0.2)
+    _, second, _ = feed("t_s,a1,a2\n0.5,-180,0\n", *options, "--resume", state)
+    assert json.loads(second)["angle_rad"] == pytest.approx(15)
     rig.write_text(rig.read_text().replace("0.2", "0.3"))
-    moved = run(["--resume", str(state)], "")
-    assert moved.returncode == 2
-    assert "was saved with other options" in moved.stderr
+    code, _, err = feed("", *options, "--resume", state)
+    assert code == 2
+    assert "was saved with other options" in err
 
 
 @pytest.mark.parametrize(

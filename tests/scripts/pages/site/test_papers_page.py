@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -62,14 +63,18 @@ def check_lines(table: str, made: Sequence[str], keys: int = 2, columns: slice =
 
 def run_offline(scenario: spin.Scenario, noise: spin.NoiseKind, seeds: range) -> list[dict[str, Any]]:
     """Return the rows of the paper's methods only, without the smoother."""
-    rows = []
-    for seed in seeds:
-        recording = simulate(scenario.name, seed=seed, sensor=noise)
-        assert recording.roll_truth is not None
-        for method in spin.OF_PAPER:
-            settings = spin.make_settings(scenario, method, noise in spin.LITERAL)
-            made = compare_spin(estimate(recording, spin.FILTERS[method], settings), recording.roll_truth)
-            rows.append({**spin_score_row(score_spin_comparison(made)), "noise": noise, "seed": seed, "method": method})
+    return [row for seed in seeds for row in _run_offline(scenario.name, noise, seed)]
+
+
+@cache
+def _run_offline(name: str, noise: spin.NoiseKind, seed: int) -> list[dict[str, Any]]:
+    scenario = {one.name: one for one in (spin.CONSTANT, spin.VARIABLE)}[name]
+    recording, rows = simulate(name, seed=seed, sensor=noise), []
+    assert recording.roll_truth is not None
+    for method in spin.OF_PAPER:
+        settings = spin.make_settings(scenario, method, noise in spin.LITERAL)
+        made = compare_spin(estimate(recording, spin.FILTERS[method], settings), recording.roll_truth)
+        rows.append({**spin_score_row(score_spin_comparison(made)), "noise": noise, "seed": seed, "method": method})
     return rows
 
 
