@@ -79,7 +79,9 @@ def _make_advance(estimator: ModuleType) -> Any:
     def advance(cell: Any, t_ns: int) -> SpinAnswer:
         front_c, c, row = cell.constants
         passed, state, said = cell.state
-        passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, 0, front_c)
+        # numba would compile the step once more for a zero that it knows.
+        first = np.int64(0)
+        passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, first, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
             said = _make_answer(output)

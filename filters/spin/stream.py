@@ -70,6 +70,8 @@ class SpinStream:
         self._k, self._m = len(geometry.accel_r_b_m), len(geometry.gyro_axis_b)
         values = np.zeros(self._k + self._m)
         row = Row(values[None, : self._k], values[None, self._k :])
+        for columns in row:
+            columns.flags.writeable = False  # as those of a recording are: both use the same machine code
         if saved is None:
             self._cell = make_begin(entry.module)(front_c, c, row)
         else:

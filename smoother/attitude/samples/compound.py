@@ -41,9 +41,20 @@ def compound_samples(
 
     ``bias_b_radps`` (3,) is the gyro's bias about which gtsam preintegrates.
     """
-    columns = motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s
+    columns = [_forbid_writing(each) for each in (motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s)]
     # A copy: gtsam's arrays are of another kind, for which the code would be compiled once more.
     return Measurements(*_compound(rows, intervals, *columns, np.array(bias_b_radps, dtype=np.float64)))
+
+
+def _forbid_writing(column: Floats) -> Floats:
+    """Return a view that cannot be written.
+
+    Columns of a recording are so, and columns that were made from them are not: the code would be compiled for each
+    combination of both.
+    """
+    view = column.view()
+    view.flags.writeable = False
+    return view
 
 
 @compiled
