@@ -18,6 +18,7 @@ from stillpoint.datasets.errors import StillpointError
 from stillpoint.datasets.frames import quaternion, rotation, slerp
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
+from stillpoint.datasets.simulate.measure import draw_gauss_markov
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.flags import LOCAL
@@ -73,12 +74,26 @@ def _add_passing_magnets(recording: Recording, size_ut: float) -> Recording:
     return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + field_b))
 
 
+def _let_field_wander(recording: Recording, sd_ut: float, time_s: float) -> Recording:
+    """Return the recording with errors of the field in n, of first order with a correlation time."""
+    mag, truth = _require_mag(recording), _require_truth(recording)
+    step_s = float(np.median(np.diff(mag.t_ns))) / 1e9
+    wander = draw_gauss_markov(sd_ut, time_s, step_s, len(mag.t_ns), _SEED, f"field {sd_ut:g} {time_s:g}")
+    field_b = _find_attitude(truth, mag.t_ns).inv().apply(wander)
+    return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + field_b))
+
+
 def _put_iron_on(recording: Recording, iron_b_ut: Sequence[float]) -> Recording:
     """Return the recording with iron on the body in its second third."""
     mag = _require_mag(recording)
     share = (mag.t_ns - mag.t_ns[0]) / (mag.t_ns[-1] - mag.t_ns[0])
     there = (share > 1 / 3) & (share < 2 / 3)
     return replace(recording, mag=Mag(mag.t_ns, mag.mag_b_ut + there[:, None] * np.asarray(iron_b_ut)))
+
+
+def _wander_without_rest(recording: Recording, sd_ut: float, time_s: float) -> Recording:
+    """Return the middle 60 s of the recording in a field that wanders."""
+    return _keep_middle(_let_field_wander(recording, sd_ut, time_s), 60.0)
 
 
 def _keep_middle(recording: Recording, seconds: float) -> Recording:
@@ -124,10 +139,23 @@ def make_raw(recording: Recording) -> Recording:
 _PLANTED: dict[str, Callable[[Recording], Recording]] = {
     "nothing": lambda recording: recording,
     "last return turned by 0.5 deg": partial(turn_last_return, angle_deg=0.5),
+    "last return turned by 1.5 deg": partial(turn_last_return, angle_deg=1.5),
     "last return turned by 2.5 deg": partial(turn_last_return, angle_deg=2.5),
     "last return turned by 5 deg": partial(turn_last_return, angle_deg=5.0),
     "magnets of 30 uT pass": partial(_add_passing_magnets, size_ut=30.0),
     "iron of 20 uT on for a third": partial(_put_iron_on, iron_b_ut=(15.0, -10.0, 8.0)),
+    "field wanders by 3 uT over 4 s": partial(_let_field_wander, sd_ut=3.0, time_s=4.0),
+    "5 uT over 1 s": partial(_let_field_wander, sd_ut=5.0, time_s=1.0),
+    "5 uT over 4 s": partial(_let_field_wander, sd_ut=5.0, time_s=4.0),
+    "5 uT over 15 s": partial(_let_field_wander, sd_ut=5.0, time_s=15.0),
+    "5 uT over 30 s": partial(_let_field_wander, sd_ut=5.0, time_s=30.0),
+    "10 uT over 1 s": partial(_let_field_wander, sd_ut=10.0, time_s=1.0),
+    "10 uT over 4 s": partial(_let_field_wander, sd_ut=10.0, time_s=4.0),
+    "10 uT over 15 s": partial(_let_field_wander, sd_ut=10.0, time_s=15.0),
+    "20 uT over 4 s": partial(_let_field_wander, sd_ut=20.0, time_s=4.0),
+    "the middle 60 s, 5 uT over 4 s": partial(_wander_without_rest, sd_ut=5.0, time_s=4.0),
+    "the middle 60 s, 5 uT over 15 s": partial(_wander_without_rest, sd_ut=5.0, time_s=15.0),
+    "the middle 60 s, 10 uT over 4 s": partial(_wander_without_rest, sd_ut=10.0, time_s=4.0),
     "the middle 40 s": partial(_keep_middle, seconds=40.0),
     "a gap of 0.3 s every 20 s": partial(_cut_gaps, length_s=0.3),
     "48 Hz, averaged": partial(_slow_down, rate_hz=48.0, averaged=True),
@@ -141,18 +169,24 @@ _PLANTED: dict[str, Callable[[Recording], Recording]] = {
 
 def main(*files: Path) -> None:
     """Print one row for each kind of copy."""
-    print("| planted | mean total, deg | worst | mean in 95 % | least | refused |\n|---|---|---|---|---|---|")
+    print(
+        "| planted | mean total, deg | worst | mean in 95 % | least | warned | refused |\n|---|---|---|---|---|---|---|"
+    )
     for name in _PLANTED:
         outcomes = run_jobs(partial(_score_copy, name=name), files, LOCAL, name)
         found = [outcome.value for outcome in outcomes if outcome.value is not None]
-        totals, inside = [one.total_rmse_deg for one in found], [one.coverage95 or 0.0 for one in found]
+        totals, inside = [one.total_rmse_deg for one, _ in found], [one.coverage95 or 0.0 for one, _ in found]
         cells = [f"{mean(totals):.2f}", f"{max(totals):.2f}", f"{mean(inside):.2f}", f"{min(inside):.2f}"]
-        print(f"| {name} | {' | '.join(cells if found else ['–'] * 4)} | {len(files) - len(found)} |", flush=True)
+        counts = f"{sum(warned for _, warned in found)} | {len(files) - len(found)}"
+        print(f"| {name} | {' | '.join(cells if found else ['–'] * 4)} | {counts} |", flush=True)
 
 
-def _score_copy(path: Path, name: str) -> Score:
+def _score_copy(path: Path, name: str) -> tuple[Score, bool]:
+    """Return the score of the reference of a copy, and whether it says that the field is disturbed."""
     changed = _PLANTED[name](read_recording(path))
-    return score(attitude_reference(changed), _thin_out(_require_truth(changed)), "heading+mounting+time")
+    made = attitude_reference(changed)
+    warned = "field_disturbed" in made.diagnostics or "magnetometer_left_out" in made.diagnostics
+    return score(made, _thin_out(_require_truth(changed)), "heading+mounting+time"), warned
 
 
 def _thin_out(truth: Truth) -> Truth:

@@ -33,7 +33,13 @@ _ROWS_AT_ONCE = 1 << 19  # samples among which rests are looked for together: 44
 LARGE_BYTES = 64 << 20  # a file above this is summarised: reading 64 MiB takes about a second
 _COLUMNS = ("stream", "samples", "Hz", "start, s", "length, s", "gaps", "longest, s")
 
-_SHOWN = ("heading", "sign_of_gravity", "gaps", "magnetometer_left_out")  # of a reference's diagnostics
+_SHOWN = (
+    "heading",
+    "sign_of_gravity",
+    "gaps",
+    "magnetometer_left_out",
+    "field_disturbed",
+)  # of a reference's diagnostics
 
 
 def info(

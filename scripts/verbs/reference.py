@@ -156,8 +156,8 @@ def reference(
     code = report_made("references", _COLUMNS, rows, _format_cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
-        left_out = "magnetometer_left_out"
-        print_refusals("without magnetometer", ((facts[left_out], name) for name, facts in made if left_out in facts))
+        for title, key in (("without magnetometer", "magnetometer_left_out"), ("field disturbed", "field_disturbed")):
+            print_refusals(title, ((facts[key], name) for name, facts in made if key in facts))
         print_refusals("presets", ((_describe_preset(facts), name) for name, facts in made if "preset" in facts))
         print_refusals("satellites", ((_describe_fixes(facts), name) for name, facts in made if "fixes" in facts))
         print_refusals("left out", ((_describe_islands(facts), name) for name, facts in made if facts.get("left_out")))

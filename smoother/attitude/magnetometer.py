@@ -28,6 +28,8 @@ UNKNOWNS = 16  # 3 of the local field, 3 of the hard iron, 1 delay, 9 of the mat
 _HEADING_SD_UT = 1e-3  # sd of the field across its known direction, which defines the heading
 _LONGEST_S = 10.0  # over which errors of the field are compared with each other
 _LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
+_STRETCH_S = 20.0  # over which the size of the field's errors is taken
+_ORDINARY = 0.5  # times ``sd_ut``: beyond it by so much, the sd of errors is still one of ordinary rooms
 _LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
 
 
@@ -38,7 +40,7 @@ class FieldMeasurements:
     state: NDArray[np.int64]  # (K,)
     field_b_ut: Floats  # (K, 3)
     gyro_b_radps: Floats  # (K, 3) mean over _LATE_S before the state
-    widening: Floats  # (K,) factor on the sd, 1 where nothing but the field holds the heading
+    widening: Floats  # (K,) factor on the sd, 1 where nothing but the field holds the heading and it is not disturbed
 
     def at(self, states: range) -> "FieldMeasurements | None":
         """Return the measurements at some of the states, None where there are none."""
@@ -139,17 +141,15 @@ def linearise_measurements(
     field: Floats,
     scale_ut: float,
     params: FieldParams,
-    widening: float = 1.0,
 ) -> Rows:
     """Return the measurement equation linearised at the given attitudes and H (16,), weighted and whitened.
 
-    ``widening`` multiplies the sd, at least as much as that of each measurement, but leaves the robust weights as they
-    are.
+    The widening of a measurement multiplies its sd, but leaves the robust weights as they are.
     With s = R(t - d)^T m: a pose that turns by R exp(e) changes s by [s]x exp(w d) e, a longer delay by w x s.
     """
     residual, seen = compute_residuals(measured, rotations, field), _predict_field(measured, rotations, field)
     matrix = field_matrix(field)
-    root = compute_weights(residual, scale_ut, params) / (scale_ut * np.maximum(measured.widening, widening))
+    root = compute_weights(residual, scale_ut, params) / (scale_ut * measured.widening)
     back = _turn_back(measured, field[6])
     cross = np.zeros((len(seen), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2] = -seen[:, 2], seen[:, 1]
@@ -174,24 +174,54 @@ def linearise_measurements(
     )
 
 
-def measure_widening(rotations: Floats, residual_ut: Floats, scale_ut: float, params: FieldParams) -> float:
-    """Return by how much the magnetometer's sd grows for the covariance, as its errors last for seconds.
+@dataclass(frozen=True, eq=False)
+class FieldErrors:
+    """How large the field's errors are, and how long they last."""
+
+    size_ut: Floats  # (K,) sd per axis in the stretch around each measurement
+    lasting: float  # factor on the sd of a mean of many: K readings count as K / lasting^2
+
+
+def measure_errors(rotations: Floats, residual_ut: Floats, params: FieldParams) -> FieldErrors:
+    """Return size and duration of the field's errors by the residuals of a solution.
 
     Iron stands still and the sensor passes it, so errors of neighbouring readings are alike in the axes of n: K
     readings count as K / (1 + 2 sum of autocorrelation). ``rotations`` (K, 3, 3) body to n, ``residual_ut`` (K, 3).
     """
+    scale_ut = max(params.sd_ut, float(np.median(np.linalg.norm(residual_ut, axis=1))))
     root = compute_weights(residual_ut, scale_ut, params)
     error = np.einsum("kij,kj->ki", rotations, residual_ut * root[:, None])
     n, total = len(error), float((error**2).sum())
     if total == 0.0:
-        return 1.0
+        return FieldErrors(np.zeros(n), 1.0)
     lags = range(1, min(n // 4, int(_LONGEST_S / params.step_s)))
     alike = np.array([float((error[k:] * error[:-k]).sum()) / total * n / (n - k) for k in lags])
     ends = np.flatnonzero(alike < _LEAST_CORRELATION)
-    return float(np.sqrt(max(1.0, 1 + 2 * alike[: ends[0] if len(ends) else None].sum())))
+    lasting = np.sqrt(max(1.0, 1 + 2 * alike[: ends[0] if len(ends) else None].sum()))
+    stretch = np.ones(min(n, 2 * int(_STRETCH_S / params.step_s / 2) + 1))
+    count = np.convolve(np.ones(n), stretch, "same")
+    square = np.convolve((error**2).mean(axis=1), stretch, "same") / count
+    return FieldErrors(np.sqrt(square), float(lasting))
+
+
+def widen_by_errors(measured: FieldMeasurements, errors: FieldErrors, params: FieldParams) -> FieldMeasurements:
+    """Return measurements whose sd is at least what the errors of the field suggest for the estimate.
+
+    White errors of this size and duration have the sd size x lasting. But the solution follows errors that last for a
+    part of the recording, so that their residuals are too small and too short. With size x lasting^2 / 2 references of
+    phones and BROAD trials in wandering fields of 5 uT over 15 s and 10 uT over 4 s are the most accurate.
+    """
+    widening = errors.size_ut * errors.lasting**2 / 2 / params.sd_ut - _ORDINARY
+    return replace(measured, widening=np.maximum(measured.widening, widening))
+
+
+def widen_for_covariance(counted: FieldMeasurements, errors: FieldErrors, params: FieldParams) -> FieldMeasurements:
+    """Return measurements that count in an estimate with the sd that its covariance allows for."""
+    hidden = errors.size_ut * errors.lasting**2 / params.sd_ut
+    return replace(counted, widening=np.maximum(np.maximum(counted.widening, errors.lasting), hidden))
 
 
 def shrink_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:
-    """Return the scale of the next iteration: smaller, but not below the residuals' own size or ``sd_ut``."""
+    """Return the scale of the next iteration: smaller, at once the residuals' own size, and ``sd_ut`` at the least."""
     size = float(np.median(np.linalg.norm(residual, axis=1)))  # about sd for three axes
     return max(params.sd_ut, min(_SHRINK * scale_ut, max(size, params.sd_ut)))

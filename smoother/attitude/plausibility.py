@@ -42,6 +42,7 @@ INLIER_SHARE = 0.75  # of the field's measurements; an attached magnet leaves 0.
 _USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there is no field to speak of
 _MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
 _RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
+_WIDE = 1.5  # times ``FieldParams.sd_ut``: the sd of a reading from which on errors of the field are said to last
 _DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
 _ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
 _LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
@@ -81,6 +82,7 @@ class Fit:
     squares: dict[str, float]  # mean square of normalised residuals per degree of freedom, by kind of factor
     field_inlier_share: float | None  # of the magnetometer's measurements; None without a magnetometer
     field_misfit_ut: float | None  # median size of their residuals
+    field_sd_ut: float | None  # median sd with which they count
 
 
 def priors_to_try(params: GraphParams, evidence: Evidence) -> list[SensorPriors]:
@@ -117,9 +119,10 @@ def measure_fit(graph: Graph, added: int, solution: Solution, keys: Keys, params
     squares = {kind: square / count for kind, (square, count) in total.items()}
     residual = solution.field_residual_ut
     if residual is None:
-        return Fit(squares, None, None)
+        return Fit(squares, None, None, None)
     inlier = find_inliers(residual, params.magnetic)
-    return Fit(squares, float(inlier.mean()), float(np.median(np.linalg.norm(residual, axis=1))))
+    misfit_ut = float(np.median(np.linalg.norm(residual, axis=1)))
+    return Fit(squares, float(inlier.mean()), misfit_ut, solution.field_sd_ut)
 
 
 def _sum_chain(graph: Graph, solution: Solution, keys: Keys) -> dict[str, tuple[float, int]]:
@@ -142,7 +145,8 @@ def average_fits(fits: Sequence[Fit]) -> Fit:
     squares = {k: float(np.mean([fit.squares[k] for fit in fits if k in fit.squares])) for k in sorted(kinds)}
     shares = [fit.field_inlier_share for fit in fits if fit.field_inlier_share is not None]
     misfits = [fit.field_misfit_ut for fit in fits if fit.field_misfit_ut is not None]
-    return Fit(squares, float(np.mean(shares)) if shares else None, float(np.mean(misfits)) if misfits else None)
+    sizes = [fit.field_sd_ut for fit in fits if fit.field_sd_ut is not None]
+    return Fit(squares, *(float(np.mean(found)) if found else None for found in (shares, misfits, sizes)))
 
 
 def refuse_contradictions(
@@ -184,6 +188,16 @@ def describe_disturbed_field(fit: Fit, params: GraphParams) -> str:
     return (
         f"the magnetometer contradicts the gyro (half of its readings are more than {fit.field_misfit_ut:.0f} uT "
         f"off, {100 * (1 - fit.field_inlier_share):.0f} % are useless)"
+    )
+
+
+def describe_lasting_errors(fit: Fit, params: GraphParams) -> str:
+    """Return how little the magnetometer counts because errors of the field are large and last, "" if it counts."""
+    if fit.field_sd_ut is None or fit.field_sd_ut < _WIDE * params.magnetic.sd_ut:
+        return ""
+    return (
+        f"errors of the field last for seconds: a reading of the magnetometer counts with an sd of "
+        f"{fit.field_sd_ut:.0f} uT"
     )
 
 

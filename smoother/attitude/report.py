@@ -12,7 +12,11 @@ from stillpoint.datasets.trajectory import CONVENTION, BasePoseReturn
 from stillpoint.smoother.attitude.covariance import choose_factors, scale_covariances
 from stillpoint.smoother.attitude.evidence import Evidence, describe_gravity_test
 from stillpoint.smoother.attitude.outside.satellite import VERTICAL, estimate_delay, outages
-from stillpoint.smoother.attitude.plausibility import describe_disturbed_field, measure_surprise
+from stillpoint.smoother.attitude.plausibility import (
+    describe_disturbed_field,
+    describe_lasting_errors,
+    measure_surprise,
+)
 from stillpoint.smoother.attitude.returns import judge_returns_again
 from stillpoint.smoother.attitude.samples.every_sample import Piece, Track
 from stillpoint.smoother.attitude.samples.joined import join_attitudes, sample_pieces
@@ -42,8 +46,12 @@ def report_reference(
     if magnetometer_left_out is not None:
         diagnostics["magnetometer_left_out"] = magnetometer_left_out
     disturbed = describe_disturbed_field(solved.fit, solved.params)
+    lasting = describe_lasting_errors(solved.fit, solved.params)
+    held = evidence.fixes is not None or any(verdict.accepted for verdict in verdicts)
     if disturbed:
         diagnostics["field_disturbed"] = f"{disturbed}; only the readings that fit are used"
+    elif lasting and not held:
+        diagnostics["field_disturbed"] = f"{lasting}, and nothing else holds the heading"
     facts: dict[str, Any] = {
         "heading_sd_rad": float(np.sqrt(factors.mean_heading * min(piece.heading_rad2 for piece in pieces))),
         "mounting_cov_b_rad2": factors.tilt * last.mounting_b_rad2,
@@ -137,6 +145,7 @@ def _list_diagnostics(recording: Recording, evidence: Evidence, solved: Solved, 
         "iterations": max(piece.iterations for piece in solved.pieces),
         "cost": sum(piece.cost for piece in solved.pieces),
         "residuals": solved.fit.squares,
+        "field_sd_ut": solved.fit.field_sd_ut,
         "field_widening": last.field_widening,
         "gyro_bias_prior_sd_radps": inertial.gyro_bias_sd_radps,
         "gyro_matrix_prior_sd": inertial.gyro_matrix_sd,

@@ -19,11 +19,14 @@ from stillpoint.smoother.attitude.linear.structure import Structure, find_struct
 from stillpoint.smoother.attitude.magnetometer import (
     FIRST_SCALE,
     UNKNOWNS,
+    FieldErrors,
     FieldMeasurements,
     compute_residuals,
     linearise_measurements,
-    measure_widening,
+    measure_errors,
     shrink_scale,
+    widen_by_errors,
+    widen_for_covariance,
 )
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.connectivity import require_connected
@@ -42,6 +45,8 @@ SIZES = {ord("x"): 6, ord("v"): 3, ord("c"): 6, ord("b"): 6, ord("m"): CALIBRATI
 _STEP_LIMIT_RAD = 1.0  # an iteration that would turn a state by more is shortened
 _REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the rate at which they shrink, may reach it
 _ALIKE = 0.95  # cosine between two steps from which on they have the same direction
+_ROUNDS = 3  # in which the sd of the magnetometer is adapted to the errors of the field, at the most
+_SD_SETTLED = 0.1  # relative change of these sd that ends the rounds
 _SLOWEST = 0.98  # largest ratio of their lengths that is extrapolated
 
 
@@ -58,7 +63,9 @@ class Solution:
     rows: Rows
     structure: Structure
     field_scale_ut: float  # scale of the magnetometer's robust weights
-    field_widening: float  # factor on its sd in ``rows``: its errors last from reading to reading
+    measured: FieldMeasurements | None  # with the sd that ``rows`` has, for the covariance
+    field_sd_ut: float | None  # median sd with which the estimate counts a measurement
+    field_widening: float  # factor on the magnetometer's sd as its errors last from reading to reading
     q_steps_rad: tuple[float, ...]  # largest turn of a state in each iteration
     field_residual_ut: Floats | None  # (K, 3)
     cost: float  # of all factors but those of magnetometer and calibration
@@ -140,18 +147,54 @@ def solve(
 ) -> Solution:
     """Return the optimum of the graph and the magnetometer's measurements; raises errors as :func:`iterate`."""
     there = iterate(graph, approach, states, measured, name, params)
-    assert there.structure is not None
-    values, effective, scale_ut, widening = there.values, there.effective, there.field_scale_ut, 1.0
     residual: Floats | None = None
+    sd_ut, lasting = None, 1.0
     if measured is not None:
-        rotations = rotations_of(values, measured.state)
-        residual = compute_residuals(measured, rotations, values.atVector(H(0)))
-        widening = measure_widening(rotations, residual, scale_ut, params.magnetic)
-    rows, _ = linearise(graph, values, effective, states, measured, scale_ut, params, widening)
+        there, counted = _adapt_to_field(graph, there, states, measured, name, params)
+        residual, errors = _find_field_errors(there.values, counted, params)
+        sd_ut, lasting = params.magnetic.sd_ut * float(np.median(counted.widening)), errors.lasting
+        measured = widen_for_covariance(counted, errors, params.magnetic)
+    assert there.structure is not None
+    values, effective, scale_ut = there.values, there.effective, there.field_scale_ut
+    rows, _ = linearise(graph, values, effective, states, measured, scale_ut, params)
     squares = split_squares(graph.chain, rows.data)
     of_chain = sum(float(part.sum()) for part in (squares.imu, squares.speed, squares.place))
     cost = float(graph.others.error(values)) + of_chain / 2
-    return Solution(values, effective, rows, there.structure, scale_ut, widening, there.q_steps_rad, residual, cost)
+    field = scale_ut, measured, sd_ut, lasting
+    return Solution(values, effective, rows, there.structure, *field, there.q_steps_rad, residual, cost)
+
+
+def _adapt_to_field(
+    graph: Graph,
+    there: Approach,
+    states: range,
+    measured: FieldMeasurements,
+    name: str,
+    params: GraphParams,
+) -> tuple[Approach, FieldMeasurements]:
+    """Return the optimum where each measurement of the field counts as its errors deserve, and the measurements.
+
+    ``there`` is the optimum with the sd of ordinary rooms. It stays where the errors of the field are not larger.
+    """
+    counted = measured
+    for _ in range(_ROUNDS):
+        _, errors = _find_field_errors(there.values, counted, params)
+        wider = widen_by_errors(measured, errors, params.magnetic)
+        if np.abs(np.log(wider.widening / counted.widening)).max() < _SD_SETTLED:
+            break
+        counted, before = wider, there
+        there = iterate(graph, before, states, counted, name, params)
+        there = replace(there, q_steps_rad=before.q_steps_rad + there.q_steps_rad)
+    return there, counted
+
+
+def _find_field_errors(
+    values: gtsam.Values, measured: FieldMeasurements, params: GraphParams
+) -> tuple[Floats, FieldErrors]:
+    """Return the residuals (K, 3) of the magnetometer in uT, and the errors of the field that they show."""
+    rotations = rotations_of(values, measured.state)
+    residual = compute_residuals(measured, rotations, values.atVector(H(0)))
+    return residual, measure_errors(rotations, residual, params.magnetic)
 
 
 def linearise(
@@ -162,12 +205,10 @@ def linearise(
     measured: FieldMeasurements | None,
     scale_ut: float,
     params: GraphParams,
-    widening: float = 1.0,
 ) -> tuple[Rows, Floats | None]:
     """Return the linear factors, those of the chain first, and the residuals of the magnetometer (K, 3).
 
     They are linearised at ``values`` of the ``states`` and what is common to them, and ``effective`` biases (m, 6).
-    ``widening`` is a factor on the magnetometer's sd beside that of its robust weights.
     """
     of_chain = linearise_chain(graph.chain, read_place(graph.chain, values, effective, states))
     rows = replace(graph.chain.keys(), data=of_chain).and_also(flatten(graph.others.linearize(values)))
@@ -177,7 +218,7 @@ def linearise(
         return rows, None
     rotations = rotations_of(values, measured.state)
     field = values.atVector(H(0))
-    of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic, widening)
+    of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic)
     return rows.and_also(of_field), compute_residuals(measured, rotations, field)
 
 

@@ -53,8 +53,8 @@ def hand_over(
     keys, values = closed.keys, solution.values
     until = keys.states.stop
     effective = solution.effective[np.isin(interval, graph.chain.interval)]
-    field = closed.measured, solution.field_scale_ut
-    rows, _ = linearise(graph, values, effective, held, *field, params, solution.field_widening)
+    measured = solution.measured and solution.measured.at(keys.states)
+    rows, _ = linearise(graph, values, effective, held, measured, solution.field_scale_ut, params)
     step = int(bias_steps(keys, params)[until])
     common = [X(until), V(until), B(step), M(0), H(0), L(0)]
     try:

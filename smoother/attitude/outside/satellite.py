@@ -206,16 +206,16 @@ def align_headings(fixes: Fixes, motion: Motion, q_nb: Floats, keys: Keys) -> Fl
     """
     stretch = np.concatenate([[0], np.cumsum(keys.gap)])
     q_key = q_nb[keys.row]
+    gained = _sum_force(motion, q_nb)
     turned = np.empty_like(q_key)
     angle = 0.0
     for number in range(int(stretch[-1]) + 1):
-        product, parallel = _compare_velocities(
-            fixes.among(np.asarray(stretch[fixes.state] == number)), motion, q_nb, 0.0
-        )
+        own = fixes.among(np.asarray(stretch[fixes.state] == number))
+        product, parallel = _compare_velocities(own, motion.t_s, gained, 0.0)
         if parallel > 0 and abs(product) > _LEAST_CORRELATION * parallel:
             angle = float(np.angle(product))
-        own = stretch == number
-        turned[own] = quaternion(heading_rotation(angle) * rotation(q_key[own]))
+        there = stretch == number
+        turned[there] = quaternion(heading_rotation(angle) * rotation(q_key[there]))
     return turned
 
 
@@ -225,7 +225,8 @@ def estimate_delay(fixes: Fixes, motion: Motion, q_nb: Floats) -> float | None:
     At that delay the changes of velocity by satellites and by the accelerometer, at attitudes ``q_nb`` (N, 4), differ
     least; between the values that are tried, a parabola tells it.
     """
-    pairs = [_compare_velocities(fixes, motion, q_nb, delay_s) for delay_s in _DELAYS_S]
+    gained = _sum_force(motion, q_nb)
+    pairs = [_compare_velocities(fixes, motion.t_s, gained, delay_s) for delay_s in _DELAYS_S]
     share = np.array([product.real / parallel if parallel > 0 else 0.0 for product, parallel in pairs])
     best = int(share.argmax())
     if share[best] < _CLEAR_CORRELATION or best in (0, len(_DELAYS_S) - 1):
@@ -236,17 +237,22 @@ def estimate_delay(fixes: Fixes, motion: Motion, q_nb: Floats) -> float | None:
     return float(_DELAYS_S[best] + shift * (_DELAYS_S[1] - _DELAYS_S[0]))
 
 
-def _compare_velocities(fixes: Fixes, motion: Motion, q_nb: Floats, delay_s: float) -> tuple[complex, float]:
+def _sum_force(motion: Motion, q_nb: Floats) -> Floats:
+    """Return the velocity (N + 1, 3) in n that the specific force adds up to before each sample, and after the last."""
+    force = rotation(q_nb).apply(motion.accel_b_mps2.copy())
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(force * motion.dt_s[:, None], axis=0)])
+
+
+def _compare_velocities(fixes: Fixes, t_s: Floats, gained: Floats, delay_s: float) -> tuple[complex, float]:
     """Return the sum of products of both changes of level velocity from fix to fix, and what it is if all agree.
 
-    The argument of the sum is the angle about up from the accelerometer's changes to those of the satellites.
+    ``gained`` (N + 1, 3) is the sum of the force at samples ``t_s`` (N,). The argument of the sum is the angle about up
+    from the accelerometer's changes to those of the satellites.
     """
     moving = fixes.among(np.asarray(np.isfinite(fixes.velocity_n_mps).all(axis=1)))
     if len(moving.state) < 3:
         return 0j, 0.0
-    force = rotation(q_nb).apply(motion.accel_b_mps2.copy())
-    gained = np.concatenate([np.zeros((1, 3)), np.cumsum(force * motion.dt_s[:, None], axis=0)])
-    at = gained[np.clip(np.searchsorted(motion.t_s, moving.t_s - delay_s), 0, len(gained) - 1)]
+    at = gained[np.clip(np.searchsorted(t_s, moving.t_s - delay_s), 0, len(gained) - 1)]
     near = np.diff(moving.t_s) < OUTAGE_S
     measured, known = np.diff(at[:, :2], axis=0)[near], np.diff(moving.velocity_n_mps[:, :2], axis=0)[near]
     product = np.sum((known[:, 0] + 1j * known[:, 1]) * (measured[:, 0] - 1j * measured[:, 1]))

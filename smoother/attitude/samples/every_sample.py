@@ -127,16 +127,21 @@ def make_piece(window: Evidence, solution: Solution, until: int, name: str, para
     )
 
 
-def sample_piece(piece: Piece, motion: Motion) -> Samples:
-    """Return the answer of a window at each of its samples."""
+def sample_attitudes(piece: Piece, motion: Motion) -> tuple[Floats, Floats]:
+    """Return attitude (N, 4) and gyro bias (N, 3) of a window at each of its samples."""
     rows, gyro_matrix = piece.rows, piece.calibration.gyro_matrix
     assert gyro_matrix is not None
-    t_s, dt_s = motion.t_s[rows], motion.dt_s[rows]
-    state = np.clip(np.searchsorted(piece.t_s, t_s, side="right") - 1, 0, len(piece.t_s) - 1)
+    state = np.clip(np.searchsorted(piece.t_s, motion.t_s[rows], side="right") - 1, 0, len(piece.t_s) - 1)
     bias = piece.gyro_bias_b_radps[piece.bias_step[state]]
     rate = (motion.gyro_b_radps[rows] - bias) @ gyro_matrix.T
-    q_nb = _interpolate_attitudes(piece.row - rows.start, piece.q_nb, rate, dt_s)
-    cov_t_s = piece.t_s[piece.chosen]
+    return _interpolate_attitudes(piece.row - rows.start, piece.q_nb, rate, motion.dt_s[rows]), bias
+
+
+def sample_piece(piece: Piece, motion: Motion) -> Samples:
+    """Return the answer of a window at each of its samples."""
+    rows = piece.rows
+    q_nb, bias = sample_attitudes(piece, motion)
+    t_s, cov_t_s = motion.t_s[rows], piece.t_s[piece.chosen]
     return Samples(
         rows=rows,
         q_nb=q_nb,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.keys import Motion
-from stillpoint.smoother.attitude.samples.every_sample import Piece, Samples, Track, sample_piece
+from stillpoint.smoother.attitude.samples.every_sample import Piece, Samples, Track, sample_attitudes, sample_piece
 
 
 def sample_pieces(pieces: Sequence[Piece], motion: Motion) -> Iterator[Samples]:
@@ -40,10 +40,15 @@ def sample_pieces(pieces: Sequence[Piece], motion: Motion) -> Iterator[Samples]:
 
 
 def join_attitudes(pieces: Sequence[Piece], motion: Motion) -> Floats:
-    """Return the attitude (N, 4) at every sample."""
-    q_nb = np.empty((len(motion.t_s), 4))
-    for part in sample_pieces(pieces, motion):
-        q_nb[part.rows] = part.q_nb
+    """Return the attitude (N, 4) at every sample, as :func:`sample_pieces` does, but sooner: without covariances."""
+    q_nb, done = np.empty((len(motion.t_s), 4)), 0
+    for piece in pieces:
+        rows = piece.rows
+        here, _ = sample_attitudes(piece, motion)
+        if done > rows.start:
+            both = slice(rows.start, done)
+            here[: done - rows.start] = _turn_over(q_nb[both], here[: done - rows.start], _rise(motion.t_s[both]))
+        q_nb[rows], done = here, rows.stop
     return q_nb
 
 
@@ -52,11 +57,8 @@ def _join(before: Samples, after: Samples, t_s: Floats) -> Samples:
     old = before.rows.stop - after.rows.start
     if old <= 0:
         return after
-    span_s = t_s[before.rows] - t_s[before.rows.start]
-    share = span_s / span_s[-1]
-    turn = rotation(before.q_nb)
-    step = (turn.inv() * rotation(after.q_nb[:old])).as_rotvec()
-    turned = quaternion(turn * Rotation.from_rotvec(share[:, None] * step))
+    share = _rise(t_s[before.rows])
+    turned = _turn_over(before.q_nb, after.q_nb[:old], share)
     return Samples(
         rows=after.rows,
         q_nb=np.concatenate([turned, after.q_nb[old:]]),
@@ -64,6 +66,18 @@ def _join(before: Samples, after: Samples, t_s: Floats) -> Samples:
         gyro_bias_b_radps=_go_over(before.gyro_bias_b_radps, after.gyro_bias_b_radps, share),
         track=_join_tracks(before.track, after.track, share),
     )
+
+
+def _rise(t_s: Floats) -> Floats:
+    """Return times (N,) as shares of their span, from 0 to 1."""
+    return np.asarray((t_s - t_s[0]) / (t_s[-1] - t_s[0]))
+
+
+def _turn_over(before_q_nb: Floats, after_q_nb: Floats, share: Floats) -> Floats:
+    """Return attitudes (N, 4) that go over from one to another by a share (N,)."""
+    turn = rotation(before_q_nb)
+    step = (turn.inv() * rotation(after_q_nb)).as_rotvec()
+    return quaternion(turn * Rotation.from_rotvec(share[:, None] * step))
 
 
 def _go_over(before: Floats, after: Floats, share: NDArray[np.float64]) -> Floats:

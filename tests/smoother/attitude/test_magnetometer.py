@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import H, X
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import quaternion
@@ -14,8 +15,11 @@ from stillpoint.smoother.attitude.magnetometer import (
     field_matrix,
     field_prior,
     linearise_measurements,
+    measure_errors,
     shrink_scale,
     start_field,
+    widen_by_errors,
+    widen_for_covariance,
 )
 from stillpoint.smoother.attitude.params import FieldParams
 
@@ -176,3 +180,53 @@ def test_a_known_declination_fixes_the_horizontal_direction_only(azimuth_deg):
     across = np.array([pointing[1], -pointing[0], 0.0])
     values.update(H(0), at + np.concatenate([across, np.zeros(len(FIELD) - 3)]))
     assert prior.error(values) > 1e5
+
+
+def draw_errors(sd_ut, time_s, count, seed=0):
+    """Errors (count, 3) of the field, 0.5 s apart, that last for a correlation time."""
+    share = np.exp(-PARAMS.step_s / time_s)
+    noise = np.random.default_rng(seed).normal(0.0, sd_ut, (count, 3))
+    return lfilter([np.sqrt(1 - share**2)], [1, -share], noise, axis=0)
+
+
+def test_the_errors_that_are_measured_are_those_that_were_drawn():
+    """A mean of many errors that last 2 s counts like one of errors with sqrt(2 x 2 s / 0.5 s) times their sd."""
+    error_n = draw_errors(2.0, 2.0, 5000)
+    attitude = Rotation.random(5000, rng=np.random.default_rng(1))
+    found = measure_errors(attitude.as_matrix(), attitude.inv().apply(error_n), PARAMS)
+    weight = 1 / (1 + np.sum(error_n**2, axis=1) / (PARAMS.robust * PARAMS.sd_ut) ** 2)
+    assert found.size_ut.mean() == pytest.approx(np.sqrt(np.mean((weight[:, None] * error_n) ** 2)), rel=0.05)
+    assert found.lasting == pytest.approx(np.sqrt(2 * 2.0 / PARAMS.step_s), rel=0.1)
+
+
+def measure_drawn(sd_ut, time_s):
+    """Return measurements, and what their errors are found to be."""
+    error_n = draw_errors(sd_ut, time_s, 600)
+    still = np.broadcast_to(np.eye(3), (600, 3, 3))
+    given = FieldMeasurements(np.arange(600), error_n, error_n, np.ones(600))
+    return given, measure_errors(still, error_n, PARAMS)
+
+
+def test_errors_of_ordinary_rooms_change_nothing_of_the_estimate():
+    """Real phones and BROAD trials, but for attached magnets, have errors of 1 to 2 uT that last for a second."""
+    given, errors = measure_drawn(1.5, 1.0)
+    counted = widen_by_errors(given, errors, PARAMS)
+    np.testing.assert_array_equal(counted.widening, 1.0)
+    np.testing.assert_array_equal(widen_for_covariance(counted, errors, PARAMS).widening, errors.lasting)
+
+
+def test_large_errors_that_last_take_weight_from_the_magnetometer():
+    given, errors = measure_drawn(8.0, 4.0)
+    counted = widen_by_errors(given, errors, PARAMS)
+    assert np.median(counted.widening) * PARAMS.sd_ut > 8.0 * errors.lasting / 2
+    assert (widen_for_covariance(counted, errors, PARAMS).widening >= 2 * counted.widening).all()
+
+
+def test_errors_in_one_part_of_a_recording_leave_the_other_parts_as_they_are():
+    error_n = draw_errors(8.0, 4.0, 600)
+    error_n[200:] *= 0.05
+    errors = measure_errors(np.broadcast_to(np.eye(3), (600, 3, 3)), error_n, PARAMS)
+    given = FieldMeasurements(np.arange(600), error_n, error_n, np.ones(600))
+    widening = widen_by_errors(given, errors, PARAMS).widening
+    assert (widening[:180] > 1.0).all()
+    np.testing.assert_array_equal(widening[221:], 1.0)

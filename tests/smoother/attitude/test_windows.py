@@ -64,9 +64,10 @@ def test_past_handed_over_holds_all_information_of_its_factors(recording: Record
     interval = graph.chain.interval
     past = hand_over(build(recording, closed, None)[0], closed, held, interval, whole, "whole", HANDHELD)
     rest, resumed, effective = build(recording, later, past)
-    settings = whole.field_scale_ut, HANDHELD, whole.field_widening
-    system, _ = linearise(rest, resumed, effective, later.keys.held, later.measured, *settings)
-    there, _ = linearise(graph, whole.values, whole.effective, held, evidence.measured, *settings)
+    settings = whole.field_scale_ut, HANDHELD
+    measured = whole.measured.at(later.keys.states)
+    system, _ = linearise(rest, resumed, effective, later.keys.held, measured, *settings)
+    there, _ = linearise(graph, whole.values, whole.effective, held, whole.measured, *settings)
     keys = [M(0), H(0), X(n // 2), X(3 * n // 4), X(n - 1)]
     found = []
     for rows in (there, system):
