@@ -121,7 +121,7 @@ def restless():
 
 def test_a_refused_recording_is_named_and_the_others_are_made(call, folder, capsys):
     write(folder / "restless.mcap", restless())
-    words = ("--method", "redistribution", "--json", "-", "--jobs", 1)
+    words = ("--method", "redistribution", "--json", "-")
     assert call("reference", folder, "-o", folder / "out", *words) == 2
     rows = {row["recording"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["good"]["error"] is None

@@ -302,12 +302,12 @@ def test_changed_recording_does_not_pass_for_the_one_of_the_study(folder, files,
 def test_verb_writes_leaderboard_and_study_that_repeats_it(call, capsys, folder, files, tmp_path):
     out, again = tmp_path / "out", tmp_path / "again"
     given = f"{folder}/own.py:truth"
-    assert call("leaderboard", files[1], "-e", given, "-o", out, "--jobs", 1, "--json", tmp_path / "f.json") == 0
+    assert call("leaderboard", files[1], "-e", given, "-o", out, "--json", tmp_path / "f.json") == 0
     printed = capsys.readouterr().out
     assert "truth has the least error" in printed
     first = json.loads((out / "leaderboard.json").read_text())
     assert json.loads((tmp_path / "f.json").read_text()) == first
-    assert call("leaderboard", "-c", out / "study.toml", "-o", again, "--jobs", 1) == 0
+    assert call("leaderboard", "-c", out / "study.toml", "-o", again) == 0
     second = json.loads((again / "leaderboard.json").read_text())
     for board in (first, second):
         for row in board["rows"]:

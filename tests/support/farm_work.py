@@ -1,15 +1,19 @@
-"""Work for the tests of pools and clusters: it dies, sleeps, allocates or tells where it runs, as its input says."""
+"""Work for the tests of pools and clusters: it dies, sleeps, allocates or tells where it runs, as its input says.
+
+Dozens of processes import this module, so it imports itself only what all of them need.
+"""
+
+from __future__ import annotations
 
 import os
 import signal
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from stillpoint.scripts.shared.children import Outcome
-from stillpoint.scripts.shared.flags import Workers
-from stillpoint.scripts.shared.kept import REUSE, Deciding, Task, run_kept
+if TYPE_CHECKING:
+    from stillpoint.scripts.shared.children import Outcome
+    from stillpoint.scripts.shared.kept import Deciding, Task
 
 
 def work(order: str) -> int:
@@ -26,6 +30,8 @@ def work(order: str) -> int:
         time.sleep(float(words[1]))
         note(words[2], "done")
     if words[0] == "hold":
+        import numpy as np
+
         np.ones(int(words[1]) * 125_000)
     if words[0] == "fail":
         raise ZeroDivisionError("of a test")
@@ -39,11 +45,16 @@ def follow(task: Task[Path]) -> int:
 
 def decide(order: Path) -> Deciding:
     """Say that the file alone decides what comes of it."""
+    from stillpoint.scripts.shared.kept import Deciding
+
     return Deciding((order,), {})
 
 
 def run_orders(scheduler: str, folder: str) -> list[Outcome[int]]:
     """Follow all orders of a folder on a cluster; what is kept is not followed again."""
+    from stillpoint.scripts.shared.flags import Workers
+    from stillpoint.scripts.shared.kept import REUSE, run_kept
+
     orders = sorted(Path(folder).glob("*.order"))
     return run_kept(follow, orders, decide, Workers(scheduler=scheduler), REUSE, "orders", int)
 

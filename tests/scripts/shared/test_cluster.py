@@ -44,10 +44,10 @@ def test_outcomes_are_those_of_the_local_pool(cluster, capfd):
 def test_a_task_that_dies_of_a_signal_leaves_the_other_tasks_of_its_worker_alone(cluster, tmp_path):
     """Each worker has two threads: what sleeps beside a crash is begun once and arrives."""
     sleepers = [f"sleep 3 {tmp_path / str(k)}" for k in range(2)]
-    orders = [*sleepers, *["SIGSEGV"] * 6, "here"]
+    orders = [*sleepers, *["SIGSEGV"] * 4, "here"]
     outcomes = run_jobs(work, orders, Workers(scheduler=cluster.address), "cluster")
     assert {one.value for one in outcomes if one.error is None} <= {worker.pid for worker in cluster.workers}
-    assert [one.error is None for one in outcomes] == [True, True, *[False] * 6, True]
+    assert [one.error is None for one in outcomes] == [True, True, *[False] * 4, True]
     for k in range(2):
         assert [line.split()[0] for line in lines(tmp_path / str(k))] == ["begun", "done"]
 

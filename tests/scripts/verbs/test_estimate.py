@@ -16,7 +16,6 @@ from stillpoint.datasets.mcap.store import sha256
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS
 from stillpoint.filters import estimate as run
-from stillpoint.scripts.shared.flags import Workers
 from stillpoint.scripts.verbs.estimate import estimate
 
 ALL_OF_THEM = """
@@ -60,7 +59,6 @@ def test_one_file_per_recording_and_estimator_that_names_its_source(recordings: 
         estimators="acc,cf",
         out=tmp_path,
         set_=["cf.omega0_radps=0.3"],
-        workers=Workers(jobs=1),
         json=str(facts),
     )
     assert code == 0

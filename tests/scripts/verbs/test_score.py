@@ -16,7 +16,7 @@ NAME = "phone-3-seed0"
 def made(call, tmp_path_factory):
     """The folder of a short demo."""
     folder = tmp_path_factory.mktemp("demo")
-    assert call("demo", "-o", folder, "--minutes", "2") == 0
+    assert call("demo", "-o", folder, "--minutes", "1.5") == 0
     return folder
 
 

@@ -24,7 +24,7 @@ def folder(call, tmp_path_factory):
     words = ("--sensor", "glitch", "--minutes", "0.26", "-o", where)
     assert call("simulate", "spin-constant", *words) == 0
     assert call("reference", where, "-o", where) == 0
-    assert call("estimate", where, "-o", where, "--jobs", "1") == 0
+    assert call("estimate", where, "-o", where) == 0
     return where
 
 
@@ -45,7 +45,7 @@ def one_line(capsys):
 def test_without_names_each_recording_gets_the_estimators_of_its_streams(call, folder, tmp_path):
     phone = tmp_path / "phone.mcap"
     write(phone, simulate("phone-1", minutes=1.4))
-    assert call("estimate", phone, folder / f"{NAME}.mcap", "-o", tmp_path, "--jobs", "1") == 0
+    assert call("estimate", phone, folder / f"{NAME}.mcap", "-o", tmp_path) == 0
     made = {path.name for path in tmp_path.glob("*.estimate.mcap")}
     assert made == {"phone.ekf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in ROLLS)}
 
@@ -113,12 +113,12 @@ def test_report_without_anything_beside_says_what_to_make(call, tmp_path, capsys
 @pytest.mark.slow
 def test_validate_scores_reference_and_estimators_by_angle_and_rate(call, folder, tmp_path, capsys):
     facts = tmp_path / "facts.json"
-    words = (folder / f"{NAME}.mcap", "--jobs", "1")
-    assert call("validate", *words, "--methods", "roll-graph,roll-obs", "--json", facts) == 0
+    file = folder / f"{NAME}.mcap"
+    assert call("validate", file, "--methods", "roll-graph,roll-obs", "--json", facts) == 0
     rows = {row["method"]: row for row in json.loads(facts.read_text())["rows"]}
     assert rows["reference (roll-graph)"]["rate_rmse_degps"] < 0.3 < rows["roll-obs"]["rate_rmse_degps"]
     capsys.readouterr()
-    assert call("validate", *words, "--methods", "graph") == 2
+    assert call("validate", file, "--methods", "graph") == 2
     assert "no roll reference method" in one_line(capsys)
 
 

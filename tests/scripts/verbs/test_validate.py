@@ -50,7 +50,7 @@ def folder(tmp_path_factory, recording):
 
 @pytest.mark.slow
 def test_rows_keep_the_contract_and_nothing_vanishes(call, folder, recording, capsys):
-    assert call("validate", folder, "--json", folder / "v.json", "--jobs", 1) == 0
+    assert call("validate", folder, "--json", folder / "v.json") == 0
     rows = json.loads((folder / "v.json").read_text())["rows"]
     methods = [*METHODS, "offline-vqf"]
     names = ["broken", "good", "moving_start", "no_truth"]
@@ -132,7 +132,7 @@ def test_broad_as_the_command_sees_it(call, data_dir, tmp_path, capsys):
         (file,) = (data_dir / "broad").glob(f"{trial}_*.mat")
         assert call("import", "broad", file, "-o", tmp_path) == 0
     capsys.readouterr()
-    assert call("validate", tmp_path, "--json", "-", "--jobs", 1) == 0
+    assert call("validate", tmp_path, "--json", "-") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     total = {(row["recording"][:2], row["method"]): row["total_rmse_deg"] for row in rows}
     for trial, known in OFFLINE_VQF_DEG.items():

@@ -117,7 +117,7 @@ def test_online_differs_by_single_precision_only(calm):
 
 @pytest.mark.slow
 def test_missions_online_are_others_than_those_offline(call, tmp_path):
-    words = ("experiment", "auv-dolphin", "--online", "--sea", "calm", "--trials", "1", "--jobs", "1")
+    words = ("experiment", "auv-dolphin", "--online", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
     assert {row["recording"] for row in rows} == {"auv-dolphin-calm-seed10"}
@@ -128,7 +128,7 @@ def test_missions_online_are_others_than_those_offline(call, tmp_path):
 
 @pytest.mark.slow
 def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
-    words = ("experiment", "auv-dolphin", "--sea", "calm", "--trials", "1", "--jobs", "1")
+    words = ("experiment", "auv-dolphin", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path / "a", "--json", tmp_path / "facts.json") == 0
     page = (tmp_path / "a" / "auv-dolphin.experiment.html").read_text(encoding="utf-8")
     out = capsys.readouterr().out

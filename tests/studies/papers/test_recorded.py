@@ -36,7 +36,7 @@ def files(call, tmp_path_factory):
 
 
 def test_a_phone_is_judged_by_redistribution_and_graph_and_by_a_truth_that_it_has(call, files, tmp_path):
-    words = ("--recording", files["phone"], "-o", tmp_path, "--json", tmp_path / "facts.json", "--jobs", "1")
+    words = ("--recording", files["phone"], "-o", tmp_path, "--json", tmp_path / "facts.json")
     assert call("experiment", "phone-1", *words) == 0
     page = (tmp_path / "phone-1.experiment.html").read_text(encoding="utf-8")
     assert "on your own recordings" in page
@@ -52,7 +52,7 @@ def test_where_the_redistribution_refuses_the_graph_alone_judges(call, tmp_path)
     assert call("simulate", "phone-1", "--minutes", "2.5", "-o", tmp_path / "whole") == 0
     assert call("cut", tmp_path / "whole", "--from", 30, "-o", tmp_path) == 0
     (moving,) = tmp_path.glob("*.mcap")
-    words = ("--recording", moving, "-o", tmp_path, "--json", tmp_path / "facts.json", "--jobs", "1")
+    words = ("--recording", moving, "-o", tmp_path, "--json", tmp_path / "facts.json")
     assert call("experiment", "phone-1", *words) == 0
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
     assert {row["against"] for row in rows if "against" in row} == {"graph", "truth"}
@@ -66,7 +66,7 @@ def test_a_raw_magnetometer_leaves_the_yaw_arbitrary_and_the_page_says_how_to_co
     mag = replace(recording.mag, mag_b_ut=recording.mag.mag_b_ut + iron_b_ut)
     raw = tmp_path / "raw.mcap"
     write(raw, replace(recording, mag=mag, info=replace(recording.info, mag_uncalibrated=True)))
-    words = ("experiment", "phone-2", "--recording", raw, "--jobs", "1", "-o", tmp_path)
+    words = ("experiment", "phone-2", "--recording", raw, "-o", tmp_path)
     yaw_deg = {}
     for calibration in ("none", "reference"):
         assert call(*words, "--calibration", calibration, "--json", tmp_path / "facts.json") == 0
@@ -95,7 +95,7 @@ def test_a_motor_is_judged_by_its_encoder_with_the_noise_that_it_shows(files, ca
     noise = identify_noise([simulate("spin-constant", seed=0)])
     assert noise["radial_var_m2ps4"] == pytest.approx(0.8, rel=0.1)
     assert noise["tangential_var_m2ps4"] == pytest.approx(0.12, rel=0.1)
-    words = ("--recording", files["spin"], "-o", tmp_path, "--json", tmp_path / "facts.json", "--jobs", "1")
+    words = ("--recording", files["spin"], "-o", tmp_path, "--json", tmp_path / "facts.json")
     assert call("experiment", "spin-constant", *words) == 0
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
     ekf = {row["noise"]: row["rate_rmse_degps"] for row in rows if row["method"] == "EKF"}
@@ -125,6 +125,6 @@ def test_what_only_simulated_trials_have_is_refused_beside_a_recording(call, fil
 
 
 def test_a_recording_of_another_kind_is_one_line(call, files, tmp_path, capsys):
-    assert call("experiment", "spin-constant", "--recording", files["phone"], "-o", tmp_path, "--jobs", "1") == 2
+    assert call("experiment", "spin-constant", "--recording", files["phone"], "-o", tmp_path) == 2
     message = capsys.readouterr().err.strip()
     assert "has no accelerometers on a spinning body" in message
