@@ -13,12 +13,11 @@ and field then give each block's attitude in n independently, so that no error i
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.compiled import compiled
+from stillpoint.datasets.compiled import compiled, compiled_apart, compiled_entry
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
 from stillpoint.datasets.quaternion import multiply
 from stillpoint.datasets.recording import Floats, Mag
@@ -162,7 +161,7 @@ def _split_half_seconds(t_s: Floats, starts: NDArray[np.int64]) -> tuple[NDArray
     return np.append(first, len(t_s)).astype(np.int64), block_of[first].astype(np.int64)
 
 
-@numba.njit(cache=True)
+@compiled_entry
 def _block_means(
     rate: Floats,
     force: Floats,
@@ -214,7 +213,7 @@ def _block_means(
     return mean_force, mean_field, mean_turn, drift
 
 
-@numba.njit(cache=True)
+@compiled_apart
 def _multiply(left: Floats, right: Floats, out: Floats) -> None:
     """Write the product of two matrices (3, 3) to ``out``."""
     for i in range(3):
@@ -222,7 +221,7 @@ def _multiply(left: Floats, right: Floats, out: Floats) -> None:
             out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
 
 
-@numba.njit(cache=True)
+@compiled_apart
 def _rotate_by(x: float, y: float, z: float, out: Floats) -> None:
     """Write the rotation matrix of a rotation vector (Rodrigues) to ``out``."""
     angle = np.sqrt(x * x + y * y + z * z)
