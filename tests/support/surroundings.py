@@ -61,6 +61,7 @@ def list_cases(scratch: Path, rng: random.Random) -> list[Callable[[], Case]]:
         lambda: _end_while_writing(place, rng, signal.SIGTERM, 1),
         lambda: _end_while_writing(place, rng, signal.SIGINT, 1),
         lambda: _end_while_writing(place, rng, signal.SIGTERM, 2),
+        lambda: _end_while_writing(place, rng, signal.SIGINT, 2),
         lambda: _fill_disk(place),
         lambda: limit_size(place),
         lambda: forbid_writing(place),

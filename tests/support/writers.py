@@ -51,6 +51,7 @@ WRITERS = (
     Writer(f"estimate {HAND} -e cf -o out --force", 1.5),
     Writer(f"estimate {BOTH} -e cf,gyro -o out --force --jobs 1"),
     Writer(f"estimate {BOTH} -e cf,gyro -o out --force --jobs 2", 0.4),
+    Writer(f"reference {BOTH} --method redistribution -o out --force --jobs 2", 0.4),
     Writer(f"export {HAND} -o out", 1.5),
     Writer("export ../inputs/hand.cf.estimate.mcap --format tum -o out", 1.5),
     Writer("score ../inputs/hand.cf.estimate.mcap --force --json scores.json"),
