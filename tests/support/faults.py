@@ -59,6 +59,8 @@ first, second, … new file, one of four at any time. In every second run the fo
 | not flushed | files that an undisturbed run does not flush to the disk (fsync) in its own process |
 
 Results are compared bit for bit. Estimates contain the time that they took, so only their samples are compared.
+`leaderboard --force` and `tune --force` first delete the results of earlier runs, as their help says: a kill then costs
+those too, and they do not count as lost.
 """
 
 MIDDLE = """

@@ -129,7 +129,7 @@ class Trials:
                 tally.blame(BROKEN, name)
         reported = "" if self.writer.is_archive else self._killed.out
         for name in self._expected:
-            if name not in left and (is_over_old or name in reported):
+            if name not in left and ((is_over_old and not self.writer.forgets) or name in reported):
                 tally.blame(LOST, name)
         if self.writer.is_archive and self._killed.out.strip() and not self._expected.keys() <= left.keys():
             tally.blame(LOST, str(sorted(self._expected.keys() - left.keys())[:3]))

@@ -25,6 +25,7 @@ class Writer:
     stdin: str = ""
     is_archive: bool = False  # it has a catalogue, whose bytes differ from run to run
     repeats: bool = True  # it can be run again where it has run
+    forgets: bool = False  # it first deletes the results of earlier runs, as its help says
     following: str = ""  # the next command in the folder, where it is another one
 
     @property
@@ -59,8 +60,8 @@ WRITERS = (
     Writer(f"report {HAND} -o out", 0.5),
     Writer(f"plot {HAND} --kind errors -o errors.pdf", 0.7),
     Writer("allan ../inputs/rest.mcap -o allan.toml --plot allan.png --json allan.json", 0.7),
-    Writer(f"leaderboard {BOTH} -e cf,gyro -o board --force --jobs 1 --paper paper", 0.4),
-    Writer(f"tune {HAND} -e cf-fixed --param kp_per_s=0.1:2 --trials 3 -o tuned --force --jobs 1", 0.4),
+    Writer(f"leaderboard {BOTH} -e cf,gyro -o board --force --jobs 1 --paper paper", 0.4, forgets=True),
+    Writer(f"tune {HAND} -e cf-fixed --param kp_per_s=0.1:2 --trials 3 -o tuned --force --jobs 1", 0.4, forgets=True),
     Writer("export-c -e cf -o out"),
     Writer("spin design -o out --json design.json", 0.7),
     Writer("recover ../inputs/damaged.mcap -o out --json saved.json"),
