@@ -9,6 +9,7 @@ import pytest
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scripts.bench.long import write_long_recording, write_phone_recording
+from stillpoint.smoother import reference
 
 RATE_HZ = 200
 # The columns of one more hour (imu 56 bytes a row, estimate 72) would be 90 MB, each copy of them as much again.
@@ -76,6 +77,7 @@ def test_a_reference_of_a_day_fits_in_memory(tmp_path):
 
     A run takes 0.1 GB for each hour, within 2 MB the same at lengths of 0.15 to 0.75 h.
     """
+    reference(simulate("phone-1", minutes=0.6))  # compiles
     peaks = []
     for hours in (0.15, 0.4):
         write_phone_recording(tmp_path / f"{hours}.mcap", hours, 100)

@@ -15,7 +15,7 @@ from stillpoint.scripts.main import main
 def files(tmp_path_factory):
     """A clean recording and one whose gyro has x flipped."""
     folder = tmp_path_factory.mktemp("doctor")
-    clean = simulate("phone-3", seed=3, minutes=1.6)
+    clean = simulate("phone-3", seed=3, minutes=1.4, rate_hz=50.0)
     write(folder / "clean.mcap", clean)
     imu = replace(clean.imu, gyro_b_radps=clean.imu.gyro_b_radps * [-1.0, 1.0, 1.0])
     write(folder / "flipped.mcap", replace(clean, name="flipped", imu=imu))
