@@ -61,7 +61,7 @@ def test_covariance_of_a_violent_hand_with_a_short_gap_is_consistent():
 @pytest.mark.slow
 @pytest.mark.parametrize("length_s", [0.1, 0.2, 0.4])
 @pytest.mark.parametrize("start_s", [66.0, 70.0])
-def test_a_short_gap_in_a_violent_hand_costs_tenths_of_a_degree(start_s, length_s):
+def test_a_short_gap_in_a_violent_hand_costs_tenths_of_a_degree(hand, start_s, length_s):
     """It cost up to 24 deg when the last rate was held, at a covariance that knew nothing of it."""
     hand = simulate("phone-3", seed=1, minutes=1.6)
     made = reference(without(hand, start_s, start_s + length_s))

@@ -26,7 +26,7 @@ def test_verdict_that_truth_turns_round_is_wrong():
 def fidelity(tmp_path_factory):
     place = tmp_path_factory.mktemp("fidelity")
     for seed in range(2):
-        write(place / f"run{seed}.mcap", simulate("phone-3", seed=seed, minutes=1.5))
+        write(place / f"run{seed}.mcap", simulate("phone-3", seed=seed, minutes=1.5, rate_hz=50))
     files = sorted(place.glob("*.mcap"))
     return measure_fidelity(files, ["gyro", "acc", "acc-ma"], place / "out", judges=["redistribution-earth", "graph"])
 
@@ -61,14 +61,14 @@ def test_bias_is_the_ratio_of_both_scores(fidelity):
 def test_recordings_without_truth_are_refused(tmp_path):
     from dataclasses import replace
 
-    write(tmp_path / "x.mcap", replace(simulate("phone-3", minutes=1.5), truth=None))
+    write(tmp_path / "x.mcap", replace(simulate("phone-3", minutes=1.5, rate_hz=50), truth=None))
     with pytest.raises(BadParameter, match="no recording has independent truth"):
         measure_fidelity([tmp_path / "x.mcap"], ["gyro"], tmp_path / "out")
 
 
 @pytest.mark.slow
 def test_verb_writes_figure_and_json(call, capsys, tmp_path):
-    write(tmp_path / "run0.mcap", simulate("phone-3", minutes=1.5))
+    write(tmp_path / "run0.mcap", simulate("phone-3", minutes=1.5, rate_hz=50))
     out = tmp_path / "out"
     words = ["--fidelity", "-e", "gyro,acc", "--methods", "redistribution-earth", "-o", out]
     assert call("validate", tmp_path / "run0.mcap", *words) == 0

@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
     """Four recordings with truth, one of them with a TUM file beside it, and estimators of one's own."""
     place = tmp_path_factory.mktemp("recordings")
     for seed in range(4):
-        made = simulate("phone-3", seed=seed, minutes=1.5)
+        made = simulate("phone-3", seed=seed, minutes=1.5, rate_hz=50)
         extra = {**made.info.extra, "tags": "even" if seed % 2 == 0 else "odd"}
         write(place / f"run{seed}.mcap", replace(made, name=f"run{seed}", info=replace(made.info, extra=extra)))
         if seed == 0:
@@ -91,7 +91,7 @@ def test_file_beside_one_recording_is_found_and_listed_unranked(board):
 
 
 def test_estimate_of_another_recording_is_refused(files, tmp_path):
-    made = simulate("phone-3", seed=9, minutes=1.5)
+    made = simulate("phone-3", seed=9, minutes=1.5, rate_hz=50)
     write(tmp_path / "run.mcap", made)
     other = Estimate(made.truth.t_ns, "mine", q_nb=made.truth.q_nb, made_from={"other.mcap": "00"})
     write(tmp_path / "run.mine.estimate.mcap", other)
@@ -230,7 +230,7 @@ def test_wrong_shape_of_own_result_is_said(folder, files):
 
 
 def test_uncalibrated_magnetometer_ranks_by_inclination(files, tmp_path):
-    made = simulate("phone-3", seed=7, minutes=1.5)
+    made = simulate("phone-3", seed=7, minutes=1.5, rate_hz=50)
     write(tmp_path / "raw.mcap", replace(made, info=replace(made.info, mag_uncalibrated=True)))
     board = leaderboard([tmp_path / "raw.mcap"], ["gyro"], tmp_path / "out")
     table = board.tables[0]
@@ -241,7 +241,7 @@ def test_uncalibrated_magnetometer_ranks_by_inclination(files, tmp_path):
 @pytest.mark.slow
 def test_rows_without_a_magnetometer_are_ranked_apart_by_inclination(files, tmp_path):
     """With calibrated input the heading says something, so these rows keep the total error."""
-    made = simulate("phone-3", seed=7, minutes=1.5)
+    made = simulate("phone-3", seed=7, minutes=1.5, rate_hz=50)
     write(tmp_path / "raw.mcap", replace(made, info=replace(made.info, mag_uncalibrated=True)))
     board = leaderboard(
         [files[1], tmp_path / "raw.mcap"], ["cf", "gyro"], tmp_path / "out", calibration=("none", "reference")
@@ -257,7 +257,7 @@ def test_rows_without_a_magnetometer_are_ranked_apart_by_inclination(files, tmp_
 
 
 def test_a_leaderboard_takes_recordings_in_memory(tmp_path):
-    made = simulate("phone-3", seed=3, minutes=1.5)
+    made = simulate("phone-3", seed=3, minutes=1.5, rate_hz=50)
     board = leaderboard([made], [lambda recording: Estimate(made.truth.t_ns, "", q_nb=made.truth.q_nb)])
     assert board.runs[0].total_rmse_deg < 1e-3
 

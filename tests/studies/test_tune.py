@@ -19,7 +19,7 @@ RANGE = ParamRange("omega0_radps", 0.05, 2.0, log=True)
 def files(tmp_path_factory):
     place = tmp_path_factory.mktemp("recordings")
     for seed in (0, 1):
-        made = simulate("phone-3", seed=seed, minutes=1.5)
+        made = simulate("phone-3", seed=seed, minutes=1.5, rate_hz=50)
         extra = {**made.info.extra, "motion": f"motion {seed}"}  # two motions: one may be left out
         write(place / f"run{seed}.mcap", replace(made, info=replace(made.info, extra=extra)))
     return sorted(place.glob("*.mcap"))

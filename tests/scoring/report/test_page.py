@@ -50,13 +50,18 @@ def material():
 
 
 @pytest.fixture(scope="module")
-def page(material):
-    return make_report_html(material, judge(material))
+def verdicts(material):
+    return judge(material)
 
 
-def test_everything_is_judged_by_reference_and_truth(material):
+@pytest.fixture(scope="module")
+def page(material, verdicts):
+    return make_report_html(material, verdicts)
+
+
+def test_everything_is_judged_by_reference_and_truth(verdicts):
     """Estimates against the reference; the reference and the estimates against the truth."""
-    by_reference, by_truth = judge(material)
+    by_reference, by_truth = verdicts
     names = ["steady", "<script>alert(1)</script>"]
     assert [s.estimated for s in by_reference.scores] == names
     assert [s.estimated for s in by_truth.scores] == ["reference (redistribution)", *names]
@@ -64,8 +69,8 @@ def test_everything_is_judged_by_reference_and_truth(material):
     assert all(s.samples == 3001 for verdict in (by_reference, by_truth) for s in verdict.scores)
 
 
-def test_page_shows_the_scores_that_were_found(material, page):
-    for verdict in judge(material):
+def test_page_shows_the_scores_that_were_found(verdicts, page):
+    for verdict in verdicts:
         for s in verdict.scores:
             assert f">{s.total_rmse_deg:.2f}" in page
             assert f"{s.roll_rmse_deg:.2f} <span" in page
@@ -78,7 +83,7 @@ def test_page_says_how_it_came_about(page):
 
 
 @pytest.mark.slow
-def test_page_says_what_the_reference_found_and_which_returns_it_used(material):
+def test_page_says_what_the_reference_found_and_which_returns_it_used(material, verdicts):
     backs = (
         BasePoseReturn(int(8e9), int(9e9), 0.01, True, "gravity fits"),
         BasePoseReturn(int(20e9), int(21e9), 0.2, False, "gravity is 11.5 deg off"),
@@ -92,10 +97,7 @@ def test_page_says_what_the_reference_found_and_which_returns_it_used(material):
     for words in ("1 of 2 to the base pose used", "gravity is 11.5 deg off", "1.0123 ± 0.0042", "0.73", "true north"):
         assert words in page
     assert "0.31 deg, an error all samples share" in page
-    assert (
-        "±"
-        not in make_report_html(material, judge(material)).partition("The reference (redistribution)</h2>")[2][:2000]
-    )
+    assert "±" not in make_report_html(material, verdicts).partition("The reference (redistribution)</h2>")[2][:2000]
 
 
 def test_further_references_are_judged_by_the_first(material):
@@ -215,9 +217,9 @@ def test_lines_break_at_gaps_and_wraps_and_stay_broken_when_thinned():
     assert np.nanmax(thin) == 170
 
 
-def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
+def test_angles_are_drawn_in_the_frame_that_is_asked_for(verdicts):
     """The truth's line is on top and shows the NWU yaw, which is 90 deg minus the ENU one."""
-    verdict = judge(material)[1]
+    verdict = verdicts[1]
     drawn = {}
     for frame in ("nwu", "enu"):
         axes = Figure().subplots(3, 1)
@@ -228,8 +230,8 @@ def test_angles_are_drawn_in_the_frame_that_is_asked_for(material):
     assert drawn["nwu"] == pytest.approx(90 - drawn["enu"], abs=1e-6)
 
 
-def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
-    verdict = judge(material)[0]
+def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(verdicts):
+    verdict = verdicts[0]
     view = make_view(verdict.comparisons, verdict.truth, "nwu", 0)
     axes = Figure().subplots(2, 1)
     draw_errors(axes, view)
@@ -241,15 +243,15 @@ def test_errors_are_drawn_per_estimate_with_rests_and_the_floor(material):
         assert len(ax.collections) == 1
 
 
-def test_busiest_stretch_is_where_the_truth_turns(material):
-    view = make_view(judge(material)[0].comparisons, judge(material)[0].truth, "nwu", 0).find_busiest(4.0)
+def test_busiest_stretch_is_where_the_truth_turns(verdicts):
+    view = make_view(verdicts[0].comparisons, verdicts[0].truth, "nwu", 0).find_busiest(4.0)
     first, last = (np.array(view.span_ns) - view.zero_ns) / 1e9
     assert last - first == pytest.approx(4.0, abs=0.011)
     assert 5 <= first <= 31
 
 
-def test_scores_are_drawn_best_on_top(material):
+def test_scores_are_drawn_best_on_top(verdicts):
     ax = Figure().subplots()
-    draw_scores(ax, judge(material)[1].scores)
+    draw_scores(ax, verdicts[1].scores)
     names = [label.get_text() for label in ax.get_yticklabels()]
     assert names == ["<script>alert(1)</script>", "steady", "reference (redistribution)"]

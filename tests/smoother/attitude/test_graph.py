@@ -21,41 +21,32 @@ from stillpoint.smoother.attitude.params import HANDHELD
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
 
-@pytest.fixture(scope="module")
-def recording():
-    return simulate("phone-3", seed=1, minutes=SHORT)
-
-
-@pytest.fixture(scope="module")
-def made(recording):
-    return reference(recording)
-
-
 @pytest.mark.parametrize("kind", ["phone-2", "phone-3"])
 def test_a_perfect_sensor_gives_the_truth(kind):
     """Within 0.1 deg: the simulated hand finds the base pose to 0.2 deg, and the graph believes in it to 0.4 deg."""
     recording = simulate(kind, seed=1, minutes=SHORT, sensor=PERFECT)
-    assert score(reference(recording), recording.truth, "none").total_max_deg < 0.2
-    assert score(reference(recording), recording.truth, "none").total_rmse_deg < 0.1
+    found = score(reference(recording), recording.truth, "none")
+    assert found.total_max_deg < 0.2
+    assert found.total_rmse_deg < 0.1
 
 
 @pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(vector=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
-def test_turned_sensor_axes_turn_the_answer(recording, made, vector):
+def test_turned_sensor_axes_turn_the_answer(hand, of_hand, vector):
     """No axis is special; what is left is where the iterations stop (0.02 deg a step, quadratic)."""
     turn = Rotation.from_rotvec(vector)
-    turned = reference(rotated_body(recording, turn))
-    difference = (rotation(made.q_nb).inv() * rotation(turned.q_nb) * turn).magnitude()
+    turned = reference(rotated_body(hand, turn))
+    difference = (rotation(of_hand.q_nb).inv() * rotation(turned.q_nb) * turn).magnitude()
     assert np.rad2deg(difference.max()) < 1e-3
     axes = turn.as_matrix()
-    np.testing.assert_allclose(axes @ made.cov_b_rad2 @ axes.T, turned.cov_b_rad2, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(axes @ of_hand.cov_b_rad2 @ axes.T, turned.cov_b_rad2, rtol=1e-3, atol=1e-9)
 
 
-def test_another_time_gives_the_same_bits(recording, made):
-    shifted = reference(later(recording, 86_400_000_000_001))
-    np.testing.assert_array_equal(shifted.q_nb, made.q_nb)
-    np.testing.assert_array_equal(shifted.cov_b_rad2, made.cov_b_rad2)
+def test_another_time_gives_the_same_bits(hand, of_hand):
+    shifted = reference(later(hand, 86_400_000_000_001))
+    np.testing.assert_array_equal(shifted.q_nb, of_hand.q_nb)
+    np.testing.assert_array_equal(shifted.cov_b_rad2, of_hand.cov_b_rad2)
 
 
 def test_recovered_calibration_is_the_drawn_one_within_its_sd():
@@ -71,24 +62,24 @@ def test_recovered_calibration_is_the_drawn_one_within_its_sd():
         assert np.sqrt(np.mean(off_sd**2)) < 1.5, name
 
 
-def test_the_graph_recovers_bias_and_hard_iron(recording, made):
+def test_the_graph_recovers_bias_and_hard_iron(hand, of_hand):
     """The bias to what a phone's wanders by (10 deg/h) and its g-sensitivity adds (0.01 deg/s); the iron to 1 uT."""
-    drawn = json.loads(recording.info.extra["sensor_drawn"])
-    off_degps = np.rad2deg(made.gyro_bias_b_radps - drawn["gyro"]["bias"])
+    drawn = json.loads(hand.info.extra["sensor_drawn"])
+    off_degps = np.rad2deg(of_hand.gyro_bias_b_radps - drawn["gyro"]["bias"])
     assert np.abs(off_degps).max() < 0.06
     assert np.abs(drawn["gyro"]["bias"]).max() > np.deg2rad(0.05)
-    assert np.abs(made.calibration.hard_iron_b_ut - drawn["mag"]["bias"]).max() < 1.5
+    assert np.abs(of_hand.calibration.hard_iron_b_ut - drawn["mag"]["bias"]).max() < 1.5
 
 
-def test_soft_iron_is_found(recording):
+def test_soft_iron_is_found(hand):
     """A field bent by 6 %, and a prior that allows it: the matrix that is found takes most of it off again.
 
     In 1.6 minutes of a hand some of it stays with the hard iron; with the wrong sign it would be more than all.
     """
     bent = np.eye(3) + np.array([[0.06, 0.04, 0.0], [0.04, -0.06, 0.0], [0.0, 0.0, 0.0]])
-    spoiled = replace(recording, mag=replace(recording.mag, mag_b_ut=recording.mag.mag_b_ut @ bent.T))
+    spoiled = replace(hand, mag=replace(hand.mag, mag_b_ut=hand.mag.mag_b_ut @ bent.T))
     loose = {"magnetic.matrix_sd": 0.1}
-    before, found = (reference(each, params=loose).calibration.mag_matrix for each in (recording, spoiled))
+    before, found = (reference(each, params=loose).calibration.mag_matrix for each in (hand, spoiled))
     left = np.linalg.norm(found @ bent - before)
     assert left < 0.5 * np.linalg.norm(bent - np.eye(3))
 
@@ -116,8 +107,8 @@ def test_turning_about_the_vertical_only_leaves_the_field_its_size():
     assert 35 < np.linalg.norm(field_n_ut) < 60
 
 
-def test_diagnostics_report_what_was_found(made):
-    said = made.diagnostics
+def test_diagnostics_report_what_was_found(of_hand):
+    said = of_hand.diagnostics
     json.dumps(said)
     assert said["convention"] == CONVENTION
     assert {"imu", "imu at rest", "bias walk", "rests, returns and gaps"} <= set(said["residuals"])
@@ -125,8 +116,8 @@ def test_diagnostics_report_what_was_found(made):
     assert said["field_inlier_share"] > 0.95
     assert said["iterations"] >= 1
     assert said["cost"] > 0
-    assert len(made.rests_ns) >= 2
-    assert [each.accepted for each in made.returns] == [True] * len(made.returns) != []
+    assert len(of_hand.rests_ns) >= 2
+    assert [each.accepted for each in of_hand.returns] == [True] * len(of_hand.returns) != []
 
 
 @pytest.mark.slow

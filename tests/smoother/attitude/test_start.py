@@ -17,8 +17,8 @@ NO_RESTS = np.empty((0, 2), dtype=np.int64)
 
 
 @pytest.fixture(scope="module")
-def swing():
-    return between(simulate("phone-3", seed=1, minutes=1.6), 62.0, 86.0)
+def swing(hand):
+    return between(hand, 62.0, 86.0)
 
 
 def start_of(recording):

@@ -1,7 +1,5 @@
 """Windows of a long recording: what one hands over to the next, and how they are joined."""
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from gtsam.symbol_shorthand import H, M, X
 
 from stillpoint.datasets.frames import rotation
 from stillpoint.datasets.recording import Recording
-from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import total_sd_rad
 from stillpoint.smoother.attitude.build import Graph, build_graph
 from stillpoint.smoother.attitude.evidence import Evidence, gather_evidence
@@ -18,31 +15,24 @@ from stillpoint.smoother.attitude.linear.elimination import eliminate, optimise
 from stillpoint.smoother.attitude.linear.inverse import compute_covariances
 from stillpoint.smoother.attitude.linear.structure import find_structure
 from stillpoint.smoother.attitude.long.past import Past, hand_over
-from stillpoint.smoother.attitude.params import HANDHELD
+from stillpoint.smoother.attitude.params import HANDHELD, GraphParams
 from stillpoint.smoother.attitude.solve import SIZES, begin, linearise, solve
 from stillpoint.smoother.attitude.windows import join_graphs, split_windows, start_window
 
-WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=80.0, overlap_s=20.0))
-
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
-    return simulate("phone-3", minutes=3)
+def evidence(swings: Recording) -> Evidence:
+    return gather_evidence(swings, HANDHELD)
 
 
-@pytest.fixture(scope="module")
-def evidence(recording: Recording) -> Evidence:
-    return gather_evidence(recording, HANDHELD)
-
-
-def test_windows_cover_all_states_and_share_no_factor(evidence: Evidence) -> None:
+def test_windows_cover_all_states_and_share_no_factor(evidence: Evidence, windowed: GraphParams) -> None:
     keys = evidence.keys
-    windows = split_windows(keys, WINDOWED.keys)
+    windows = split_windows(keys, windowed.keys)
     assert len(windows) == 3
     own = np.concatenate([np.arange(first, until) for first, until, _ in windows])
     np.testing.assert_array_equal(own, np.arange(len(keys.t_s)))
     for first, until, end in windows:
-        assert keys.t_s[min(end, len(keys.t_s) - 1)] - keys.t_s[first] <= WINDOWED.keys.window_s + 1.0
+        assert keys.t_s[min(end, len(keys.t_s) - 1)] - keys.t_s[first] <= windowed.keys.window_s + 1.0
         assert set(keys.within(first, until).states).isdisjoint(keys.within(until, end).states)
     assert split_windows(keys, HANDHELD.keys) == [(0, len(keys.t_s), len(keys.t_s))]
 
@@ -55,15 +45,15 @@ def build(recording: Recording, window: Evidence, past: Past | None) -> tuple[Gr
 
 
 @pytest.mark.slow
-def test_past_handed_over_holds_all_information_of_its_factors(recording: Recording, evidence: Evidence) -> None:
+def test_past_handed_over_holds_all_information_of_its_factors(swings: Recording, evidence: Evidence) -> None:
     """At the optimum of the whole graph, the later half with the reduced past has the same covariances and step."""
     n, held = len(evidence.keys.t_s), evidence.keys.held
-    graph, *start = build(recording, evidence, None)
+    graph, *start = build(swings, evidence, None)
     whole = solve(graph, begin(*start, HANDHELD), held, evidence.measured, "whole", HANDHELD)
     closed, later = evidence.within(0, n // 2), evidence.within(n // 2, n)
     interval = graph.chain.interval
-    past = hand_over(build(recording, closed, None)[0], closed, held, interval, whole, "whole", HANDHELD)
-    rest, resumed, effective = build(recording, later, past)
+    past = hand_over(build(swings, closed, None)[0], closed, held, interval, whole, "whole", HANDHELD)
+    rest, resumed, effective = build(swings, later, past)
     settings = whole.field_scale_ut, HANDHELD
     measured = whole.measured.at(later.keys.states)
     system, _ = linearise(rest, resumed, effective, later.keys.held, measured, *settings)
@@ -83,9 +73,9 @@ def test_past_handed_over_holds_all_information_of_its_factors(recording: Record
 
 
 @pytest.mark.slow
-def test_windows_agree_with_the_whole_recording(recording: Recording, evidence: Evidence) -> None:
-    """Windows of 80 s see less of the future than one graph does: on average they agree within its sd."""
-    whole, parts = (reference_from_evidence(recording, evidence, params) for params in (HANDHELD, WINDOWED))
+def test_windows_agree_with_the_whole_recording(swings: Recording, evidence: Evidence, windowed: GraphParams) -> None:
+    """Windows of 60 s see less of the future than one graph does: on average they agree within its sd."""
+    whole, parts = (reference_from_evidence(swings, evidence, params) for params in (HANDHELD, windowed))
     assert parts.diagnostics["windows"] == 3
     assert [each.accepted for each in parts.returns] == [each.accepted for each in whole.returns] != []
     apart_rad = np.linalg.norm((rotation(whole.q_nb).inv() * rotation(parts.q_nb)).as_rotvec(), axis=1)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quick import mark_slow_except
 from spins import exact, spoilt
 
 from stillpoint.datasets import Unobservable, write
@@ -65,7 +66,13 @@ def test_the_verb_says_it_in_one_line(call, tmp_path, capsys):
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize(("rest_s", "up_s", "seed"), [(5, 0.2, 0), (5, 2, 0), (5, 2, 3), (1, 2, 1), (20, 5, 1)])
+@pytest.mark.parametrize(
+    ("rest_s", "up_s", "seed"),
+    [
+        (1, 2, 1),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((5, 0.2, 0), (5, 2, 0), (5, 2, 3), (20, 5, 1))),
+    ],
+)
 def test_a_rest_is_refused_with_its_time(rest_s, up_s, seed):
     """There a bias of -x^2 explains a rate of x as well: without the refusal it is off by 80 deg/s of stated sd 12."""
     with pytest.raises(Unobservable, match=r"between 0\.00 and [\d.]+ s the spin rests") as caught:
@@ -74,7 +81,7 @@ def test_a_rest_is_refused_with_its_time(rest_s, up_s, seed):
     assert rest_s < until_s < rest_s + up_s
 
 
-@pytest.mark.parametrize("tilt_deg", [5, 30, 90])
+@pytest.mark.parametrize("tilt_deg", mark_slow_except([5, 30, 90], "30"))
 def test_a_rest_on_a_tilted_axis_is_refused_too(tilt_deg):
     with pytest.raises(Unobservable, match="the spin rests"):
         reference(felt(spun_up(5, 2), gravity_mps2=9.80665 * np.sin(np.deg2rad(tilt_deg))))
@@ -127,7 +134,7 @@ def turned_back(rate_radps, accel_radps2, before_s=5.0):
     )
 
 
-@pytest.mark.parametrize("rate_radps", [10.0, 20.0])
+@pytest.mark.parametrize("rate_radps", mark_slow_except([10.0, 20.0], "20.0"))
 def test_a_turn_too_fast_to_be_slow_for_long_is_seen_by_the_acceleration(rate_radps):
     """At 300 rad/s^2 it is below the limit for six samples; the rate was made 2300 deg/s off, of stated sd 6."""
     with pytest.raises(Unobservable, match=r"differ by \d+ deg/s|tells no rate there") as caught:

@@ -116,6 +116,7 @@ def test_online_differs_by_single_precision_only(calm):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_ink")
 def test_missions_online_are_others_than_those_offline(call, tmp_path):
     words = ("experiment", "auv-dolphin", "--online", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path, "--json", tmp_path / "facts.json") == 0
@@ -127,7 +128,7 @@ def test_missions_online_are_others_than_those_offline(call, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
+def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys, request):
     words = ("experiment", "auv-dolphin", "--sea", "calm", "--trials", "1")
     assert call(*words, "-o", tmp_path / "a", "--json", tmp_path / "facts.json") == 0
     page = (tmp_path / "a" / "auv-dolphin.experiment.html").read_text(encoding="utf-8")
@@ -142,8 +143,9 @@ def test_the_command_writes_a_page_and_the_facts(call, tmp_path, capsys):
     assert "http" not in page.replace("http://www.w3.org", "")
     rows = json.loads((tmp_path / "facts.json").read_text())["rows"]
     assert {row["method"] for row in rows} == {method.name for method in METHODS}
-    assert call(*words, "-o", tmp_path / "b") == 0
-    assert (tmp_path / "b" / "auv-dolphin.experiment.html").read_bytes() == page.encode()
+    request.getfixturevalue("without_ink")  # the test of the servo bench compares two pages with their pictures
+    assert call(*words, "-o", tmp_path / "b", "--json", tmp_path / "again.json") == 0
+    assert json.loads((tmp_path / "again.json").read_text())["rows"] == rows
 
 
 def test_wrong_options_are_one_line(call, tmp_path, capsys):

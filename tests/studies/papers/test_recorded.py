@@ -14,16 +14,7 @@ from stillpoint.studies.papers.auv import study as auv
 from stillpoint.studies.papers.servo import study as servo
 from stillpoint.studies.papers.spin.recorded import identify_noise
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def _pictures_without_ink(monkeypatch):
-    """Draw the pictures but do not write them as SVG, which takes half of the time of a page.
-
-    The tests of each experiment look at that.
-    """
-    monkeypatch.setattr("stillpoint.scoring.report.pictures._render_svg", lambda figure, title, name: "<svg></svg>")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_ink")]
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ def made(tmp_path_factory):
     """The output folder of a leaderboard of two recordings, one with a name that needs quoting, and its pages."""
     place = tmp_path_factory.mktemp("recordings")
     for seed, name in enumerate(("run 0 & #1", "run1")):
-        write(place / f"{name}.mcap", replace(simulate("phone-3", seed=seed, minutes=1.5), name=name))
+        write(place / f"{name}.mcap", replace(simulate("phone-3", seed=seed, minutes=1.5, rate_hz=50), name=name))
     (place / "own.py").write_text(LEVEL)
     out = tmp_path_factory.mktemp("out")
     board = leaderboard(sorted(place.glob("*.mcap")), ["cf", f"{place}/own.py:Level"], out)

@@ -14,17 +14,10 @@ from stillpoint.smoother.attitude.long.kept_windows import PackedWindow
 from stillpoint.smoother.attitude.method import make_graph_reference
 from stillpoint.smoother.attitude.params import HANDHELD, PRESETS, GraphParams
 
-WINDOWED = replace(HANDHELD, keys=replace(HANDHELD.keys, window_s=60.0, overlap_s=10.0))
-
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
-    return simulate("phone-3", minutes=2)
-
-
-@pytest.fixture(scope="module")
-def wanted(recording: Recording) -> Reference:
-    return make_graph_reference(recording, WINDOWED).whole()
+def wanted(swings: Recording, windowed: GraphParams) -> Reference:
+    return make_graph_reference(swings, windowed).whole()
 
 
 def make(recording: Recording, params: GraphParams, kept: MutableMapping[str, PackedWindow]) -> Reference:
@@ -54,34 +47,34 @@ class StopsAfter(dict):
 
 @pytest.mark.parametrize("solved", [1, 2, 3])
 def test_a_stopped_run_goes_on_with_the_next_window(
-    recording: Recording, wanted: Reference, solved: int, monkeypatch: pytest.MonkeyPatch
+    swings: Recording, windowed: GraphParams, wanted: Reference, solved: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = StopsAfter(solved)
     with pytest.raises(Stopped):
-        make(recording, WINDOWED, kept)
+        make(swings, windowed, kept)
     times, solve_window = [], windows._solve_window
     monkeypatch.setattr(windows, "_solve_window", lambda *given: times.append(given) or solve_window(*given))
-    require_same(make(recording, WINDOWED, dict(kept)), wanted)
+    require_same(make(swings, windowed, dict(kept)), wanted)
     assert wanted.diagnostics["windows"] == 3
     assert len(times) == 3 - solved
 
 
-def test_windows_of_other_evidence_or_settings_are_not_used(recording: Recording) -> None:
+def test_windows_of_other_evidence_or_settings_are_not_used(swings: Recording, windowed: GraphParams) -> None:
     kept: dict[str, PackedWindow] = {}
-    make(recording, WINDOWED, kept)
+    make(swings, windowed, kept)
     assert len(kept) == 3
-    narrower = replace(WINDOWED, magnetic=replace(WINDOWED.magnetic, sd_ut=3.0))
-    require_same(make(recording, narrower, kept), make(recording, narrower, {}))
+    narrower = replace(windowed, magnetic=replace(windowed.magnetic, sd_ut=3.0))
+    require_same(make(swings, narrower, kept), make(swings, narrower, {}))
     assert len(kept) == 6
-    imu = recording.require_imu()
-    louder = replace(recording, imu=replace(imu, gyro_b_radps=imu.gyro_b_radps * 1.001))
-    require_same(make(louder, WINDOWED, kept), make(louder, WINDOWED, {}))
+    imu = swings.require_imu()
+    louder = replace(swings, imu=replace(imu, gyro_b_radps=imu.gyro_b_radps * 1.001))
+    require_same(make(louder, windowed, kept), make(louder, windowed, {}))
     assert len(kept) == 9
 
 
-def test_one_window_is_not_kept(recording: Recording) -> None:
+def test_one_window_is_not_kept(swings: Recording) -> None:
     kept: dict[str, PackedWindow] = {}
-    make(recording, HANDHELD, kept)
+    make(swings, HANDHELD, kept)
     assert not kept
 
 
