@@ -33,6 +33,7 @@ def test_few_poses_keep_the_truths_mask_and_both_covariances():
     np.testing.assert_allclose(pairs.true_cov_b_rad2, np.broadcast_to(1e-4 * np.eye(3), (30, 3, 3)))
 
 
+@pytest.mark.slow
 def test_the_clock_of_few_poses_is_found():
     """A random walk of attitude, which repeats nowhere, seen every half second and 2.5 s late."""
     t_ns = np.arange(12000) * 10_000_000

@@ -36,6 +36,7 @@ def raw(recording):
     return replace(recording, imu=Imu(imu.t_ns, gyro, accel), mag=Mag(mag.t_ns, field), info=info)
 
 
+@pytest.mark.slow
 def test_a_wild_sensor_with_its_calibration_is_as_good_as_a_calibrated_one(hand):
     wild = raw(hand)
     with pytest.raises(StillpointError):

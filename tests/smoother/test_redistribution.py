@@ -86,6 +86,7 @@ def test_a_perfect_sensor_gives_the_truth(method):
     assert worst_deg(made, recording) < EDGE_DEG
 
 
+@pytest.mark.slow
 def test_the_drift_is_as_large_as_stated_when_the_gyro_is_as_bad_as_stated():
     """Errors drawn from GyroErrors close as expected: a factor of 1 on the drift's variance, in the mean of 30 runs."""
     recording, errors, rng = protocol(), GyroErrors(), np.random.default_rng(7)

@@ -49,6 +49,7 @@ def test_a_mapping_and_the_settings_object_give_the_same(recording):
     assert by_name.params == by_object.params
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_bits(recording):
     one, two = reference(recording), reference(recording)
     np.testing.assert_array_equal(one.q_nb, two.q_nb)
@@ -95,6 +96,7 @@ def test_the_verb_writes_what_reference_gives(call, folder, recording, capsys):
     assert "good" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_verb_takes_several_methods_and_settings(call, folder):
     names = ",".join(METHODS)
     code = call("reference", folder / "good.mcap", "-o", folder, "--method", names, "--set", "rest.min_rest_s=2")

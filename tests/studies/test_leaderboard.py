@@ -128,6 +128,7 @@ def test_every_row_says_what_its_parameters_were_chosen_on(board, files):
     assert ours.origins == said
 
 
+@pytest.mark.slow
 def test_an_estimator_without_a_heading_is_not_ranked_by_the_total_error(files):
     pytest.importorskip("riann")
     table = leaderboard(files[:1], ["gyro", "riann"]).tables[0]
@@ -188,6 +189,7 @@ def test_unreadable_recording_keeps_its_rows(folder, files, tmp_path):
     assert row_of(board, "truth").recordings == 2
 
 
+@pytest.mark.slow
 def test_python_objects_are_estimators(files):
     def level(recording):
         t_ns = recording.imu.t_ns

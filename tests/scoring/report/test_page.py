@@ -143,6 +143,7 @@ def shown(page, tmp_path_factory):
         yield opened
 
 
+@pytest.mark.slow
 def test_browser_finds_a_row_per_estimate_and_no_fault(shown):
     rows = "[...document.querySelectorAll('table.scores')].map((table) => table.tBodies[0].rows.length)"
     assert shown.evaluate(rows) == [2, 3]
@@ -150,6 +151,7 @@ def test_browser_finds_a_row_per_estimate_and_no_fault(shown):
     assert shown.requests == []
 
 
+@pytest.mark.slow
 def test_plots_show_every_panel_with_the_judges_angles(shown):
     """Errors, angles and errors about the axes; the roll of the judge lies on that of the material."""
     panels = shown.evaluate("window.stillpointPlots[0].figures.map((one) => one.panel.key)")
@@ -158,6 +160,7 @@ def test_plots_show_every_panel_with_the_judges_angles(shown):
     assert shown.evaluate(f"Math.max(...{curve})") == pytest.approx(0.5 * 180 / np.pi, abs=2)
 
 
+@pytest.mark.slow
 def test_judges_can_be_changed(shown):
     """Against the truth the reference is scored too; against itself there is none."""
     choice = "document.getElementById('recording-choice')"
@@ -171,6 +174,7 @@ def test_judges_can_be_changed(shown):
     assert not seen["reference (redistribution)"]["reference (redistribution)"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width_px", [1280, 390])
 def test_browser_paints_the_page_within_its_window(tmp_path, shown, width_px):
     """The painted page has ink of the first estimate's colour: the plots are shown, not only there."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_motion import between
+from quick import mark_slow_except
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Mag, Recording, Unobservable
@@ -60,7 +61,9 @@ def test_a_small_disturbance_leaves_the_magnetometer_in(table):
     assert made.calibration.field_n_ut is not None
 
 
-@pytest.mark.parametrize("axes", [FLIPPED, SWAPPED], ids=["flipped", "swapped"])
+@pytest.mark.parametrize(
+    "axes", [pytest.param(FLIPPED, id="flipped"), pytest.param(SWAPPED, id="swapped", marks=pytest.mark.slow)]
+)
 def test_wrong_axes_still_raise_an_error(axes):
     """Also in a recording that rests for half of its time; mirrored axes may be found by the dip of the field first."""
     recording = simulate("phone-3", seed=2, minutes=1.6)
@@ -140,7 +143,7 @@ def test_a_field_that_wanders_slowly_is_within_the_covariance_and_said(data_dir,
     assert score(made, truth, "heading+mounting+time").coverage95 > 0.9
 
 
-@pytest.mark.parametrize("first", [6100, 6500, 6900])
+@pytest.mark.parametrize("first", mark_slow_except([6100, 6500, 6900], "6500"))
 def test_a_magnetometer_for_a_part_of_the_time_points_north_not_south(hand, first):
     """Where it sees little the start value has no heading: north came out half a turn off, and as sure as ever."""
     lost = replace(hand, base_pose=None)

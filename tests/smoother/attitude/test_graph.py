@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_motion import later, rotated_body
+from quick import mark_slow_except
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import quaternion, rotation
@@ -21,7 +22,7 @@ from stillpoint.smoother.attitude.params import HANDHELD
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
 
-@pytest.mark.parametrize("kind", ["phone-2", "phone-3"])
+@pytest.mark.parametrize("kind", mark_slow_except(["phone-2", "phone-3"], "phone-3"))
 def test_a_perfect_sensor_gives_the_truth(kind):
     """Within 0.1 deg: the simulated hand finds the base pose to 0.2 deg, and the graph believes in it to 0.4 deg."""
     recording = simulate(kind, seed=1, minutes=SHORT, sensor=PERFECT)
@@ -71,6 +72,7 @@ def test_the_graph_recovers_bias_and_hard_iron(hand, of_hand):
     assert np.abs(of_hand.calibration.hard_iron_b_ut - drawn["mag"]["bias"]).max() < 1.5
 
 
+@pytest.mark.slow
 def test_soft_iron_is_found(hand):
     """A field bent by 6 %, and a prior that allows it: the matrix that is found takes most of it off again.
 
@@ -84,6 +86,7 @@ def test_soft_iron_is_found(hand):
     assert left < 0.5 * np.linalg.norm(bent - np.eye(3))
 
 
+@pytest.mark.slow
 def test_a_late_accelerometer_is_found_with_its_sign():
     """30 ms early and late, within 2.5 of the sd that is said.
 

@@ -37,6 +37,7 @@ def with_imu(recording, gyro=None, accel=None):
     return replace(recording, imu=changed, info=replace(recording.info, units_unchecked=True))
 
 
+@pytest.mark.slow
 def test_a_rest_on_the_same_table_but_turned_is_no_return(table):
     """60 deg in 1.5 s in the middle of a rest: gravity is the base pose's ever after, the heading is not."""
     turned = turned_at_rest(table, float(rests_of(table)[1].mean()), np.deg2rad(60), 1.5)
@@ -83,6 +84,7 @@ def test_the_graph_starts_upside_down(swing):
     assert score(reference(down), down.truth, "heading").total_rmse_deg < 2.0
 
 
+@pytest.mark.slow
 def test_a_gap_in_motion_is_bridged_with_a_covariance_that_grows(hand, of_hand):
     start_s = float(rests_of(hand)[0, 1])
     gap = without(hand, start_s + 8, start_s + 13)
@@ -143,7 +145,7 @@ def test_a_clipped_accelerometer_costs_next_to_nothing(hand):
     assert score(reference(clipped), hand.truth, "heading").total_rmse_deg < 1.0
 
 
-@pytest.mark.parametrize(("scale", "prior_sd"), [(1.05, 0.03), (1.2, 0.1)])
+@pytest.mark.parametrize(("scale", "prior_sd"), [(1.05, 0.03), pytest.param(1.2, 0.1, marks=pytest.mark.slow)])
 def test_a_raw_gyro_is_calibrated_with_the_prior_that_allows_for_it(hand, scale, prior_sd):
     """With the prior of a good gyro the error is 2 deg and more, or the recording is refused."""
     made = reference(with_imu(hand, gyro=scale * hand.imu.gyro_b_radps))
@@ -176,6 +178,7 @@ def test_a_contradiction_is_refused_and_named(hand, fault):
         reference(SPOILED[fault](replace(hand, base_pose=None)))
 
 
+@pytest.mark.slow
 def test_a_world_upside_down_is_said_to_be_possible(hand):
     """All signs of the accelerometer flipped: without place, date and base pose nothing contradicts it."""
     lost = replace(hand, base_pose=None, info=replace(hand.info, place_lat_lon_alt=None, date=""))

@@ -132,6 +132,7 @@ def test_the_accuracy_that_the_receiver_states_is_used(plain):
     assert np.sqrt(made.position_cov_n_m2[:, 0, 0]).min() > 12.0
 
 
+@pytest.mark.slow
 @given(st.sets(st.integers(0, 6)), st.booleans(), st.floats(200.0, 1e5))
 def test_jumps_are_exactly_the_fixes_that_are_off(groups, in_pairs, far_m):
     """Single fixes, or two in a row, well apart from each other."""

@@ -161,6 +161,7 @@ def test_where_one_channel_feels_gravity_it_is_not_tested():
     assert np.abs(error).max() < 4 * made.angle_sd_rad.max()
 
 
+@pytest.mark.slow
 def test_in_flight_a_vibration_is_nothing_else():
     """The accelerometers at the centre take gravity out of both channels."""
     made = reference(simulate("spin-flight", seed=0, sensor="vibration"))

@@ -48,7 +48,11 @@ def spun_up(rest_s, up_s, rate_radps=35.2):
         (lambda a: a.__setitem__((slice(None), 0), 0.0), "no spin can be seen"),
         (lambda a: a.__setitem__(slice(None), np.random.default_rng(0).normal(0, 0.1, a.shape)), "no spin"),
         (lambda a: a.__setitem__(slice(None), np.random.default_rng(0).normal(1, 0.1, a.shape)), "no spin"),
-        (lambda a: a.__setitem__(slice(3000, 7000), 0.0), "between 12.00 and 28.00 s the spin rests"),
+        pytest.param(
+            lambda a: a.__setitem__(slice(3000, 7000), 0.0),
+            "between 12.00 and 28.00 s the spin rests",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["sign", "zeros", "radial zeros", "rest", "rest on a slope", "zeros in between"],
 )
@@ -110,7 +114,7 @@ def test_a_slow_spin_is_no_spin_until_the_bias_is_known_well_enough():
     assert np.median(made.rate_sd_radps) == pytest.approx(0.1 / 4, rel=0.3)
 
 
-@pytest.mark.parametrize(("rate_radps", "tilt_deg"), [(2.0, 30), (4.0, 90)])
+@pytest.mark.parametrize(("rate_radps", "tilt_deg"), [pytest.param(2.0, 30, marks=pytest.mark.slow), (4.0, 90)])
 def test_a_spin_too_slow_beside_gravity_is_refused(rate_radps, tilt_deg):
     """Without the refusal off by 270 and 300 deg/s, of stated sd 4."""
     with pytest.raises(Unobservable, match="tells no rate there"):

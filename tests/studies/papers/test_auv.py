@@ -85,6 +85,7 @@ def test_signs_do_not_cancel_over_trials(calm):
     assert summarise_trials([calm], RAW, "roll_off_var_deg2") == calm.figures[RAW].roll_off_var_deg2
 
 
+@pytest.mark.slow
 def test_the_papers_numbers_come_out_in_a_calm_sea(calm):
     """Roll 5.5e-4 deg and 0.0045 deg^2 off; 2 deg of heading without GPS, 10 by the gyro."""
     adaptive = calm.figures[ADAPTIVE]

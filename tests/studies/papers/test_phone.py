@@ -79,6 +79,7 @@ def test_a_shaken_hand_is_fast_and_stays_in_its_place():
     assert power[hz < 1].sum() < 0.02 * power.sum()
 
 
+@pytest.mark.slow
 def test_a_shake_up_and_down_leaves_a_slow_error_that_one_to_the_sides_does_not():
     """A tilt measured as a / (g + a_up) has a mean where a and a_up change together; Acc is as wrong without it."""
     tilt_deg = {}

@@ -68,6 +68,7 @@ def test_the_figures_that_asghari_et_al_print():
     assert settings == [(0.8, 0.125, 5), (0.4, 3.0, 10)]  # R = 80, 40 and Q = 0.5, 12 by (25)
 
 
+@pytest.mark.slow
 def test_with_q_as_printed_the_aekf_is_the_ekf():
     made = spin.run_trial(spin.CONSTANT, "vibration-f4", 0, online=True).scores
     assert made["AEKF"].rate_rmse_degps == pytest.approx(made["EKF"].rate_rmse_degps, rel=1e-6)

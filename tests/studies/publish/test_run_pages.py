@@ -92,6 +92,7 @@ def test_the_map_opens_the_estimator_on_the_page_of_its_recording(made, tmp_path
         page.wait("document.title.startsWith('Leaderboard')")
 
 
+@pytest.mark.slow
 def test_a_page_carries_its_own_script_and_style(made):
     out, _, _ = made
     text = re.sub(r"<script>.*?</script>", "", (out / "runs" / "run1.html").read_text(), flags=re.DOTALL)

@@ -180,6 +180,7 @@ def test_trials_of_two_rigs_are_refused():
         identify_variances([one, replace(one, name="other", spin=other)])
 
 
+@pytest.mark.slow
 def test_the_command_says_it_draws_it_and_writes_it(call, tmp_path, capsys):
     for seed in (0, 1):
         write(tmp_path / f"{seed}.mcap", simulate("spin-constant", seed, minutes=0.1))
