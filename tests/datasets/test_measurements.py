@@ -84,6 +84,7 @@ def test_samples_of_the_imu_beyond_any_sensor_are_dropped(hand):
     assert len(left.imu.t_ns) == len(hand.imu.t_ns) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [0.0, -32768.0])
 def test_the_reference_is_as_good_with_a_magnetometer_that_starts_late(hand, value):
     broken, count = first_20_s(hand, value)

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import asdict, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from motions import (
     untidy,
     wobble,
 )
+from numpy.typing import NDArray
+from quick import mark_slow_except
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, Gps, Imu, Info, Mag, Recording
@@ -139,14 +142,19 @@ def test_the_trapezoidal_rule_is_exact_for_instant_samples_of_a_ramp() -> None:
     assert turned_rad("rectangular") - exact == pytest.approx(late_by_half_a_step, rel=1e-6)
 
 
+@cache
+def stream_untidy(name: str) -> tuple[NDArray[np.float64], dict[str, int]]:
+    """Return the quaternions of a stream that gets the untidy recording, and its counts."""
+    stream = Stream(name)
+    return feed(stream, untidy()), stream.counts
+
+
 @pytest.mark.parametrize("name", FILTERS)
 def test_streaming_and_batch_agree_bit_for_bit(name: str) -> None:
-    recording = untidy()
-    stream = Stream(name)
-    streamed = feed(stream, recording)
-    batch = estimate(recording, name)
+    streamed, counts = stream_untidy(name)
+    batch = estimate(untidy(), name)
     assert (streamed == batch.q_nb).all()
-    for what, count in stream.counts.items():
+    for what, count in counts.items():
         assert count == batch.diagnostics.get(what, 0), what
 
 
@@ -154,7 +162,7 @@ def test_streaming_and_batch_agree_bit_for_bit(name: str) -> None:
 @pytest.mark.parametrize("cut", [1, 2, 777, 1400])
 def test_two_halves_are_the_whole_bit_for_bit(name: str, cut: int) -> None:
     recording = untidy()
-    whole = feed(Stream(name), recording)
+    whole, _ = stream_untidy(name)
     first = Stream(name)
     head = feed(first, recording, last=cut)
     saved = pickle.loads(pickle.dumps(first.save()))
@@ -242,7 +250,7 @@ def test_without_a_magnetometer_only_the_tilt_is_corrected(name: str) -> None:
     assert found.diagnostics["heading"] == "arbitrary: there is no magnetometer"
 
 
-@pytest.mark.parametrize("name", ATTITUDE)
+@pytest.mark.parametrize("name", mark_slow_except(ATTITUDE, *FILTERS, "vqf"))
 def test_an_uncalibrated_magnetometer_is_as_none(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [40, 10, -20], degrees=True))
     plain = record(pose, regular(8))
@@ -256,7 +264,7 @@ def test_an_uncalibrated_magnetometer_is_as_none(name: str) -> None:
     assert found.diagnostics["declination_rad"] == 0.0
 
 
-@pytest.mark.parametrize("name", ATTITUDE)
+@pytest.mark.parametrize("name", mark_slow_except(ATTITUDE, *FILTERS, "vqf"))
 def test_the_declination_turns_every_estimator_to_true_north(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [40, 10, -20], degrees=True))
     plain = record(pose, regular(8))
@@ -276,7 +284,7 @@ def test_the_declination_turns_every_estimator_to_true_north(name: str) -> None:
     assert magnetic.diagnostics["declination_rad"] == 0.0
 
 
-@pytest.mark.parametrize("name", ATTITUDE)
+@pytest.mark.parametrize("name", mark_slow_except(ATTITUDE, *FILTERS, "vqf"))
 def test_an_estimate_covers_every_sample_and_says_how_it_was_made(name: str) -> None:
     recording = untidy()
     found = estimate(recording, name)

@@ -1,6 +1,7 @@
 """Motions with exact truth, as perfect or noisy sensors see them, and how to feed a stream with a recording."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ def jittered(seconds: float, seed: int = 5) -> NDArray[np.float64]:
     return np.cumsum(np.random.default_rng(seed).uniform(0.002, 0.018, int(seconds * 100)))
 
 
+@cache
 def untidy(seed: int = 3) -> Recording:
     """Jitter, a slower magnetometer on its own clock, a gap of 3 s, noise: nothing is round."""
     draw = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,14 @@ SQUARE = SpinGeometry(np.array([0.1 * Z, 0.5 * Z]), np.array([Z, -Y]), np.empty(
 Floats = NDArray[np.float64]
 
 
+@cache
+def _simulate_quiet(kind: str, seed: int) -> Recording:
+    return simulate(kind, seed=seed, sensor=QUIET)
+
+
 def spoilt(spoil: Callable[[Floats], None], seed: int = 0, kind: str = "spin-constant") -> Recording:
     """The bench with quiet sensors, and what ``spoil`` does to its columns F4, F5 (N, 2)."""
-    recording = simulate(kind, seed=seed, sensor=QUIET)
+    recording = _simulate_quiet(kind, seed)
     assert recording.spin is not None
     accel = recording.spin.accel_mps2.copy()
     spoil(accel)

@@ -60,6 +60,7 @@ def test_link_and_mode_of_the_old_file_are_kept(tmp_path):
     assert target.stat().st_mode & 0o777 == 0o640
 
 
+@pytest.mark.slow
 def test_killed_writer_leaves_a_part_that_the_next_write_removes(tmp_path):
     writer = start_writer(tmp_path / "a.mcap")
     writer.kill()
@@ -72,6 +73,7 @@ def test_killed_writer_leaves_a_part_that_the_next_write_removes(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["b.mcap"]
 
 
+@pytest.mark.slow
 def test_part_of_a_running_process_is_kept(tmp_path):
     writer = start_writer(tmp_path / "a.mcap")
     try:

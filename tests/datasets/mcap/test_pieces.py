@@ -80,6 +80,7 @@ def test_pieces_of_bounded_size_join_to_the_recording(hour):
     assert all(end < start for end, start in zip(ends, starts[1:], strict=False)), "all clocks are cut at one time"
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(recordings())
 def test_any_recording_comes_back_from_pieces_of_one_message(tmp_path_factory, recording):

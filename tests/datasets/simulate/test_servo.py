@@ -62,6 +62,7 @@ def test_a_perfect_gyro_integrates_to_the_truth_and_rests_are_still(perfect: Rec
     assert (rotation(perfect.base_pose).inv() * q_nb[0]).magnitude() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_a_longer_run_begins_alike() -> None:
     one, again, other = (simulate("servo-bench", seed=s, minutes=2.5) for s in (3, 3, 4))
     longer = simulate("servo-bench", seed=3, minutes=6.0)

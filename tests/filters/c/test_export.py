@@ -80,9 +80,12 @@ def run_step(name, log, params, precision="double"):
 
 
 CASES = [(name, kind, {}) for name in ATTITUDES for kind in ("clean", "spoilt")] + [
-    ("cf", "clean", {"zeta": 0.5, "levelled_by": "estimate", "kappa": 1.0}),
-    ("kf-axis", "clean", {"tilt": "roots", "heading": "compass", "reset_s": 5.0, "speed_mps": 1.0}),
-    ("ekf", "clean", {"window_s": 0.0, "gate_sd": 1.0, "tilt_patience_s": 0.5, "heading_patience_s": 1.0}),
+    pytest.param(*case, marks=pytest.mark.slow)
+    for case in (
+        ("cf", "clean", {"zeta": 0.5, "levelled_by": "estimate", "kappa": 1.0}),
+        ("kf-axis", "clean", {"tilt": "roots", "heading": "compass", "reset_s": 5.0, "speed_mps": 1.0}),
+        ("ekf", "clean", {"window_s": 0.0, "gate_sd": 1.0, "tilt_patience_s": 0.5, "heading_patience_s": 1.0}),
+    )
 ]
 
 
@@ -102,7 +105,7 @@ def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, log
         assert np.isnan(found["cov"]).all()
 
 
-@pytest.mark.parametrize("name", ATTITUDES)
+@pytest.mark.parametrize("name", mark_slow_except(ATTITUDES, "cf"))
 def test_single_precision_is_that_of_the_compiled_step_in_single(name, logs, build):
     made = export_filter(name, declination_rad=0.05)
     log = logs["clean"]
@@ -124,9 +127,9 @@ def turn_deg(p, q):
     ("name", "params"),
     [
         *((name, {}) for name in SPINS),
-        ("roll-ekf", {"process_noise": "literal", "first_rate": "first"}),
-        ("roll-aekf", {"mode": "system", "mean": "literal", "window": 7}),
-        ("roll-aekf", {"mode": "system", "fading": "literal"}),
+        pytest.param("roll-ekf", {"process_noise": "literal", "first_rate": "first"}, marks=pytest.mark.slow),
+        pytest.param("roll-aekf", {"mode": "system", "mean": "literal", "window": 7}, marks=pytest.mark.slow),
+        pytest.param("roll-aekf", {"mode": "system", "fading": "literal"}, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("kind", ["spin-constant", "spin-variable"])
