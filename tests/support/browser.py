@@ -29,6 +29,10 @@ OFFLINE = (
 )
 
 
+class NavigatedError(Exception):
+    """The page was left while it was asked something."""
+
+
 class Page:
     """An open page. ``complaints`` are errors of the console, ``requests`` addresses outside the page's own file."""
 
@@ -45,6 +49,8 @@ class Page:
         while True:
             message = json.loads(self._connection.recv(timeout=LONGEST_S))
             if message.get("id") == self._count:
+                if "navigated" in message.get("error", {}).get("message", ""):
+                    raise NavigatedError(message)
                 assert "error" not in message, message
                 answer: dict[str, Any] = message["result"]
                 return answer
@@ -57,11 +63,17 @@ class Page:
         return answer["result"].get("value")
 
     def wait(self, condition: str, timeout_s: float = LONGEST_S) -> None:
-        """Wait until a JavaScript expression is true."""
+        """Wait until a JavaScript expression is true, also on the page that comes after this one."""
         end = time.monotonic() + timeout_s
-        while not self.evaluate(f"Boolean({condition})"):
+        while not self._is_true(condition):
             assert time.monotonic() < end, f"never true: {condition}"
             time.sleep(0.05)
+
+    def _is_true(self, condition: str) -> bool:
+        try:
+            return bool(self.evaluate(f"Boolean({condition})"))
+        except NavigatedError:
+            return False
 
     def resize(self, width_px: int, height_px: int = 900) -> None:
         """Show the page as a window, or below 500 px as a phone, of this size."""

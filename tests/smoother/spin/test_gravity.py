@@ -69,7 +69,7 @@ def test_what_is_unknown_costs_the_angle_next_to_nothing():
     Rao); the worst of ten trials is then 0.37 deg, of which nothing is the graph's.
     """
     found, least, bounds = [], [], []
-    for seed in range(4):
+    for seed in range(8):
         made, best = (
             reference(tilted(90.0, seed)),
             reference(exact := tilted(90.0, seed, wrong=False), params=known(GIVEN)),
