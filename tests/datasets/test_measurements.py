@@ -93,7 +93,7 @@ def test_the_reference_is_as_good_with_a_magnetometer_that_starts_late(hand, val
     assert score(made, hand.truth).total_rmse_deg < score(reference(hand), hand.truth).total_rmse_deg + 0.1
 
 
-@pytest.mark.parametrize("name", mark_slow_except(PEERS, "mahony"))
+@pytest.mark.parametrize("name", mark_slow_except(PEERS, "vqf"))
 def test_peers_start_with_the_first_field_that_is_one(hand, name):
     pytest.importorskip(PEERS[name])
     broken, count = first_20_s(hand, 0.0)

@@ -330,6 +330,7 @@ def test_parameters_of_another_estimator_are_refused() -> None:
         estimate(untidy(), "cf", ESTIMATORS["vqf"].params())
 
 
+@pytest.mark.slow
 def test_quaternions_keep_length_1_over_a_million_samples() -> None:
     t_ns = np.arange(1_000_000, dtype=np.int64) * 10_000_000
     gyro = np.random.default_rng(0).normal(0, 3.0, (len(t_ns), 3))

@@ -58,6 +58,7 @@ def test_every_file_has_the_hash_that_is_said_of_it(archive, tmp_path):
     assert all(sha256((target / path).read_bytes()).hexdigest() == digest for path, digest in stated.items())
 
 
+@pytest.mark.slow
 def test_croissant_passes_its_validator_and_gives_the_records(archive, tmp_path):
     mlc = pytest.importorskip("mlcroissant")
     write_bundle(bundle_files(select_items(archive, "all"), ABOUT, {}), tmp_path / "b")

@@ -303,6 +303,7 @@ def test_odometry_is_the_truth_only_when_asked_for(known, tmp_path):
     assert asked.info.extra["truth_type"] == "nav_msgs/Odometry"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "says"),
     [

@@ -89,6 +89,7 @@ def test_any_recording_comes_back_from_pieces_of_one_message(tmp_path_factory, r
     assert_joined(list(PieceReader(path, most=1).recording()), read(path))
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(estimates(), st.integers(1, 7))
 def test_an_estimate_written_in_pieces_has_the_bytes_of_one_written_at_once(tmp_path_factory, estimate, rows):

@@ -42,6 +42,7 @@ def test_the_open_chunk_of_foxglove_sdk_is_left_out(tmp_path):
     assert "claims 18446744073709551615 bytes" in log.lost
 
 
+@pytest.mark.slow
 def test_without_checksums_any_flipped_bit_gives_numbers_or_one_line(tmp_path):
     """Foreign files may lack every CRC: then a flip can pass, but never as another exception or a huge allocation."""
     bodies = [bytes(STORE.serialize_cdr(vector_message(k), VECTOR)) for k in range(20)]

@@ -36,7 +36,12 @@ def assert_same(a, b, where=""):
         assert a == b, where
 
 
-@pytest.mark.parametrize("things", [recordings(), references(), spin_references(), estimates()])
+@pytest.mark.parametrize("things", [
+    pytest.param(recordings(), id="recordings", marks=pytest.mark.slow),
+    pytest.param(references(), id="references", marks=pytest.mark.slow),
+    pytest.param(spin_references(), id="references of spins"),
+    pytest.param(estimates(), id="estimates", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_every_thing_comes_back_bit_for_bit(tmp_path_factory, things):
     path = tmp_path_factory.mktemp("store") / "thing.mcap"
 
@@ -139,6 +144,7 @@ def small(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_any_flipped_bit_is_found(small, tmp_path):
     """CRCs of chunks, data section, attachments and summary, the magics and the footer leave no byte out."""
     whole = small.read_bytes()

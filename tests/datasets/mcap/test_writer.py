@@ -90,6 +90,7 @@ def test_every_message_index_points_at_its_message(ours):
     assert entries == N + len(T_NS[::3]) + 8
 
 
+@pytest.mark.slow
 def test_mcap_ros2_support_decodes_the_same_numbers(ours):
     with ours.open("rb") as file:
         decoded = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())

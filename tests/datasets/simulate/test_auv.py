@@ -189,6 +189,7 @@ def test_same_arguments_same_bytes_and_other_seeds_others(recorded):
     assert recorded.info == again.info
 
 
+@pytest.mark.slow
 def test_the_sea_does_not_shift_the_draws_of_the_sensors(recorded):
     calm = simulate("auv-dolphin-calm", seed=0)
     assert calm.info.extra["sensor_drawn"] == recorded.info.extra["sensor_drawn"]

@@ -38,6 +38,7 @@ def during(recording: Recording, rate_hz: float) -> np.ndarray:
     return inside
 
 
+@pytest.mark.slow
 def test_rate_and_acceleration_are_the_derivatives_of_the_motion() -> None:
     path = plan_swings(BENCH, 300.0, 0, "servo-bench")
     t_s, h = np.linspace(55.0, 215.0, 40_001), 1e-5

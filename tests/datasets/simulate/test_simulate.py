@@ -39,6 +39,7 @@ def phones():
     return {kind: simulate(kind, seed=0, rate_hz=RATE_HZ) for kind in KINDS}
 
 
+@pytest.mark.slow
 def test_perfect_gyro_integrates_to_the_truth(perfect):
     imu, truth = perfect.imu, perfect.truth
     steps = imu.gyro_b_radps[1:] * np.diff(imu.t_ns)[:, None] / 1e9
@@ -68,6 +69,7 @@ def test_perfect_accelerometer_reads_gravity_up_at_rest(perfect):
     np.testing.assert_allclose(force_n, [[0, 0, normal_gravity_mps2(lat, height)]] * still.sum(), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_perfect_accelerometer_is_the_second_derivative_of_the_position():
     fast = simulate("phone-3", seed=3, minutes=1.5, rate_hz=1000.0, sensor=PERFECT)
     second = np.diff(fast.truth.position_n_m, 2, axis=0) * 1e6
@@ -116,6 +118,7 @@ def test_a_longer_recording_begins_like_a_shorter_one():
     np.testing.assert_array_equal(short.imu.gyro_b_radps[:same], long.imu.gyro_b_radps[:same])
 
 
+@pytest.mark.slow
 def test_the_rate_is_sampled_not_the_motion():
     slow, fast = (simulate("phone-2", seed=2, minutes=1.5, rate_hz=rate, sensor=PERFECT) for rate in (50.0, 400.0))
     assert np.median(np.diff(fast.imu.t_ns)) == 2_500_000

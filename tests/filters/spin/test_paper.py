@@ -24,6 +24,7 @@ def test_white_noise_gives_the_rate_errors_of_the_paper():
         )
 
 
+@pytest.mark.slow
 def test_glitches_give_the_paper_s_order():
     recordings = [simulate("spin-constant", seed=seed, sensor="glitch") for seed in range(10)]
     settings = {**CONSTANT, "saturated": "use"}  # as the paper, which has no test for it
