@@ -24,7 +24,7 @@ HANDS = {
     "phone-3-level": LEVEL,
 }
 KINDS = [kind for kind in SIMULATIONS if kind.startswith("phone-")]
-RATE_HZ = 25.0
+RATE_HZ = 50.0
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def perfect():
 
 @pytest.fixture(scope="module")
 def phones():
-    """A recording of each kind as a phone makes it, of the usual length and a quarter of the usual rate."""
+    """A recording of each kind as a phone makes it, of the usual length at half of the usual rate."""
     return {kind: simulate(kind, seed=0, rate_hz=RATE_HZ) for kind in KINDS}
 
 
