@@ -324,4 +324,4 @@ def test_a_planted_fault_is_named_and_mended(phone: Recording, fault: Fault) -> 
 @pytest.mark.parametrize("kind", ["phone-1", "phone-2"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_slow_and_planar_motion_raises_no_alarm(kind: str, seed: int) -> None:
-    assert examine(simulate(kind, seed=seed, minutes=5.0)).clean
+    assert examine(simulate(kind, seed=seed, rate_hz=50.0)).clean
