@@ -14,7 +14,7 @@ from stillpoint.smoother.attitude.build import Graph
 from stillpoint.smoother.attitude.chain import linearise_chain, poses_of, read_place, split_squares
 from stillpoint.smoother.attitude.factors import CALIBRATION
 from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate, optimise
-from stillpoint.smoother.attitude.linear.rows import Rows, flatten
+from stillpoint.smoother.attitude.linear.rows import Rows, flatten, join_rows
 from stillpoint.smoother.attitude.linear.structure import Structure, find_structure
 from stillpoint.smoother.attitude.magnetometer import (
     FIRST_SCALE,
@@ -109,11 +109,13 @@ def iterate(
     steps: list[float] = []
     final = measured is None
     before: Floats | None = None  # turns of the last step
+    places: _Places | None = None
     while len(steps) < params.iterations:
         rows, residual = linearise(graph, values, effective, states, measured, scale_ut, params)
         structure = structure or _find_structure(rows, states, name)
+        places = places or _find_places(structure, values, states, graph.chain.interval)
         step = _solve_linear(rows, structure, name)
-        turns = step[structure.scalars([X(i) for i in states], 3)]
+        turns = step[places.turns]
         turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise make_unobservable(name)
@@ -122,8 +124,8 @@ def iterate(
         if turn * longer > _STEP_LIMIT_RAD:
             longer = _STEP_LIMIT_RAD / turn
         step = step if longer == 1.0 else longer * step
-        values = values.retract(_as_vectors(step, structure, values))
-        effective = effective + step[structure.scalars([C(int(i)) for i in graph.chain.interval], 6)]
+        values = values.retract(_as_vectors(step, places))
+        effective = effective + step[places.effective]
         rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
@@ -211,15 +213,15 @@ def linearise(
     They are linearised at ``values`` of the ``states`` and what is common to them, and ``effective`` biases (m, 6).
     """
     of_chain = linearise_chain(graph.chain, read_place(graph.chain, values, effective, states))
-    rows = replace(graph.chain.keys(), data=of_chain).and_also(flatten(graph.others.linearize(values)))
+    parts = [replace(graph.chain.keys(), data=of_chain), flatten(graph.others.linearize(values))]
     if graph.inherited is not None:
-        rows = rows.and_also(graph.inherited.at(values))
+        parts.append(graph.inherited.at(values))
     if measured is None:
-        return rows, None
+        return join_rows(parts), None
     rotations = rotations_of(values, measured.state)
     field = values.atVector(H(0))
     of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic)
-    return rows.and_also(of_field), compute_residuals(measured, rotations, field)
+    return join_rows([*parts, of_field]), compute_residuals(measured, rotations, field)
 
 
 def rotations_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
@@ -243,14 +245,32 @@ def _solve_linear(rows: Rows, structure: Structure, name: str) -> Floats:
         raise make_unobservable(name) from error
 
 
-def _as_vectors(step: Floats, structure: Structure, values: gtsam.Values) -> gtsam.VectorValues:
-    """Return a step (D,) in the form in which gtsam adds it to values."""
-    vectors = gtsam.VectorValues()
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where the parts of a step (D,) stand. To find them takes longer than to read them."""
+
+    turns: NDArray[np.int64]  # (n, 3) of the states
+    effective: NDArray[np.int64]  # (m, 6)
+    of_key: list[tuple[int, slice]]  # of each value
+
+
+def _find_places(structure: Structure, values: gtsam.Values, states: range, intervals: NDArray[np.int64]) -> _Places:
+    """Return where the steps of the values stand, and those of the effective biases of ``intervals`` (m,)."""
     keys = [key for key in values.keys() if key in structure.key_number]  # noqa: SIM118 - not a dict
     numbers = [structure.key_number[key] for key in keys]
     begins, sizes = structure.key_begin[numbers], structure.key_size[numbers]
-    for key, begin, end in zip(keys, begins.tolist(), (begins + sizes).tolist(), strict=True):
-        vectors.insert(key, step[begin:end])
+    return _Places(
+        turns=structure.scalars([X(i) for i in states], 3),
+        effective=structure.scalars([C(int(i)) for i in intervals], 6),
+        of_key=list(zip(keys, map(slice, begins.tolist(), (begins + sizes).tolist()), strict=True)),
+    )
+
+
+def _as_vectors(step: Floats, places: _Places) -> gtsam.VectorValues:
+    """Return a step (D,) in the form in which gtsam adds it to values."""
+    vectors = gtsam.VectorValues()
+    for key, rows in places.of_key:
+        vectors.insert(key, step[rows])
     return vectors
 
 

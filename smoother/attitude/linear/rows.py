@@ -22,14 +22,17 @@ class Rows:
     count: Indices  # (m,) rows of a factor
     data: Floats  # [A b] of each factor by columns, one after the other
 
-    def and_also(self, other: "Rows") -> "Rows":
-        """Return these factors and the others."""
-        return Rows(
-            keys=np.concatenate([self.keys, other.keys]),
-            key_first=np.concatenate([self.key_first, self.key_first[-1] + other.key_first[1:]]),
-            count=np.concatenate([self.count, other.count]),
-            data=np.concatenate([self.data, other.data]),
-        )
+
+def join_rows(parts: Sequence[Rows]) -> Rows:
+    """Return the factors of all parts, one part after the other."""
+    before = starts([part.key_first[-1] for part in parts])
+    firsts = [part.key_first[1:] + begin for part, begin in zip(parts, before[:-1], strict=True)]
+    return Rows(
+        keys=np.concatenate([part.keys for part in parts]),
+        key_first=np.concatenate([[0], *firsts]),
+        count=np.concatenate([part.count for part in parts]),
+        data=np.concatenate([part.data for part in parts]),
+    )
 
 
 def flatten(system: gtsam.GaussianFactorGraph) -> Rows:

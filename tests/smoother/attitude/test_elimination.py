@@ -16,7 +16,7 @@ from stillpoint.smoother.attitude.linear.elimination import (
 )
 from stillpoint.smoother.attitude.linear.inherited import remaining_rows
 from stillpoint.smoother.attitude.linear.inverse import compute_covariances
-from stillpoint.smoother.attitude.linear.rows import Rows, flatten, starts
+from stillpoint.smoother.attitude.linear.rows import Rows, flatten, join_rows, starts
 from stillpoint.smoother.attitude.linear.structure import Structure, find_structure
 
 LETTERS = {ord("m"): 5, ord("x"): 6, ord("v"): 3, ord("b"): 2, ord("c"): 4}
@@ -145,6 +145,6 @@ def test_rows_without_noise_are_met():
 
 def test_a_system_without_factors_adds_nothing(rows):
     """A short window in a gap has factors of the chain only."""
-    both = rows.and_also(flatten(gtsam.GaussianFactorGraph()))
+    both = join_rows([rows, flatten(gtsam.GaussianFactorGraph())])
     for name in ("keys", "key_first", "count", "data"):
         np.testing.assert_array_equal(getattr(both, name), getattr(rows, name))
