@@ -47,14 +47,19 @@ class DeviceCalibration:
     split_of_one: float  # what it rarely exceeds when all are of one device
 
 
+def require_several(recordings: int) -> None:
+    """Raise :class:`BadParameter` for fewer recordings than a calibration of a device needs."""
+    if recordings < 2:
+        raise BadParameter("calibrate: needs two recordings of the device or more; one is calibrated by its reference")
+
+
 def calibrate_device(references: Sequence[Reference]) -> DeviceCalibration:
     """Return the joint calibration of the device that made all recordings.
 
     Raises :class:`BadParameter` for fewer than two references, one without a covariance of its calibration, and
     recordings that are of two devices.
     """
-    if len(references) < 2:
-        raise BadParameter("calibrate: needs two recordings of the device or more; one is calibrated by its reference")
+    require_several(len(references))
     found = [_read_parts(made) for made in references]
     names = tuple(made.name for made in references)
     biases = np.array([made.calibration.accel_bias_b_mps2 for made in references])

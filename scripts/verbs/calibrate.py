@@ -20,7 +20,7 @@ from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_document
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import attitude_reference
-from stillpoint.smoother.device import PARTS, DeviceCalibration, calibrate_device
+from stillpoint.smoother.device import PARTS, DeviceCalibration, calibrate_device, require_several
 
 _COLUMNS = ("recording", *(f"{part}, %" for part in PARTS), "accel bias, m/s²")
 
@@ -56,6 +56,7 @@ def calibrate(
     if not out.name.endswith(".toml"):
         raise BadParameter(f"--out {out}: give a name that ends in {SUFFIX}")
     files = [file for file in inputs.mcap_files(paths) if inputs.kind_of(file) != "calibration"]
+    require_several(len(files))  # before references take minutes
     outcomes = run_jobs(_reference_of, files, Workers(jobs), "calibrate")
     refused = [(outcome.error, file.name) for file, outcome in zip(files, outcomes, strict=True) if outcome.error]
     made = [outcome.value for outcome in outcomes if outcome.value is not None]
