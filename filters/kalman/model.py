@@ -163,7 +163,7 @@ class FilterState(NamedTuple):
     still: Stillness
     field: KnownField
     status: Status
-    met: Counts
+    counts: Counts
 
 
 class Measurement(NamedTuple):

@@ -75,20 +75,20 @@ def start(c: Coefficients) -> FilterState:
     for i in range(VELOCITY, SIZE):
         p[i, i] = c.velocity_variance
     status = Status(False, False, False, 0.0, 0.0, 0.0, 0.0)
-    met = Counts(0, 0, 0, 0, 0, 0, 0)
-    return FilterState((half, 0.0, 0.0, half), x, p, empty_window(0.0), no_rest(0.0), start_field(0.0), status, met)
+    counts = Counts(0, 0, 0, 0, 0, 0, 0)
+    return FilterState((half, 0.0, 0.0, half), x, p, empty_window(0.0), no_rest(0.0), start_field(0.0), status, counts)
 
 
 @compiled_inside
 def add_sample(body: FilterState, sample: Sample, c: Coefficients) -> FilterState:
     """Turn by the rate and add the sample to the window; before there is an attitude, begin one."""
-    q_nb, x, p, window, still, field, status, met = body
+    q_nb, x, p, window, still, field, status, counts = body
     dt_s, gyro, accel, mag, has_accel, has_mag, _ = sample
     use_accel = has_accel and dot(accel, accel) >= FREE_FALL_M2PS4
     use_mag = has_mag and dot(mag, mag) > 0
-    n_free_fall = met.n_free_fall + (1 if has_accel and not use_accel else 0)
-    n_no_field = met.n_no_field + (1 if has_mag and not use_mag else 0)
-    met = Counts(n_free_fall, n_no_field, met[2], met[3], met[4], met[5], met[6])
+    n_free_fall = counts.n_free_fall + (1 if has_accel and not use_accel else 0)
+    n_no_field = counts.n_no_field + (1 if has_mag and not use_mag else 0)
+    counts = Counts(n_free_fall, n_no_field, counts[2], counts[3], counts[4], counts[5], counts[6])
     is_gap = dt_s > GAP_S
     if status.is_level and not is_gap:
         (turning, forces, fields), before = window, q_nb
@@ -106,10 +106,16 @@ def add_sample(body: FilterState, sample: Sample, c: Coefficients) -> FilterStat
             _forget_after_gap(x, p, dt_s, c)
             still = no_rest(0.0)
         q_nb, status, found = _begin_attitude(q_nb, x, p, sample, (use_accel, use_mag, is_gap), status, c)
-        met = Counts(
-            met[0], met[1], met[2] + (0 if found else 1), met[3] + (1 if is_gap else 0), met[4], met[5], met[6]
+        counts = Counts(
+            counts[0],
+            counts[1],
+            counts[2] + (0 if found else 1),
+            counts[3] + (1 if is_gap else 0),
+            counts[4],
+            counts[5],
+            counts[6],
         )
-    return FilterState(q_nb, x, p, window, still, field, status, met)
+    return FilterState(q_nb, x, p, window, still, field, status, counts)
 
 
 @compiled_apart
@@ -215,9 +221,9 @@ def finish_window(
     body: FilterState, at: WindowEnd, nu_heading: float, beyond: tuple[bool, bool], c: Coefficients
 ) -> FilterState:
     """Move the attitude by its error, and return the state at the beginning of the next window."""
-    q_nb, x, p, window, _, field, status, met = body
+    q_nb, x, p, window, _, field, status, counts = body
     is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off = status
-    n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = met
+    n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading = counts
     length_s = window.turning.length_s
     q_nb = normalise(multiply(rotation.exp((x[0], x[1], x[2])), q_nb))
     _add_curvature(x, p)
@@ -248,8 +254,8 @@ def finish_window(
     elif window.fields.how_many > 0:
         n_no_north += 1
     status = Status(is_level, is_headed, is_ready, since_s, tilt_doubt_s, heading_doubt_s, heading_off)
-    met = Counts(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
-    return FilterState(q_nb, x, p, empty_window(0.0), at.still, field, status, met)
+    counts = Counts(n_free_fall, n_no_field, n_no_north, n_gaps, n_beyond, n_tilt, n_heading)
+    return FilterState(q_nb, x, p, empty_window(0.0), at.still, field, status, counts)
 
 
 @compiled_inside

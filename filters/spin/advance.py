@@ -78,15 +78,15 @@ def _make_advance(estimator: ModuleType) -> Any:
     @compiled
     def advance(cell: Any, t_ns: int) -> SpinAnswer:
         front_c, c, row = cell.constants
-        passed, state, said = cell.state
+        passed, state, answer = cell.state
         # numba would compile the step once more for a zero that it knows.
         first = np.int64(0)
         passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, first, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
-            said = _make_answer(output)
-        cell.state = (passed, state, said)
-        return said
+            answer = _make_answer(output)
+        cell.state = (passed, state, answer)
+        return answer
 
     return advance
 
@@ -97,6 +97,6 @@ def compile_advance(estimator: ModuleType, cell: Any) -> SpinAdvance:
 
 
 @compiled
-def restore_cell(front_c: Any, c: Any, passed: roll_front.State, state: Any, said: SpinAnswer, row: Row) -> Any:
+def restore_cell(front_c: Any, c: Any, passed: roll_front.State, state: Any, answer: SpinAnswer, row: Row) -> Any:
     """Return the cell of a stream that continues from saved states."""
-    return Cell((front_c, c, row), (passed, state, said))
+    return Cell((front_c, c, row), (passed, state, answer))

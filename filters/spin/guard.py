@@ -39,7 +39,7 @@ class Accels(NamedTuple):
     seen: int
     left_out_radps2: float  # the last one that was
     in_row: int
-    owed_radps: float  # what those in a row would have added to the rate
+    withheld_radps: float  # what those in a row would have added to the rate
     n_accel_refused: int
 
 
@@ -133,10 +133,10 @@ def check_jump(
     """Return the angular acceleration to use, whether it is the sample's own, and the rate to restore.
 
     One whose square distance from the median of the last five exceeds ``gate_var`` is left out, and the median taken
-    for it. A jump is a glitch where the next value is back, and true where it stays: then what was left out is owed.
-    ``scratch`` (5 or more,) is written over.
+    for it. A jump is a glitch where the next value is back, and true where it stays: then the rate that was left out is
+    restored. ``scratch`` (5 or more,) is written over.
     """
-    values, seen, left_out, in_row, owed, n_refused = before
+    values, seen, left_out, in_row, withheld_radps, n_refused = before
     accel = sample.accel_radps2
     values[seen % ACCELS] = accel
     if seen + 1 < ACCELS:
@@ -145,10 +145,10 @@ def check_jump(
         insert_sorted(scratch, k, values[k])
     usual = median_sorted(scratch, ACCELS)
     if (accel - usual) * (accel - usual) > gate_var:
-        owed += sample.dt_s * (accel - usual)
-        return Accels(values, seen + 1, accel, in_row + 1, owed, n_refused + 1), usual, False, 0.0
+        withheld_radps += sample.dt_s * (accel - usual)
+        return Accels(values, seen + 1, accel, in_row + 1, withheld_radps, n_refused + 1), usual, False, 0.0
     stays = in_row > 0 and (accel - left_out) * (accel - left_out) <= gate_var
-    return Accels(values, seen + 1, left_out, 0, 0.0, n_refused), accel, True, owed if stays else 0.0
+    return Accels(values, seen + 1, left_out, 0, 0.0, n_refused), accel, True, withheld_radps if stays else 0.0
 
 
 @compiled

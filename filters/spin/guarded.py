@@ -243,8 +243,12 @@ def _choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Dr
     if not sample.has_accel:
         return Drive(0.0, c.unknown_var, False), state.accels, 0.0
     gate_var, scratch = c.accel_gate_var * sample.accel_widened, state.refusals.scratch_radps
-    accels, accel, is_own, owed = check_jump(state.accels, sample, gate_var, scratch)
-    return Drive(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True), accels, owed
+    accels, accel, is_own, withheld_radps = check_jump(state.accels, sample, gate_var, scratch)
+    return (
+        Drive(accel, c.noise.accel_var * sample.accel_widened if is_own else c.unknown_var, True),
+        accels,
+        withheld_radps,
+    )
 
 
 @compiled
@@ -338,8 +342,10 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
     if sample.dt_s > _HELD_S:
         driving = Drive(0.0, c.unknown_var, False)
     roll, bias = predict_state(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
-    push, accels, owed = _choose_drive(state, sample, c)
-    roll = SpinMotion(roll.turns, roll.rest_rad, roll.rate_radps + owed, roll.angle_var, roll.cross_var, roll.rate_var)
+    push, accels, withheld_radps = _choose_drive(state, sample, c)
+    roll = SpinMotion(
+        roll.turns, roll.rest_rad, roll.rate_radps + withheld_radps, roll.angle_var, roll.cross_var, roll.rate_var
+    )
     if sample.has_square:
         roll, bias, window, refusals, innovation = _judge_observation(roll, bias, window, refusals, sample, c)
     if not is_sound(roll):
