@@ -197,8 +197,8 @@ class Estimate:
             raise BadRecording(f"estimate {self.name}: has neither an attitude nor an angle; give q_nb or angle_rad")
         if self.q_nb is not None:
             freeze(self, q_nb=check_quaternions("estimate", "q_nb", self.q_nb, (n, 4)))
-        rolls = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
-        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(rolls, (n,))
+        columns = ("angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps")
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(columns, (n,))
         shapes |= {"cov_b_rad2": (n, 3, 3), "gyro_bias_b_radps": (n, 3)}
         for name, shape in shapes.items():
             if getattr(self, name) is not None:

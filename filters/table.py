@@ -225,7 +225,7 @@ ESTIMATORS: dict[str, Estimator | SpinEstimator | Peer] = {
 
 
 ATTITUDES = tuple(name for name, entry in ESTIMATORS.items() if not isinstance(entry, SpinEstimator))
-ROLLS = tuple(name for name in ESTIMATORS if name not in ATTITUDES)
+SPINS = tuple(name for name in ESTIMATORS if name not in ATTITUDES)
 
 
 def find_estimator(name: str) -> Estimator | SpinEstimator | Peer:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from stillpoint.smoother.reference import (
     DEFAULT_METHOD,
     METHODS,
-    ROLL_METHODS,
+    SPIN_METHODS,
     Method,
     attitude_reference,
     reference,
@@ -28,7 +28,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "DEFAULT_METHOD",
     "METHODS",
-    "ROLL_METHODS",
+    "SPIN_METHODS",
     "Method",
     "RestParams",
     "States",

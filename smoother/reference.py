@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from stillpoint.smoother.attitude.long.kept_windows import KeptWindows
 
 DEFAULT_METHOD = "graph"
-DEFAULT_ROLL_METHOD = "roll-graph"
+DEFAULT_SPIN_METHOD = "roll-graph"
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ METHODS: dict[str, Method] = {
     ),
 }
 
-ROLL_METHODS: dict[str, Method] = {
+SPIN_METHODS: dict[str, Method] = {
     "roll-graph": Method(
         _spin_graph,
         SpinGraphParams(),
@@ -92,14 +92,14 @@ ROLL_METHODS: dict[str, Method] = {
 
 def _method_of(name: str) -> Method:
     """Return a method of the table; raise :class:`BadParameter` with the nearest name for an unknown one."""
-    known = METHODS | ROLL_METHODS
+    known = METHODS | SPIN_METHODS
     require_known(name, known, "reference method")
     return known[name]
 
 
 def _default_method(recording: Recording) -> str:
     """Return the default method for the streams that a recording has."""
-    return DEFAULT_ROLL_METHOD if recording.imu is None and recording.spin is not None else DEFAULT_METHOD
+    return DEFAULT_SPIN_METHOD if recording.imu is None and recording.spin is not None else DEFAULT_METHOD
 
 
 def settings_of(method: str, params: Settings | Mapping[str, Any] | None) -> Settings:
@@ -124,7 +124,7 @@ def reference(
     recording
         With an IMU, or with a spin stream.
     method
-        One of METHODS or ROLL_METHODS; by default the graph that fits the recording's streams.
+        One of METHODS or SPIN_METHODS; by default the graph that fits the recording's streams.
     params
         An object of the method's settings class, or a mapping of dotted names to values
         (``{"returns.tilt_gate_rad": 0.02}``), or None for the defaults. The defaults of the graph are those of the

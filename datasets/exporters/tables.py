@@ -80,10 +80,10 @@ def _streams(recording: Recording | Piece) -> Mapping[str, Table]:
         tables["truth"]["moving"] = truth.moving
     for name, series in recording.extra.items():
         tables[f"extra.{name}"] = {"t_ns": series.t_ns, **_columns(series.labels, series.values)}
-    rolls: dict[str, Encoder | None] = {"encoder": recording.encoder, "roll_truth": recording.roll_truth}
-    for name, roll in rolls.items():
-        if roll is not None:
-            tables[name] = {"t_ns": roll.t_ns, "angle_rad": roll.angle_rad, "rate_radps": roll.rate_radps}
+    shafts: dict[str, Encoder | None] = {"encoder": recording.encoder, "roll_truth": recording.roll_truth}
+    for name, shaft in shafts.items():
+        if shaft is not None:
+            tables[name] = {"t_ns": shaft.t_ns, "angle_rad": shaft.angle_rad, "rate_radps": shaft.rate_radps}
     return tables
 
 

@@ -331,12 +331,12 @@ def _give_attitude(output: Struct) -> list[str]:
 def _give_spin() -> list[str]:
     """Return the statements that give angle, rate and variances."""
     return [
-        "*turns = made.f1.roll.turns;",
-        "*rest_rad = made.f1.roll.rest_rad;",
-        "*rate_radps = made.f1.roll.rate_radps;",
+        "*turns = made.f1.motion.turns;",
+        "*rest_rad = made.f1.motion.rest_rad;",
+        "*rate_radps = made.f1.motion.rate_radps;",
         "if (variances != NULL) {",
-        "    variances[0] = made.f1.roll.angle_var;",
-        "    variances[1] = made.f1.roll.cross_var;",
-        "    variances[2] = made.f1.roll.rate_var;",
+        "    variances[0] = made.f1.motion.angle_var;",
+        "    variances[1] = made.f1.motion.cross_var;",
+        "    variances[2] = made.f1.motion.rate_var;",
         "}",
     ]

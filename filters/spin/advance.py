@@ -16,7 +16,7 @@ from numba import int64, typeof
 from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import Floats
 from stillpoint.filters.advance import Cell
-from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin import front as spin_front
 from stillpoint.filters.spin.sample import SpinOutput, unwrap_angle
 
 SpinAdvance = Callable[[Any, int], "SpinAnswer"]
@@ -49,12 +49,12 @@ def _start_answer() -> SpinAnswer:
 @compiled
 def _make_answer(output: SpinOutput) -> SpinAnswer:
     """Return the answer in double precision, whatever the estimator's is."""
-    roll = output.roll
+    motion = output.motion
     return SpinAnswer(
-        unwrap_angle(roll),
-        np.float64(roll.rate_radps),
-        sqrt(np.float64(roll.angle_var)),
-        sqrt(np.float64(roll.rate_var)),
+        unwrap_angle(motion),
+        np.float64(motion.rate_radps),
+        sqrt(np.float64(motion.angle_var)),
+        sqrt(np.float64(motion.rate_var)),
         np.float64(output.innovation),
         output.ready,
     )
@@ -66,7 +66,7 @@ def make_begin(estimator: ModuleType) -> Callable[[Any, Any, Row], Any]:
 
     @compiled
     def begin(front_c: Any, c: Any, row: Row) -> Any:
-        return Cell((front_c, c, row), (roll_front.start(), estimator.start(c), _start_answer()))
+        return Cell((front_c, c, row), (spin_front.start(), estimator.start(c), _start_answer()))
 
     return begin
 
@@ -81,7 +81,7 @@ def _make_advance(estimator: ModuleType) -> Any:
         passed, state, answer = cell.state
         # numba would compile the step once more for a zero that it knows.
         first = np.int64(0)
-        passed, sample, is_taken = roll_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, first, front_c)
+        passed, sample, is_taken = spin_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, first, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)
             answer = _make_answer(output)
@@ -97,6 +97,6 @@ def compile_advance(estimator: ModuleType, cell: Any) -> SpinAdvance:
 
 
 @compiled
-def restore_cell(front_c: Any, c: Any, passed: roll_front.State, state: Any, answer: SpinAnswer, row: Row) -> Any:
+def restore_cell(front_c: Any, c: Any, passed: spin_front.State, state: Any, answer: SpinAnswer, row: Row) -> Any:
     """Return the cell of a stream that continues from saved states."""
     return Cell((front_c, c, row), (passed, state, answer))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.compiled import compiled
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.datasets.settings import choice, number
-from stillpoint.filters.spin import ekf as roll_ekf
+from stillpoint.filters.spin import ekf as spin_ekf
 from stillpoint.filters.spin.rate import count_sample, integrate_rate, make_drive, predict_rate, set_sense
 from stillpoint.filters.spin.sample import (
     SpinOutput,
@@ -32,7 +32,7 @@ from stillpoint.filters.spin.start import is_sound, rate_variance
 
 
 @dataclass(frozen=True)
-class Params(roll_ekf.Params):
+class Params(spin_ekf.Params):
     """Parameters of ``roll-aekf``."""
 
     mode: Literal["observation", "system"] = choice(
@@ -59,14 +59,14 @@ class Adaptation(NamedTuple):
 class Coefficients(NamedTuple):
     """Constants derived once from the parameters."""
 
-    ekf: roll_ekf.Coefficients
+    ekf: spin_ekf.Coefficients
     adaptation: Adaptation
 
 
 class State(NamedTuple):
     """The state of the filter between two samples."""
 
-    ekf: roll_ekf.State
+    ekf: spin_ekf.State
     squares: NDArray[np.float64]  # (M,) of the last innovations, a ring that is handed on and written in place
     seen: int  # innovations
     n_variance_not_positive: int
@@ -83,13 +83,13 @@ def coefficients(params: Params, geometry: SpinGeometry) -> Coefficients:
         largest_alpha=params.largest_alpha,
         largest_lambda=params.largest_lambda,
     )
-    return Coefficients(roll_ekf.coefficients(params, geometry), adaptation)
+    return Coefficients(spin_ekf.coefficients(params, geometry), adaptation)
 
 
 @compiled
 def start(c: Coefficients) -> State:
     """Return the state before the first sample."""
-    return State(roll_ekf.start(c.ekf), np.full(c.adaptation.window, 0.0), 0, 0)
+    return State(spin_ekf.start(c.ekf), np.full(c.adaptation.window, 0.0), 0, 0)
 
 
 @compiled
@@ -131,10 +131,10 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
     """Predict, compare the innovations with their expected variance, correct."""
     ekf, squares, seen, n_lost = state
     if ekf.start.held < c.ekf.room:
-        ekf, output = roll_ekf.begin_state(ekf, sample, c.ekf)
+        ekf, output = spin_ekf.begin_state(ekf, sample, c.ekf)
         return State(ekf, squares, seen, n_lost), output
     dt_s, r = sample.dt_s, c.ekf.process.noise.square_var * sample.square_widened
-    rate, var = predict_rate(ekf.roll, ekf.drive, dt_s, c.ekf.process.per_step)
+    rate, var = predict_rate(ekf.motion, ekf.drive, dt_s, c.ekf.process.per_step)
     left, innovation = 1.0, nan
     if sample.has_square:
         h = rate + rate
@@ -147,10 +147,10 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
         innovation = residual / sqrt(of_rate + r)
     if not var > 0.0:
         var, left, n_lost = rate_variance(rate, r), 0.0, n_lost + 1
-    roll, is_turned_over = set_sense(integrate_rate(ekf.roll, rate, left, var, dt_s), sample.direction)
-    if not is_sound(roll):
-        ekf, output = roll_ekf.restart_state(ekf, sample, c.ekf)
+    motion, is_turned_over = set_sense(integrate_rate(ekf.motion, rate, left, var, dt_s), sample.direction)
+    if not is_sound(motion):
+        ekf, output = spin_ekf.restart_state(ekf, sample, c.ekf)
         return State(ekf, squares, 0, n_lost), output
     tally = count_sample(ekf.tally, sample, is_turned_over)
-    ekf = roll_ekf.State(ekf.start, roll, make_drive(sample, c.ekf.process.noise.accel_var), tally)
-    return State(ekf, squares, seen, n_lost), SpinOutput(roll, innovation, n_lost == 0)
+    ekf = spin_ekf.State(ekf.start, motion, make_drive(sample, c.ekf.process.noise.accel_var), tally)
+    return State(ekf, squares, seen, n_lost), SpinOutput(motion, innovation, n_lost == 0)

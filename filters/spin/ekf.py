@@ -63,7 +63,7 @@ class State(NamedTuple):
     """The state of the filter between two samples."""
 
     start: Start
-    roll: SpinMotion
+    motion: SpinMotion
     drive: Drive  # by the sample before
     tally: Counts
 
@@ -85,9 +85,11 @@ def begin_state(state: State, sample: SpinSample, c: Coefficients) -> tuple[Stat
     """Use one of the first samples to find the rate to start from."""
     sense = c.process.noise.sense if sample.direction == 0 else sample.direction
     square_var = c.process.noise.square_var * sample.square_widened
-    begun, roll = add_first_sample(state.start, sample, state.drive.accel_radps2, sense, square_var)
-    state = State(begun, roll, make_drive(sample, c.process.noise.accel_var), count_sample(state.tally, sample, False))
-    return state, SpinOutput(roll, nan, begun.held == c.room)
+    begun, motion = add_first_sample(state.start, sample, state.drive.accel_radps2, sense, square_var)
+    state = State(
+        begun, motion, make_drive(sample, c.process.noise.accel_var), count_sample(state.tally, sample, False)
+    )
+    return state, SpinOutput(motion, nan, begun.held == c.room)
 
 
 @compiled
@@ -95,7 +97,7 @@ def restart_state(state: State, sample: SpinSample, c: Coefficients) -> tuple[St
     """Restart after an impossible state: from the angle before, with the sample as the first one."""
     drive = Drive(0.0, c.process.noise.accel_var)
     return begin_state(
-        State(restart(state.start, state.roll), state.roll, drive, count_restart(state.tally)), sample, c
+        State(restart(state.start, state.motion), state.motion, drive, count_restart(state.tally)), sample, c
     )
 
 
@@ -105,7 +107,7 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
     if state.start.held < c.room:
         return begin_state(state, sample, c)
     dt_s, r = sample.dt_s, c.process.noise.square_var * sample.square_widened
-    rate, var = predict_rate(state.roll, state.drive, dt_s, c.process.per_step)
+    rate, var = predict_rate(state.motion, state.drive, dt_s, c.process.per_step)
     left, innovation = 1.0, nan
     if sample.has_square:
         h = rate + rate
@@ -115,9 +117,9 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
         left = r / total  # 1 - K H, and never below 0 by rounding
         rate, var = rate + gain * residual, var * r / total
         innovation = residual / sqrt(total)
-    roll, is_turned_over = set_sense(integrate_rate(state.roll, rate, left, var, dt_s), sample.direction)
-    if not is_sound(roll):
+    motion, is_turned_over = set_sense(integrate_rate(state.motion, rate, left, var, dt_s), sample.direction)
+    if not is_sound(motion):
         return restart_state(state, sample, c)
     tally = count_sample(state.tally, sample, is_turned_over)
-    state = State(state.start, roll, make_drive(sample, c.process.noise.accel_var), tally)
-    return state, SpinOutput(roll, innovation, True)
+    state = State(state.start, motion, make_drive(sample, c.process.noise.accel_var), tally)
+    return state, SpinOutput(motion, innovation, True)

@@ -118,7 +118,7 @@ class State(NamedTuple):
     """The state of the filter between two samples."""
 
     start: Start
-    roll: SpinMotion
+    motion: SpinMotion
     bias: Bias
     push: Drive
     window: Window
@@ -156,25 +156,29 @@ def start(c: Coefficients) -> State:
 
 
 @compiled
-def predict_state(roll: SpinMotion, bias: Bias, push: Drive, dt_s: float, drift_var: float) -> tuple[SpinMotion, Bias]:
+def predict_state(
+    motion: SpinMotion, bias: Bias, push: Drive, dt_s: float, drift_var: float
+) -> tuple[SpinMotion, Bias]:
     """Predict angle, rate and bias over an interval."""
     t, half_s, bias_s = dt_s, 0.5 * dt_s, dt_s
     accel = push.accel_radps2 - bias.accel_radps2
     if not push.is_measured:
         accel, bias_s = 0.0, 0.0
-    turns, rest = wrap_angle(roll.turns, roll.rest_rad + t * (roll.rate_radps + half_s * accel))
+    turns, rest = wrap_angle(motion.turns, motion.rest_rad + t * (motion.rate_radps + half_s * accel))
     # covariances: the angle takes half_s * bias_s of the bias, the rate bias_s of it
     of_angle = bias.angle_cov + t * bias.rate_cov - half_s * bias_s * bias.var
     of_rate = bias.rate_cov - bias_s * bias.var
-    rate_var = roll.rate_var - bias_s * (bias.rate_cov + of_rate)
-    cross_var = roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov - bias_s * of_angle
-    angle_var = roll.angle_var + t * roll.cross_var - half_s * bias_s * bias.angle_cov
-    angle_var += t * (roll.cross_var + t * roll.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
+    rate_var = motion.rate_var - bias_s * (bias.rate_cov + of_rate)
+    cross_var = motion.cross_var + t * motion.rate_var - half_s * bias_s * bias.rate_cov - bias_s * of_angle
+    angle_var = motion.angle_var + t * motion.cross_var - half_s * bias_s * bias.angle_cov
+    angle_var += (
+        t * (motion.cross_var + t * motion.rate_var - half_s * bias_s * bias.rate_cov) - half_s * bias_s * of_angle
+    )
     step_var = t * t * push.var  # as of white noise within the interval: the end of a gap does not tell the way there
     moved_roll = SpinMotion(
         turns,
         rest,
-        roll.rate_radps + t * accel,
+        motion.rate_radps + t * accel,
         angle_var + t * t * (1 / 3) * step_var,
         cross_var + half_s * step_var,
         rate_var + step_var,
@@ -193,22 +197,22 @@ def _remaining_variance(var: float, cov: float, share: float, left: float) -> fl
 
 
 @compiled
-def correct_state(roll: SpinMotion, bias: Bias, residual: float, noise_var: float) -> tuple[SpinMotion, Bias]:
+def correct_state(motion: SpinMotion, bias: Bias, residual: float, noise_var: float) -> tuple[SpinMotion, Bias]:
     """Correct all states by an observation with its residual; H = (0, 2 rate, 0)."""
-    h = roll.rate_radps + roll.rate_radps
-    of_rate = h * roll.rate_var * h
+    h = motion.rate_radps + motion.rate_radps
+    of_rate = h * motion.rate_var * h
     total = of_rate + noise_var
     along = h * residual / total
     left = noise_var / total  # 1 - K H
-    of_angle, of_bias = roll.cross_var / roll.rate_var, bias.rate_cov / roll.rate_var
-    turns, rest = wrap_angle(roll.turns, roll.rest_rad + roll.cross_var * along)
+    of_angle, of_bias = motion.cross_var / motion.rate_var, bias.rate_cov / motion.rate_var
+    turns, rest = wrap_angle(motion.turns, motion.rest_rad + motion.cross_var * along)
     after = SpinMotion(
         turns,
         rest,
-        roll.rate_radps + roll.rate_var * along,
-        _remaining_variance(roll.angle_var, roll.cross_var, of_angle, left),
-        roll.cross_var * left,
-        roll.rate_var * left,
+        motion.rate_radps + motion.rate_var * along,
+        _remaining_variance(motion.angle_var, motion.cross_var, of_angle, left),
+        motion.cross_var * left,
+        motion.rate_var * left,
     )
     return after, Bias(
         bias.accel_radps2 + bias.rate_cov * along,
@@ -220,21 +224,21 @@ def correct_state(roll: SpinMotion, bias: Bias, residual: float, noise_var: floa
 
 @compiled
 def _judge_observation(
-    roll: SpinMotion, bias: Bias, window: Window, refusals: Refusals, sample: SpinSample, c: Coefficients
+    motion: SpinMotion, bias: Bias, window: Window, refusals: Refusals, sample: SpinSample, c: Coefficients
 ) -> tuple[SpinMotion, Bias, Window, Refusals, float]:
     """Judge an observation by its innovation, then use or refuse it; also return the normalised innovation."""
-    rate = roll.rate_radps
+    rate = motion.rate_radps
     residual = sample.square_rad2ps2 - rate * rate
     square_var = c.noise.square_var * sample.square_widened
-    expected = 4.0 * rate * rate * roll.rate_var + square_var
+    expected = 4.0 * rate * rate * motion.rate_var + square_var
     window, alpha = add_innovation(window, residual, expected, c.least_alpha, c.largest_alpha)
     if residual * residual <= c.gate * alpha * expected:
         noise_var = (alpha - 1.0) * expected + square_var
-        roll, bias = correct_state(roll, bias, residual, noise_var)
+        motion, bias = correct_state(motion, bias, residual, noise_var)
         refusals = end_refusals(refusals)
     else:
         refusals = add_refusal(refusals, rate_size(sample.square_rad2ps2), sample.dt_s)
-    return roll, bias, window, refusals, residual / sqrt(expected)
+    return motion, bias, window, refusals, residual / sqrt(expected)
 
 
 @compiled
@@ -252,42 +256,42 @@ def _choose_drive(state: State, sample: SpinSample, c: Coefficients) -> tuple[Dr
 
 
 @compiled
-def _choose_sense(roll: SpinMotion, direction: int, c: Coefficients) -> int:
+def _choose_sense(motion: SpinMotion, direction: int, c: Coefficients) -> int:
     """Return the sense, +1 or -1: a sensor's, else that of the rate where it has one, else the assumed one."""
     if direction != 0:
         return direction
-    square = roll.rate_radps * roll.rate_radps
-    least = max(_SENSE_SQUARE * roll.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
+    square = motion.rate_radps * motion.rate_radps
+    least = max(_SENSE_SQUARE * motion.rate_var, sqrt(c.noise.square_var))  # below it the square shows none
     if square <= least:
         return c.noise.sense
-    return 1 if roll.rate_radps > 0.0 else -1
+    return 1 if motion.rate_radps > 0.0 else -1
 
 
 @compiled
 def _restart_rate(state: State, direction: int, c: Coefficients) -> State:
     """Restart the rate from the refused observations; the angle may have lost turns meanwhile, the bias is unknown."""
-    roll = state.roll
-    rate = median_of_refused(state.refusals) * like(0.0, _choose_sense(roll, direction, c))
+    motion = state.motion
+    rate = median_of_refused(state.refusals) * like(0.0, _choose_sense(motion, direction, c))
     lasting_s = state.refusals.lasting_s
     if state.refusals.n_restarts == 0 and state.window.seen == state.refusals.in_row:
         lasting_s += state.start.elapsed_s  # none has passed yet: the start was wrong
-    lost = (rate - roll.rate_radps) * lasting_s
+    lost = (rate - motion.rate_radps) * lasting_s
     rate_var = rate_variance(rate, c.noise.square_var)
-    roll = SpinMotion(roll.turns, roll.rest_rad, rate, roll.angle_var + lost * lost, 0.0, rate_var)
+    motion = SpinMotion(motion.turns, motion.rest_rad, rate, motion.angle_var + lost * lost, 0.0, rate_var)
     bias = Bias(state.bias.accel_radps2, 0.0, 0.0, c.bias_var)
     guards = Window(state.window.squares, 0), end_lockout(state.refusals), state.accels, state.repeats
-    return State(state.start, roll, bias, state.push, *guards, state.tally)
+    return State(state.start, motion, bias, state.push, *guards, state.tally)
 
 
 @compiled
-def _add_unseen_motion(begun: Start, roll: SpinMotion, accel_var: float) -> tuple[Start, SpinMotion]:
+def _add_unseen_motion(begun: Start, motion: SpinMotion, accel_var: float) -> tuple[Start, SpinMotion]:
     """Add to the angle's variance an unmeasured angular acceleration over the time without any value."""
     way = 0.5 * begun.elapsed_s * begun.elapsed_s
     var = way * way * accel_var
     rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var = begun
     begun = Start(rates, held, gained, gained_rad, elapsed_s, turns, rest, angle_var + var)
     return begun, SpinMotion(
-        roll.turns, roll.rest_rad, roll.rate_radps, roll.angle_var + var, roll.cross_var, roll.rate_var
+        motion.turns, motion.rest_rad, motion.rate_radps, motion.angle_var + var, motion.cross_var, motion.rate_var
     )
 
 
@@ -304,20 +308,20 @@ def _begin_state(state: State, sample: SpinSample, repeats: Repeats, c: Coeffici
         if both:
             state = State(
                 before,
-                state.roll,
+                state.motion,
                 state.bias,
                 state.push,
                 *clear_guards(state.window, state.refusals, state.accels),
                 repeats,
                 state.tally,
             )
-    begun, roll = add_first_sample(before, sample, state.push.accel_radps2, sense, square_var)
+    begun, motion = add_first_sample(before, sample, state.push.accel_radps2, sense, square_var)
     if before.held == 0 and begun.held == 1 and not state.push.is_measured:
-        begun, roll = _add_unseen_motion(begun, roll, c.unknown_var)
+        begun, motion = _add_unseen_motion(begun, motion, c.unknown_var)
     push, accels, _ = _choose_drive(state, sample, c)
     guards = state.window, state.refusals, accels, repeats
-    state = State(begun, roll, state.bias, push, *guards, count_sample(state.tally, sample, False))
-    return state, SpinOutput(roll, nan, begun.held == MEDIAN_OF)
+    state = State(begun, motion, state.bias, push, *guards, count_sample(state.tally, sample, False))
+    return state, SpinOutput(motion, nan, begun.held == MEDIAN_OF)
 
 
 @compiled
@@ -326,7 +330,7 @@ def _restart_state(state: State, sample: SpinSample, repeats: Repeats, c: Coeffi
     bias, push = Bias(0.0, 0.0, 0.0, c.bias_var), Drive(0.0, 0.0, False)
     guards = clear_guards(state.window, state.refusals, state.accels)
     state = State(
-        restart(state.start, state.roll), state.roll, bias, push, *guards, repeats, count_restart(state.tally)
+        restart(state.start, state.motion), state.motion, bias, push, *guards, repeats, count_restart(state.tally)
     )
     return _begin_state(state, sample, repeats, c)
 
@@ -341,20 +345,25 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
     driving = state.push
     if sample.dt_s > _HELD_S:
         driving = Drive(0.0, c.unknown_var, False)
-    roll, bias = predict_state(state.roll, state.bias, driving, sample.dt_s, c.drift_var)
+    motion, bias = predict_state(state.motion, state.bias, driving, sample.dt_s, c.drift_var)
     push, accels, withheld_radps = _choose_drive(state, sample, c)
-    roll = SpinMotion(
-        roll.turns, roll.rest_rad, roll.rate_radps + withheld_radps, roll.angle_var, roll.cross_var, roll.rate_var
+    motion = SpinMotion(
+        motion.turns,
+        motion.rest_rad,
+        motion.rate_radps + withheld_radps,
+        motion.angle_var,
+        motion.cross_var,
+        motion.rate_var,
     )
     if sample.has_square:
-        roll, bias, window, refusals, innovation = _judge_observation(roll, bias, window, refusals, sample, c)
-    if not is_sound(roll):
+        motion, bias, window, refusals, innovation = _judge_observation(motion, bias, window, refusals, sample, c)
+    if not is_sound(motion):
         return _restart_state(state, sample, repeats, c)
-    roll, is_turned_over = set_sense(roll, sample.direction)
+    motion, is_turned_over = set_sense(motion, sample.direction)
     if is_turned_over:
         bias = Bias(bias.accel_radps2, bias.angle_cov, -bias.rate_cov, bias.var)
     tally = count_sample(state.tally, sample, is_turned_over)
-    state = State(state.start, roll, bias, push, window, refusals, accels, repeats, tally)
+    state = State(state.start, motion, bias, push, window, refusals, accels, repeats, tally)
     if refusals.in_row >= c.lockout:
         state = _restart_rate(state, sample.direction, c)
-    return state, SpinOutput(state.roll, innovation, True)
+    return state, SpinOutput(state.motion, innovation, True)

@@ -35,7 +35,7 @@ class Coefficients(NamedTuple):
 class State(NamedTuple):
     """The state of the filter between two samples."""
 
-    roll: SpinMotion
+    motion: SpinMotion
     sense: int  # +1 or -1, the last that was told
     begun: bool
     tally: Counts
@@ -55,7 +55,7 @@ def start(c: Coefficients) -> State:
 @compiled
 def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, SpinOutput]:
     """Return the rate by this sample alone; without an observation, the rate before."""
-    before, sense, dt_s = state.roll, state.sense, sample.dt_s
+    before, sense, dt_s = state.motion, state.sense, sample.dt_s
     if sample.direction != 0:
         sense = sample.direction
     rate, left, var = before.rate_radps, 1.0, before.rate_var
@@ -63,9 +63,9 @@ def step(state: State, sample: SpinSample, c: Coefficients) -> tuple[State, Spin
         rate, left = like(dt_s, sense) * rate_size(sample.square_rad2ps2), 0.0
         var = rate_variance(rate, c.noise.square_var * sample.square_widened)
     begun = state.begun or sample.has_square
-    roll = SpinMotion(0, 0.0, rate, 0.0, 0.0, var)
+    motion = SpinMotion(0, 0.0, rate, 0.0, 0.0, var)
     if state.begun:
-        roll = integrate_rate(before, rate, left, var, dt_s)
+        motion = integrate_rate(before, rate, left, var, dt_s)
     is_turned_over = state.begun and sense != state.sense
-    state = State(roll, sense, begun, count_sample(state.tally, sample, is_turned_over))
-    return state, SpinOutput(roll, nan, begun)
+    state = State(motion, sense, begun, count_sample(state.tally, sample, is_turned_over))
+    return state, SpinOutput(motion, nan, begun)

@@ -68,28 +68,28 @@ def make_drive(sample: SpinSample, accel_var: float) -> Drive:
 
 
 @compiled
-def predict_rate(roll: SpinMotion, drive: Drive, dt_s: float, per_step: bool) -> tuple[float, float]:
+def predict_rate(motion: SpinMotion, drive: Drive, dt_s: float, per_step: bool) -> tuple[float, float]:
     """Apply (12): return the rate and its variance, by the angular acceleration at the sample before."""
     q = dt_s * dt_s * drive.var if per_step else drive.var
-    return roll.rate_radps + dt_s * drive.accel_radps2, roll.rate_var + q
+    return motion.rate_radps + dt_s * drive.accel_radps2, motion.rate_var + q
 
 
 @compiled
-def integrate_rate(roll: SpinMotion, rate_radps: float, left: float, rate_var: float, dt_s: float) -> SpinMotion:
+def integrate_rate(motion: SpinMotion, rate_radps: float, left: float, rate_var: float, dt_s: float) -> SpinMotion:
     """Integrate the mean of both rates; ``left`` is the share A of the rate's error that remains."""
     half_s = 0.5 * dt_s
-    turns, rest = wrap_angle(roll.turns, roll.rest_rad + half_s * (roll.rate_radps + rate_radps))
-    kept = left * roll.rate_var
-    crossed = left * roll.cross_var
-    angle_var = roll.angle_var + dt_s * (roll.cross_var + crossed)
-    angle_var += half_s * half_s * (roll.rate_var + kept + kept + rate_var)
+    turns, rest = wrap_angle(motion.turns, motion.rest_rad + half_s * (motion.rate_radps + rate_radps))
+    kept = left * motion.rate_var
+    crossed = left * motion.cross_var
+    angle_var = motion.angle_var + dt_s * (motion.cross_var + crossed)
+    angle_var += half_s * half_s * (motion.rate_var + kept + kept + rate_var)
     return SpinMotion(turns, rest, rate_radps, angle_var, crossed + half_s * (kept + rate_var), rate_var)
 
 
 @compiled
-def set_sense(roll: SpinMotion, direction: int) -> tuple[SpinMotion, bool]:
+def set_sense(motion: SpinMotion, direction: int) -> tuple[SpinMotion, bool]:
     """Give the rate the sense that a sensor shows; return whether it had to be reversed."""
-    rate = roll.rate_radps
-    if direction == 0 or rate * like(rate, direction) >= 0.0 or rate * rate < roll.rate_var:
-        return roll, False
-    return SpinMotion(roll.turns, roll.rest_rad, -rate, roll.angle_var, -roll.cross_var, roll.rate_var), True
+    rate = motion.rate_radps
+    if direction == 0 or rate * like(rate, direction) >= 0.0 or rate * rate < motion.rate_var:
+        return motion, False
+    return SpinMotion(motion.turns, motion.rest_rad, -rate, motion.angle_var, -motion.cross_var, motion.rate_var), True

@@ -13,7 +13,7 @@ from stillpoint.datasets.spin import SpinChannels
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.sample import collect_counts
-from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin import front as spin_front
 from stillpoint.filters.spin.direction import describe_direction
 from stillpoint.filters.spin.noise import SpinParams, make_channels
 from stillpoint.filters.spin.sample import SpinTrack, empty_track
@@ -41,10 +41,10 @@ class SpinRun:
         self._recording, self._name, self._entry, self._params = head.name, name, entry, params
         self._precision = precision
         self._by: SpinChannels | None = None
-        self._front_c: roll_front.Coefficients
+        self._front_c: spin_front.Coefficients
         self._c: Any
         self._state: Any
-        self._passed = roll_front.start()
+        self._passed = spin_front.start()
         self._start_ns = 0
         self._is_begun = False  # the estimator has said that it is ready
         self._elapsed_ns = self._n = self._n_near_zero = 0
@@ -56,11 +56,11 @@ class SpinRun:
         spin, entry, params, precision = piece.spin, self._entry, self._params, self._precision
         if self._by is None:
             self._by = make_channels(params, spin.geometry)
-            self._front_c = roll_front.coefficients(self._by, params, precision)
+            self._front_c = spin_front.coefficients(self._by, params, precision)
             self._c = to_precision(entry.coefficients(params, spin.geometry), precision)
             self._state = to_precision(entry.start(self._c), precision)
             self._start_ns = int(spin.t_ns[0])
-        self._passed, log = roll_front.filter_log(
+        self._passed, log = spin_front.filter_log(
             spin.t_ns, spin.accel_mps2, spin.gyro_radps, self._passed, self._front_c
         )
         track = empty_track(len(log.dt_s))

@@ -46,7 +46,7 @@ class SpinMotion(NamedTuple):
 class SpinOutput(NamedTuple):
     """The output of an estimator of a spin after a sample."""
 
-    roll: SpinMotion
+    motion: SpinMotion
     innovation: float  # normalised; NaN where there was no update
     ready: bool  # False while it is starting, and when it has lost its variance
 
@@ -106,19 +106,19 @@ def read_spin_sample(log: SpinLog, k: int) -> SpinSample:
 
 
 @compiled
-def unwrap_angle(roll: SpinMotion) -> float:
+def unwrap_angle(motion: SpinMotion) -> float:
     """Return the unwrapped angle in rad, in double precision."""
-    return roll.turns * _DOUBLE_TURN_RAD + roll.rest_rad
+    return motion.turns * _DOUBLE_TURN_RAD + motion.rest_rad
 
 
 @compiled
 def write_spin_output(track: SpinTrack, k: int, output: SpinOutput) -> None:
     """Write output ``k`` into the columns."""
-    roll = output.roll
-    track.angle_rad[k] = unwrap_angle(roll)
-    track.rate_radps[k] = roll.rate_radps
-    track.angle_var[k] = roll.angle_var
-    track.rate_var[k] = roll.rate_var
+    motion = output.motion
+    track.angle_rad[k] = unwrap_angle(motion)
+    track.rate_radps[k] = motion.rate_radps
+    track.angle_var[k] = motion.angle_var
+    track.rate_var[k] = motion.rate_var
     track.innovation[k] = output.innovation
     track.ready[k] = output.ready
 

@@ -40,9 +40,9 @@ def empty_start(room: int, zero: float) -> Start:
 
 
 @compiled
-def restart(start: Start, roll: SpinMotion) -> Start:
+def restart(start: Start, motion: SpinMotion) -> Start:
     """Return the record as before the first sample, with the angle as it is."""
-    return Start(start.rates_radps, 0, 0.0, 0.0, 0.0, roll.turns, roll.rest_rad, roll.angle_var)
+    return Start(start.rates_radps, 0, 0.0, 0.0, 0.0, motion.turns, motion.rest_rad, motion.angle_var)
 
 
 @compiled
@@ -55,11 +55,11 @@ def forget_rates(start: Start, also_gained: bool) -> Start:
 
 
 @compiled
-def is_sound(roll: SpinMotion) -> bool:
+def is_sound(motion: SpinMotion) -> bool:
     """Return whether the motion is possible: finite, positive variances, and no rate beyond any body."""
-    rate, var = roll.rate_radps, roll.rate_var
-    is_finite = abs(roll.rest_rad) < np.inf and roll.angle_var < np.inf and abs(roll.cross_var) < np.inf
-    is_positive = var > 0.0 and roll.angle_var >= 0.0
+    rate, var = motion.rate_radps, motion.rate_var
+    is_finite = abs(motion.rest_rad) < np.inf and motion.angle_var < np.inf and abs(motion.cross_var) < np.inf
+    is_positive = var > 0.0 and motion.angle_var >= 0.0
     return is_finite and is_positive and abs(rate) < _MOST_RADPS and var < _MOST_VAR
 
 

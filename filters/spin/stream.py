@@ -13,7 +13,7 @@ from stillpoint.datasets.settings import Settings, choose_settings
 from stillpoint.filters.advance import read_cell
 from stillpoint.filters.precision import Precision, to_precision
 from stillpoint.filters.sample import collect_counts
-from stillpoint.filters.spin import front as roll_front
+from stillpoint.filters.spin import front as spin_front
 from stillpoint.filters.spin.advance import Row, SpinAnswer, compile_advance, make_begin, restore_cell
 from stillpoint.filters.spin.noise import SpinParams, make_channels
 from stillpoint.filters.table import SpinEstimator, find_estimator
@@ -24,7 +24,7 @@ class SavedSpin(NamedTuple):
 
     name: str  # of the estimator
     precision: str
-    front: roll_front.State
+    front: spin_front.State
     state: Any
     answer: SpinAnswer
 
@@ -65,7 +65,7 @@ class SpinStream:
             )
         settings = choose_settings(entry.params(), params, name)
         assert isinstance(settings, SpinParams)
-        front_c = roll_front.coefficients(make_channels(settings, geometry), settings, precision)
+        front_c = spin_front.coefficients(make_channels(settings, geometry), settings, precision)
         c = to_precision(entry.coefficients(settings, geometry), precision)
         self._k, self._m = len(geometry.accel_r_b_m), len(geometry.gyro_axis_b)
         values = np.zeros(self._k + self._m)

@@ -17,7 +17,7 @@ from stillpoint.datasets.simulate.spin_sensor import VARIABLE
 from stillpoint.filters import estimate
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.spin.stream import SpinStream
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scripts.bench.timing import Timing, time_call
 from stillpoint.smoother import reference
 
@@ -50,7 +50,7 @@ def bench_spin_filters(runs: int) -> list[Timing]:
     assert recording.spin is not None
     n = len(recording.spin.t_ns)
     steps: dict[str, tuple[Callable[[], float], int]] = {}
-    for name in ROLLS:
+    for name in SPINS:
         steps[name] = _time_batch(recording, name, "double", n), n
         steps[f"{name}, single precision"] = _time_batch(recording, name, "single", n), n
         steps[f"{name}, a call of a stream"] = _time_stream(recording, name), _STREAMED

@@ -13,7 +13,7 @@ from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.c.export import EXPORTED
 from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import Estimator, SpinEstimator, find_estimator
-from stillpoint.smoother import METHODS, ROLL_METHODS
+from stillpoint.smoother import METHODS, SPIN_METHODS
 
 _PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
 FAMILIES = ("complementary", "kalman", _PEERS, "spin")
@@ -80,7 +80,7 @@ def _find_defaults(name: str) -> Settings:
         return heading_source.Params()
     if name == "range":
         return guard.Ranges()
-    methods = METHODS | ROLL_METHODS
+    methods = METHODS | SPIN_METHODS
     return methods[name].defaults if name in methods else find_estimator(name).params()
 
 

@@ -9,7 +9,7 @@ from stillpoint.datasets.settings import choose_settings
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.front.sources import make_front
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ATTITUDES, ROLLS, Peer, SpinEstimator, find_estimator
+from stillpoint.filters.table import ATTITUDES, SPINS, Peer, SpinEstimator, find_estimator
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.flags import split_names
 
@@ -54,7 +54,7 @@ def choose_runs(estimators: str, set_: Sequence[str] | None, precision: Precisio
 def _parse_names(estimators: str) -> list[str]:
     """Return the estimators that a word of the command line stands for."""
     if estimators in ("all", "roll"):
-        return list(ATTITUDES if estimators == "all" else ROLLS)
+        return list(ATTITUDES if estimators == "all" else SPINS)
     return split_names(estimators)
 
 

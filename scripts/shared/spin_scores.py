@@ -41,7 +41,7 @@ class SpinJudge:
     made_from: Mapping[str, str]
 
 
-def is_roll(thing: object) -> bool:
+def is_spin(thing: object) -> bool:
     """Return whether a thing is an angle and a rate rather than an attitude."""
     return isinstance(thing, SpinReference) or (isinstance(thing, Estimate) and thing.q_nb is None)
 

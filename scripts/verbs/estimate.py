@@ -16,7 +16,7 @@ from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
 from stillpoint.filters.run import start_run
-from stillpoint.filters.table import ROLLS, Peer, find_estimator
+from stillpoint.filters.table import SPINS, Peer, find_estimator
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import make_row, report_made, require_distinct
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
@@ -102,9 +102,9 @@ def _runs_by_source(
     if estimators is not None:
         return dict.fromkeys(sources, runs_of_names(estimators))
     spins = {source: inputs.is_of_spin(source) for source in sources}
-    wanted = [_DEFAULT] * (not all(spins.values())) + list(ROLLS) * any(spins.values())
+    wanted = [_DEFAULT] * (not all(spins.values())) + list(SPINS) * any(spins.values())
     runs = runs_of_names(",".join(wanted))
-    return {source: [run for run in runs if (run.estimator in ROLLS) == spins[source]] for source in sources}
+    return {source: [run for run in runs if (run.estimator in SPINS) == spins[source]] for source in sources}
 
 
 def _jobs(runs: Mapping[Path, Sequence[Run]], out: Path | None, calibration: str) -> list[_Job]:

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.filters.c.export import EXPORTED, CSource, export_filter
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scripts.shared import inputs
 from stillpoint.scripts.shared.batch import assignments
 from stillpoint.scripts.shared.estimator_choice import EXAMPLE
@@ -47,7 +47,7 @@ def export_c(
         Where the accelerometers of a spin sit: bench, five, or a .toml file as import spin takes it.
     """
     settings = _read_all_settings(estimators, set_)
-    spins = [name for name in settings if name in ROLLS]
+    spins = [name for name in settings if name in SPINS]
     where = find_geometry(SpinOptions(geometry=geometry)) if spins else None
     made = [export_filter(name, params, radians(declination), where) for name, params in settings.items()]
     folder = inputs.output_dir(out)

@@ -27,7 +27,7 @@ from stillpoint.scripts.shared.window_folder import WindowFolder, remove_windows
 from stillpoint.smoother import DEFAULT_METHOD
 from stillpoint.smoother.attitude.params import PRESETS
 from stillpoint.smoother.long_reference import LongReference
-from stillpoint.smoother.reference import DEFAULT_ROLL_METHOD, make_reference_in_pieces, settings_of
+from stillpoint.smoother.reference import DEFAULT_SPIN_METHOD, make_reference_in_pieces, settings_of
 
 _AUTO = "auto"  # the preset that each recording's streams speak for
 
@@ -45,7 +45,7 @@ _COLUMNS = (
 )
 
 
-_ROLL_COLUMNS = (
+_SPIN_COLUMNS = (
     "recording",
     "method",
     "sd of rate, deg/s",
@@ -151,8 +151,8 @@ def reference(
         make_row({"recording": job.source.stem, "method": job.method}, job.target, outcome)
         for job, outcome in zip(work, outcomes, strict=True)
     ]
-    if all(row["method"] == DEFAULT_ROLL_METHOD for row in rows):
-        return report_made("references", _ROLL_COLUMNS, rows, _format_spin_cells, json, columns)
+    if all(row["method"] == DEFAULT_SPIN_METHOD for row in rows):
+        return report_made("references", _SPIN_COLUMNS, rows, _format_spin_cells, json, columns)
     code = report_made("references", _COLUMNS, rows, _format_cells, json, columns)
     if json != STDOUT:
         made = [(row["recording"], row["diagnostics"]) for row in rows if row["error"] is None]
@@ -187,7 +187,7 @@ def _choose_methods(sources: Sequence[Path], changed: bool) -> dict[Path, list[s
     spins = {source: inputs.is_of_spin(source) for source in sources}
     if changed:
         spins = dict.fromkeys(sources, all(spins.values()))
-    return {source: [DEFAULT_ROLL_METHOD if spin else DEFAULT_METHOD] for source, spin in spins.items()}
+    return {source: [DEFAULT_SPIN_METHOD if spin else DEFAULT_METHOD] for source, spin in spins.items()}
 
 
 def _plan_jobs(methods: Mapping[Path, Sequence[str]], out: Path | None) -> list[_Job]:
@@ -321,7 +321,7 @@ def _list_spin_facts(made: SpinReference) -> dict[str, Any]:
 def _format_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
         return [row["recording"], row["method"], *["-"] * (len(_COLUMNS) - 2)]
-    if row["method"] == DEFAULT_ROLL_METHOD:
+    if row["method"] == DEFAULT_SPIN_METHOD:
         return _format_spin_among_attitudes(row)
     accepted = sum(one["accepted"] for one in row["returns"])
     closing = row["diagnostics"].get("closing_error_deg", [])
@@ -349,7 +349,7 @@ def _format_spin_among_attitudes(row: dict[str, Any]) -> list[str]:
 
 def _format_spin_cells(row: dict[str, Any]) -> list[str]:
     if row["error"] is not None:
-        return [row["recording"], row["method"], *["-"] * (len(_ROLL_COLUMNS) - 2)]
+        return [row["recording"], row["method"], *["-"] * (len(_SPIN_COLUMNS) - 2)]
     found = row["diagnostics"]
     return [
         row["recording"],

@@ -21,7 +21,7 @@ from stillpoint.scripts.shared.flags import Inputs, Jobs, OutBeside, Workers
 from stillpoint.scripts.shared.jobs import exit_code, run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
 from stillpoint.scripts.shared.recordings import open_recording
-from stillpoint.scripts.shared.spin_scores import is_roll, zero_of
+from stillpoint.scripts.shared.spin_scores import is_spin, zero_of
 
 PAGE = ".report.html"
 
@@ -95,7 +95,7 @@ def gather_material(path: Path) -> Material | SpinMaterial:
         if not isinstance(thing, Reference | SpinReference | Estimate):
             raise BadParameter(f"{file}: holds a recording; a recording's name does not end so, give it another")
         require_same(file, thing.made_from, path, hashes)
-        if is_roll(thing) != of_spin:
+        if is_spin(thing) != of_spin:
             print_line(f"{file}: left out, {'an attitude' if of_spin else 'an angle about one axis'}", file=sys.stderr)
             continue
         made.append(thing)

@@ -26,7 +26,7 @@ from stillpoint.scripts.shared.flags import LOCAL, Columns, Inputs, Workers
 from stillpoint.scripts.shared.jobs import SHORT, exit_code
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, Task, run_kept
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write_json
-from stillpoint.scripts.shared.spin_scores import is_roll, print_spin_scores, score_spin_file
+from stillpoint.scripts.shared.spin_scores import is_spin, print_spin_scores, score_spin_file
 from stillpoint.scripts.shared.tables import print_table
 
 _COLUMNS = ("recording", "estimate", "total", "heading", "incl.", "95 %", "max", "found", "roll", "pitch", "yaw")
@@ -272,7 +272,7 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
     if asked.align in ALIGN_PIECES and not asked.over_s and (found := _score_in_pieces(file, against, asked)):
         return found
     thing = read(file)
-    if isinstance(thing, Estimate | SpinReference) and is_roll(thing):
+    if isinstance(thing, Estimate | SpinReference) and is_spin(thing):
         if asked.over_s:
             raise BadParameter(f"{file}: is an angle about one axis; --over compares turns of attitudes: leave it out")
         if isinstance(against, str):
@@ -292,7 +292,7 @@ def _score_in_pieces(file: Path, against: Path | str | None, asked: _Asked) -> S
         return None
     pieces = reader.trajectory()
     first = next(pieces)
-    if not isinstance(first, Estimate) or is_roll(first):
+    if not isinstance(first, Estimate) or is_spin(first):
         return None
     judge, made_from, truths = _open_judge(against if isinstance(against, Path) else _beside(file, first, against))
     require_same(file, first.made_from, judge, made_from)

@@ -15,7 +15,7 @@ from stillpoint.datasets.importers.spin_csv import SpinOptions, find_geometry
 from stillpoint.datasets.recording import SpinGeometry
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
-from stillpoint.filters.table import ROLLS, Peer, find_estimator
+from stillpoint.filters.table import SPINS, Peer, find_estimator
 from stillpoint.scripts.shared.estimator_choice import Run, choose_runs
 from stillpoint.scripts.shared.flags import SetFlag, Whole
 from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, print_line, write_json
@@ -185,7 +185,7 @@ def _stream_to_foxglove(
 
 def _read_geometry(runs: Sequence[Run], options: SpinOptions, declination_deg: float | None) -> SpinGeometry | None:
     """Read the geometry of a spinning body; None for attitudes. Raises :class:`BadParameter` for options that clash."""
-    spins, names = [run.estimator for run in runs if run.estimator in ROLLS], ", ".join(ROLLS)
+    spins, names = [run.estimator for run in runs if run.estimator in SPINS], ", ".join(SPINS)
     if not spins:
         if options != SpinOptions():
             raise BadParameter(f"--geometry, --d1-m, --d2-m, --range-g: are for {names}; leave them out")

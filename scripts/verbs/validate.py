@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from stillpoint.datasets.errors import BadParameter, StillpointError, require_known
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scoring.align import AlignKind
 from stillpoint.scoring.report.printed import save_figure
 from stillpoint.scoring.spin import SpinScore, score_roll, spin_score_row, usual_zero
@@ -25,7 +25,7 @@ from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.spin_scores import find_spin_judge, print_spin_scores, zero_of
 from stillpoint.scripts.shared.tables import print_refusals, print_table
 from stillpoint.smoother import reference
-from stillpoint.smoother.reference import ROLL_METHODS
+from stillpoint.smoother.reference import SPIN_METHODS
 from stillpoint.studies.fidelity import JudgeFidelity, measure_fidelity
 from stillpoint.studies.fidelity_figure import draw_fidelity
 from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
@@ -145,9 +145,9 @@ def _validate_spins(
 ) -> int:
     """Score angle and rate by each method against the truth, else the encoder, of each recording."""
     zero_of(align, "validate")
-    chosen = list(dict.fromkeys(methods or ROLL_METHODS))
+    chosen = list(dict.fromkeys(methods or SPIN_METHODS))
     for name in chosen:
-        require_known(name, [*ROLL_METHODS, *ROLLS], "roll reference method or estimator")
+        require_known(name, [*SPIN_METHODS, *SPINS], "roll reference method or estimator")
     work = [(source, name) for source in sources for name in chosen]
     decide = partial(_decide_spin, align=align)
     outcomes = run_kept(partial(_score_spin, align=align), work, decide, workers, keeping, "validate", SpinScore)
@@ -177,7 +177,7 @@ def _score_spin(task: Task[tuple[Path, str]], align: AlignKind) -> SpinScore:
     source, name = task.item
     judge = find_spin_judge(source)
     recording = open_recording(source)
-    made = reference(recording, name) if name in ROLL_METHODS else estimate(recording, name)
+    made = reference(recording, name) if name in SPIN_METHODS else estimate(recording, name)
     assert isinstance(made, SpinReference | Estimate)
     zero = zero_of(align, source.name) or usual_zero(made, judge.truth, judge.name)
     return score_roll(made, judge.truth, zero, judge.name)

@@ -14,7 +14,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import choose_settings, names_of
 from stillpoint.datasets.trajectory import Estimate
 from stillpoint.filters import estimate
-from stillpoint.filters.table import ATTITUDES, ESTIMATORS, ROLLS, Peer
+from stillpoint.filters.table import ATTITUDES, ESTIMATORS, SPINS, Peer
 from stillpoint.studies.leaderboard.board import DEFAULTS
 from stillpoint.studies.leaderboard.files import files_of_label, read_estimate_of
 from stillpoint.studies.leaderboard.own import load_own, run_own, version_of_own
@@ -135,7 +135,7 @@ def _entrant_of_files(label: str) -> Entrant:
 
 
 def _entrant_of_table(shown: str, known: str, settings: Mapping[str, Any], origin: str) -> Entrant:
-    if known in ROLLS:
+    if known in SPINS:
         raise BadParameter(f"{known}: follows a spin about one axis; a leaderboard compares attitudes")
     entry = ESTIMATORS[known]
     choose_settings(entry.params(), settings, known)

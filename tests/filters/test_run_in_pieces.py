@@ -13,7 +13,7 @@ from stillpoint.datasets.recording import Piece
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.filters.run import start_run
-from stillpoint.filters.table import ESTIMATORS, ROLLS, Estimator
+from stillpoint.filters.table import ESTIMATORS, SPINS, Estimator
 
 FILTERS = [name for name, entry in ESTIMATORS.items() if isinstance(entry, Estimator)]
 STREAMS = ("imu", "mag", "gps", "spin")
@@ -79,7 +79,7 @@ def test_fixes_and_fields_of_one_piece_wait_for_the_imu_of_the_next():
     assert_same_in_pieces(recording, "cf", edges_of(recording), heading="gps-course")
 
 
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_a_spin_in_pieces_gives_the_bits_of_the_whole(name):
     recording = simulate("spin-constant", seed=1, sensor=QUIET)
     assert_same_in_pieces(recording, name, edges_of(recording))

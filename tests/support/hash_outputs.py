@@ -21,9 +21,9 @@ from stillpoint.datasets import Recording, StillpointError
 from stillpoint.datasets.importers.table import IMPORTERS
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import ESTIMATORS, SpinStream, Stream, estimate
-from stillpoint.filters.table import ROLLS, Estimator, SpinEstimator
+from stillpoint.filters.table import SPINS, Estimator, SpinEstimator
 from stillpoint.smoother import METHODS, reference
-from stillpoint.smoother.reference import ROLL_METHODS
+from stillpoint.smoother.reference import SPIN_METHODS
 
 SIMULATED = {
     "phone-1": 1.5,
@@ -68,9 +68,9 @@ def _list_recordings() -> Iterator[tuple[str, Recording]]:
 def _list_outputs(recording: Recording) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield each output of a recording: what it is, and the function that makes it."""
     of_spin = recording.imu is None
-    for method in ROLL_METHODS if of_spin else METHODS:
+    for method in SPIN_METHODS if of_spin else METHODS:
         yield f"{method} reference", lambda method=method: reference(recording, method)
-    for name in ROLLS if of_spin else [name for name in ESTIMATORS if name not in ROLLS]:
+    for name in SPINS if of_spin else [name for name in ESTIMATORS if name not in SPINS]:
         streams = isinstance(ESTIMATORS[name], Estimator | SpinEstimator)
         for precision in ("double", "single") if streams else ("double",):
             yield f"{name} batch {precision}", lambda n=name, p=precision: estimate(recording, n, precision=p)

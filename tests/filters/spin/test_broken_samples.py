@@ -13,7 +13,7 @@ from stillpoint.datasets import Encoder, Recording, Spin, SpinGeometry
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
 from stillpoint.filters import estimate
 from stillpoint.filters.spin.stream import SpinStream
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scoring.spin import score_roll
 
 X, Y, Z = np.eye(3)
@@ -72,7 +72,7 @@ def test_any_samples_give_finite_rates_and_positive_variances(name, params, reco
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e300, 9e8, -9e8])
 def test_any_value_leaves_a_spin_stream_finite(name, precision, value):
     stream = SpinStream(name, replace(BENCH, accel_range_mps2=None), CONSTANT, precision)
@@ -83,7 +83,7 @@ def test_any_value_leaves_a_spin_stream_finite(name, precision, value):
         assert np.isfinite(said[:4]).all()
 
 
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_nothing_poisons_a_filter_and_what_is_left_out_is_counted(name):
     def spoil(accel):
         accel[2000], accel[3000:3010, 0], accel[4000:4050, 1], accel[5000:5003, 0] = np.nan, np.nan, np.nan, -157.0

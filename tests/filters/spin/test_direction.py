@@ -8,7 +8,7 @@ from stillpoint.datasets import Recording
 from stillpoint.datasets.recording import Spin, SpinGeometry
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, channels, specific_force
 from stillpoint.filters import estimate
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.smoother import reference
 
 
@@ -23,7 +23,7 @@ def with_gyro(sense: float) -> Recording:
     )
 
 
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_saturated_gyro_still_tells_the_sense(name, sense):
     found = estimate(with_gyro(sense), name, CONSTANT)
@@ -32,7 +32,7 @@ def test_a_saturated_gyro_still_tells_the_sense(name, sense):
     assert "gyro" in found.diagnostics["direction"]
 
 
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_without_it_the_sense_is_assumed_and_said(name):
     recording = exact(lambda t: np.full(len(t), -30.0), np.zeros_like)
     assert estimate(recording, name, CONSTANT).rate_radps[-1] == pytest.approx(30)

@@ -9,7 +9,7 @@ from spins import CONSTANT, VARIABLE
 
 from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scoring.spin import compare_spin, score_roll
 
 
@@ -28,7 +28,7 @@ def test_white_noise_gives_the_rate_errors_of_the_paper():
 def test_glitches_give_the_paper_s_order():
     recordings = [simulate("spin-constant", seed=seed, sensor="glitch") for seed in range(10)]
     settings = {**CONSTANT, "saturated": "use"}  # as the paper, which has no test for it
-    found = {name: [score_roll(estimate(r, name, settings), r.roll_truth) for r in recordings] for name in ROLLS}
+    found = {name: [score_roll(estimate(r, name, settings), r.roll_truth) for r in recordings] for name in SPINS}
     in_order = [
         all(
             getattr(aekf, figure) < getattr(ekf, figure) < getattr(raw, figure)

@@ -12,11 +12,11 @@ from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS, measure, specific_force
 from stillpoint.filters import estimate
-from stillpoint.filters.spin import ekf as roll_ekf
+from stillpoint.filters.spin import ekf as spin_ekf
 from stillpoint.filters.spin import front as roll_front
 from stillpoint.filters.spin.noise import make_channels
 from stillpoint.filters.spin.stream import SpinStream
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 
 
 def untidy() -> Recording:
@@ -32,7 +32,7 @@ def untidy() -> Recording:
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_a_stream_is_the_batch_bit_for_bit_also_when_cut_in_two(name, precision):
     spin = untidy().spin
     batch = estimate(untidy(), name, CONSTANT, precision)
@@ -83,7 +83,7 @@ def test_gyros_and_further_accelerometers_are_the_batch_too(precision, saturated
 
 @pytest.mark.parametrize("make", [untidy, of_five])
 def test_the_compiled_channels_are_those_of_the_doctor_and_the_smoother(make):
-    spin, params = make().spin, roll_ekf.Params()
+    spin, params = make().spin, spin_ekf.Params()
     by = make_channels(params, spin.geometry)
     seen = measure(spin, by)
     c = roll_front.coefficients(by, params, "double")
@@ -110,7 +110,7 @@ def test_a_stamp_that_does_not_rise_is_left_out_and_counted():
     assert stream.counts["n_out_of_order"] == 1
 
 
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_single_precision_holds_the_angle_over_168_turns(name):
     """1057 rad have steps of 1.2e-4 rad in float32; whole turns and a rest do not."""
     recording = simulate("spin-constant", seed=0, sensor="white")

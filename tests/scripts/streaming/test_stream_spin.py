@@ -14,7 +14,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.spin import BENCH, FIVE_ACCELEROMETERS
 from stillpoint.filters import SpinStream, Stream, estimate
 from stillpoint.filters.saved import from_plain, to_plain
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scripts.streaming.lines import Lines, make_spin_layout
 from stillpoint.scripts.streaming.pipe import Counts, run_pipe
 
@@ -39,8 +39,8 @@ def through(text: bytes, streams: dict[str, SpinStream]) -> tuple[Counts, list[d
 @pytest.mark.parametrize("form", ["csv", "ndjson"])
 def test_what_is_said_is_the_batch_run_to_the_last_bit(form: str) -> None:
     recording = bench_with_glitches()
-    _, said = through(as_text(recording, form), {name: SpinStream(name, BENCH, CONSTANT) for name in ROLLS})
-    for name in ROLLS:
+    _, said = through(as_text(recording, form), {name: SpinStream(name, BENCH, CONSTANT) for name in SPINS})
+    for name in SPINS:
         batch, own = estimate(recording, name, CONSTANT), [one for one in said if one["estimator"] == name]
         for field in ("t_ns", "angle_rad", "rate_radps", "angle_sd_rad", "rate_sd_radps", "ready"):
             assert [one[field] for one in own] == getattr(batch, field).tolist()
@@ -50,7 +50,7 @@ def test_what_is_said_is_the_batch_run_to_the_last_bit(form: str) -> None:
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", ROLLS)
+@pytest.mark.parametrize("name", SPINS)
 def test_a_state_kept_as_text_goes_on_bit_for_bit(name: str, precision: str) -> None:
     def new(saved=None) -> SpinStream:
         return SpinStream(name, BENCH, CONSTANT, precision, saved)

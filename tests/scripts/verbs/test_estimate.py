@@ -25,7 +25,7 @@ from stillpoint.datasets.recording import Spin
 from stillpoint.datasets.spin import BENCH
 from stillpoint.filters import ESTIMATORS, Stream, estimate
 from stillpoint.filters.spin.stream import SpinStream
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 t_ns = np.arange(10) * 10_000_000
 imu = Imu(t_ns, np.zeros((10, 3)), np.tile([0, 0, 9.81], (10, 1)))
 spin = Spin(t_ns, np.tile([-100.0, 0.0], (10, 1)), np.empty((10, 0)), BENCH)
@@ -33,7 +33,7 @@ misses = {}
 for name, entry in ESTIMATORS.items():
     if not entry.is_peer:
         estimate(Recording("x", imu, spin=spin, info=Info(units_unchecked=True)), name)
-        if name in ROLLS:
+        if name in SPINS:
             SpinStream(name, BENCH).update(0, (-100.0, 0.0))
         else:
             Stream(name).update(0, (0, 0, 0), (0, 0, 9.81))

@@ -9,7 +9,7 @@ import pytest
 
 from stillpoint.datasets import read, write
 from stillpoint.datasets.simulate import simulate
-from stillpoint.filters.table import ROLLS
+from stillpoint.filters.table import SPINS
 from stillpoint.scoring.report.spin_figures import make_rate_series
 from stillpoint.scoring.report.spin_page import SpinMaterial, judge_spin, make_spin_report_html
 from stillpoint.scoring.spin import compare_spin
@@ -30,7 +30,7 @@ def folder(call, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def material(folder):
-    estimates = tuple(read(folder / f"{NAME}.{name}.estimate.mcap") for name in ROLLS)
+    estimates = tuple(read(folder / f"{NAME}.{name}.estimate.mcap") for name in SPINS)
     reference = read(folder / f"{NAME}.reference.mcap")
     return SpinMaterial(read(folder / f"{NAME}.mcap"), (reference,), estimates, {"a.mcap": "0123abcd" * 8})
 
@@ -47,15 +47,15 @@ def test_without_names_each_recording_gets_the_estimators_of_its_streams(call, f
     write(phone, simulate("phone-1", minutes=1.4))
     assert call("estimate", phone, folder / f"{NAME}.mcap", "-o", tmp_path) == 0
     made = {path.name for path in tmp_path.glob("*.estimate.mcap")}
-    assert made == {"phone.ekf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in ROLLS)}
+    assert made == {"phone.ekf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in SPINS)}
 
 
 def test_truth_judges_all_and_the_reference_the_estimates(material):
     by_truth, by_reference = judge_spin(material)
     assert by_truth.against == "truth"
-    assert [s.estimated for s in by_truth.scores] == ["reference (roll-graph)", *ROLLS]
+    assert [s.estimated for s in by_truth.scores] == ["reference (roll-graph)", *SPINS]
     assert by_reference.against == "reference (roll-graph)"
-    assert [s.estimated for s in by_reference.scores] == list(ROLLS)
+    assert [s.estimated for s in by_reference.scores] == list(SPINS)
     best = min(by_truth.scores, key=lambda s: s.rate_rmse_degps)
     assert best.rate_rmse_degps < 0.3  # the glitch alone puts the observation at 10 deg/s or so
 
