@@ -93,7 +93,7 @@ class Scan:
         records = _Records(file, size)
         try:
             yield from self._data_section(records)
-            self._summary(file.read())
+            self._read_summary(file.read())
         except DamagedError as error:
             if whole or records.ended:
                 where = f"{self.path}: is damaged near byte {records.start}"
@@ -166,7 +166,7 @@ class Scan:
             self.counts[channel] = self.counts.get(channel, 0) + len(own)
         return block
 
-    def _summary(self, rest: bytes) -> None:
+    def _read_summary(self, rest: bytes) -> None:
         """Test what follows the data: the summary, its checksum and its count of messages, the end magic."""
         body = rest[: -len(MAGIC)]
         sound = False

@@ -116,7 +116,7 @@ def write_blocks(
         out.declare(schemas, channels)
         out.describe(metadata, attachments)
         for block in blocks:
-            out.chunk(lambda block=block: block)  # type: ignore[misc]
+            out.add_chunk(lambda block=block: block)  # type: ignore[misc]
         out.finish()
 
 
@@ -162,7 +162,7 @@ class MessageWriter:
             first = min(self._groups, key=lambda group: group.next_ns(until_ns))  # the first of equals, as in one piece
             if not first.finished:
                 return
-            self._out.chunk(first.finished.popleft().lay_out)
+            self._out.add_chunk(first.finished.popleft().lay_out)
 
 
 class _Messages:
@@ -479,7 +479,7 @@ def _open_writer(file: IO[bytes], library: str, level: int = ZSTD_LEVEL) -> "Ite
     """Begin a file; chunks are packed by threads meanwhile, which end with the block."""
     with ThreadPoolExecutor(_PACKERS, thread_name_prefix="pack") as packers:
         out = _Writer(file, packers, level)
-        out.file_bytes(MAGIC)
+        out.write_bytes(MAGIC)
         out.record(Header(profile="ros2", library=library))
         yield out
 
@@ -519,7 +519,7 @@ class _Writer:
         self.chunks: list[ChunkIndex] = []
         self.counts: dict[int, int] = {}
 
-    def file_bytes(self, data: bytes) -> None:
+    def write_bytes(self, data: bytes) -> None:
         self.file.write(data)
         self.position += len(data)
         self.crc = crc32(data, self.crc)
@@ -529,7 +529,7 @@ class _Writer:
         builder = RecordBuilder()
         record.write(builder)
         at, data = self.position, builder.end()
-        self.file_bytes(data)
+        self.write_bytes(data)
         return at, len(data)
 
     def declare(self, schemas: Sequence[Schema], channels: Sequence[Channel]) -> None:
@@ -558,7 +558,7 @@ class _Writer:
             )
         )
 
-    def chunk(self, lay_out: Callable[[], _Laid]) -> None:
+    def add_chunk(self, lay_out: Callable[[], _Laid]) -> None:
         """Take one chunk, which a thread lays out and packs, and write the oldest of those that wait for that."""
         self.waiting.append(self.packers.submit(_pack, lay_out, self.level))
         if len(self.waiting) > _MOST_WAITING:
@@ -587,7 +587,7 @@ class _Writer:
         for channel, entries in indexes.items():
             offsets[channel] = self.position
             data = entries.tobytes()
-            self.file_bytes(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data)) + data)
+            self.write_bytes(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data)) + data)
             self.counts[channel] = self.counts.get(channel, 0) + len(entries)
         self.chunks.append(
             ChunkIndex(
