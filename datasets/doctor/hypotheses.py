@@ -265,14 +265,14 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
     if found is None:
         return None
     scale, who = found
-    witnesses = " and ".join(f"{_NAMES[name]} ({scales[name]:.4g})" for name in who)
+    named = " and ".join(f"{_NAMES[name]} ({scales[name]:.4g})" for name in who)
     if abs(scale * _DEG_PER_RAD - 1) < 0.15:
         factor = 1 / _DEG_PER_RAD
-        message = f"gyro: in deg/s by the {witnesses}: multiply by {factor:.6g}"
+        message = f"gyro: in deg/s by the {named}: multiply by {factor:.6g}"
         remedy = Remedy("matrix", "gyro", f"gyro * {factor:.6g} (deg/s -> rad/s)", _flatten(factor * _IDENTITY))
         return Finding("gyro-units", "error", message, remedy, {"scale": scale})
     message = (
-        f"gyro: rates must be multiplied by {scale:.4g} to fit the {witnesses}: a wrong range or unit of the gyro, or "
+        f"gyro: rates must be multiplied by {scale:.4g} to fit the {named}: a wrong range or unit of the gyro, or "
         f"a time base that is wrong by this factor; multiply by {scale:.4g}, or the steps of time if the rate is wrong"
     )
     remedy = Remedy("matrix", "gyro", f"gyro * {scale:.6g}", _flatten(scale * _IDENTITY))

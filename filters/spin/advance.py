@@ -80,7 +80,7 @@ def _make_advance(estimator: ModuleType) -> Any:
         front_c, c, row = cell.constants
         passed, state, answer = cell.state
         # numba would compile the step once more for a zero that it knows.
-        first = np.int64(0)
+        first: Any = np.int64(0)
         passed, sample, is_taken = spin_front.step(passed, t_ns, row.accel_mps2, row.gyro_radps, first, front_c)
         if is_taken:
             state, output = estimator.step(state, sample, c)

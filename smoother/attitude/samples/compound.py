@@ -41,9 +41,9 @@ def compound_samples(
 
     ``bias_b_radps`` (3,) is the gyro's bias about which gtsam preintegrates.
     """
-    columns = [_forbid_writing(each) for each in (motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s)]
+    accel, gyro, dt_s = (_forbid_writing(each) for each in (motion.accel_b_mps2, motion.gyro_b_radps, motion.dt_s))
     # A copy: gtsam's arrays are of another kind, for which the code would be compiled once more.
-    return Measurements(*_compound(rows, intervals, *columns, np.array(bias_b_radps, dtype=np.float64)))
+    return Measurements(*_compound(rows, intervals, accel, gyro, dt_s, np.array(bias_b_radps, dtype=np.float64)))
 
 
 def _forbid_writing(column: Floats) -> Floats:
