@@ -208,8 +208,8 @@ def widen_by_errors(measured: FieldMeasurements, errors: FieldErrors, params: Fi
     """Return measurements whose sd is at least what the errors of the field suggest for the estimate.
 
     White errors of this size and duration have the sd size x lasting. But the solution follows errors that last for a
-    part of the recording, so that their residuals are too small and too short. With size x lasting^2 / 2 references of
-    phones and BROAD trials in wandering fields of 5 uT over 15 s and 10 uT over 4 s are the most accurate.
+    part of the recording, so that their residuals are too small and too short. With size x lasting^2 / 2 phones
+    and BROAD trials in fields that wander by 5 uT over 15 s have the smallest errors of the rules that were tried.
     """
     widening = errors.size_ut * errors.lasting**2 / 2 / params.sd_ut - _ORDINARY
     return replace(measured, widening=np.maximum(measured.widening, widening))
