@@ -19,7 +19,7 @@ demo: .venv/.run
 test: .venv/.dev
 	$(PYTEST) -q $(PARALLEL)
 
-# All but the tests marked slow, for every change: under three minutes on two cores once the estimators are compiled.
+# All but the tests marked slow, for every change: a minute on two idle cores once the estimators are compiled.
 quick: .venv/.dev
 	$(PYTEST) -q $(PARALLEL) -m 'not wheel and not slow'
 

@@ -81,6 +81,7 @@ def recording_with(**extra):
     return Recording("run", Imu(t_ns, still, still + np.array([0.0, 0.0, 9.81])), extra=extra)
 
 
+@pytest.mark.slow
 @given(
     values=st.lists(st.tuples(st.floats(), st.floats(allow_nan=False)), min_size=1, max_size=20),
     labels=st.just(("speed_mps", "steering wheel, rad")),

@@ -98,6 +98,7 @@ def test_the_observations_are_exact_without_noise(centre, rate, accel, d1, d2):
     assert samples.omega_squared_radps2[0] == pytest.approx(rate[0] ** 2, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_any_set_that_fixes_the_spin_is_unbiased_and_its_variance_is_that_of_its_noise(seed):
     """Twelve accelerometers anywhere: exact on exact input, and var = w' D w, whatever is eliminated."""
@@ -121,6 +122,7 @@ def test_any_set_that_fixes_the_spin_is_unbiased_and_its_variance_is_that_of_its
         assert channel.variance == pytest.approx(channel.accel**2 @ variance, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(st.floats(0.03, 0.4), st.floats(0, 2 * np.pi), st.floats(0, 2 * np.pi))
 def test_one_more_accelerometer_never_raises_a_variance(d, at, along):
     """A sixth anywhere in the y-z plane: the best weights may leave it out."""

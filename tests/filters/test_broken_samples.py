@@ -106,6 +106,7 @@ def run_undisturbed(name: str) -> NDArray[np.float64]:
     return run(Stream(name, ranges=RANGES), record(gentle, regular(END_S)), lambda shot: [shot])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 @pytest.mark.parametrize("fault", FAULTS)
 def test_half_a_second_of_a_fault_is_counted_and_overcome(name: str, fault: str) -> None:
@@ -213,6 +214,7 @@ def test_the_estimate_follows_a_turn_at_2000_degrees_per_second(name: str, axis:
     assert np.rad2deg(off.magnitude()).max() < 1.2 * 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
 def test_the_estimate_survives_hours_of_rest(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [-170, 40, 5], degrees=True))
@@ -267,6 +269,7 @@ def test_any_samples_give_a_unit_quaternion(name: str, heading: str, samples: li
         assert np.rad2deg(rotation(out.q_nb).magnitude()) < 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 def test_time_that_does_not_rise_changes_nothing(name: str) -> None:
     recording = record(gentle, regular(1.0))

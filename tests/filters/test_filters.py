@@ -34,6 +34,7 @@ FOLLOWING = [name for name in FILTERS if name != "acc-ma"]  # acc-ma is late by 
 ON_THE_ROTATION = [name for name in FOLLOWING if name != "cf-literal"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("heading_deg", [0, 90, 179.9, -179.9, -60])
 def test_a_level_rest_stays_where_it_is(name: str, heading_deg: float) -> None:

@@ -38,6 +38,7 @@ def test_products_inverses_and_turned_vectors_are_scipys(p, q, v) -> None:
     assert np.allclose(rotation.rotate(q, v), of(q).apply(v), atol=1e-12)
 
 
+@pytest.mark.slow
 @given(vectors)
 @example((1e-3, 0.0, 0.0))  # where the series takes over
 @example((0.0, 0.0, 0.0))

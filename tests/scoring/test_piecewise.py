@@ -69,6 +69,7 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scratch, "IN_MEMORY", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("align", ALIGN_PIECES)
 @pytest.mark.parametrize("judge", [_truth, _reference], ids=["truth", "reference"])
 @pytest.mark.parametrize("step_ns", [
@@ -86,6 +87,7 @@ def test_pieces_give_the_bits_of_the_whole(align: Any, judge: Callable[[], Any],
         assert score_row(score_pieces(_cut(estimate, ours), _cut(truth, theirs), align, new_store=new_store)) == whole
 
 
+@pytest.mark.slow
 def test_a_fixed_conversion_is_found_in_pieces_as_in_the_whole() -> None:
     estimate, truth = _estimate(with_cov=False), _truth()
     estimate = replace(estimate, q_nb=estimate.q_nb * [1.0, -1.0, -1.0, -1.0])

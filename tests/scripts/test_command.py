@@ -132,6 +132,7 @@ def test_the_installed_command_ends_with_these_codes() -> None:
     assert result.stderr == "stillpoint: no-such-file.mcap: there is no such file or folder; check the name\n"
 
 
+@pytest.mark.slow
 def test_help_names_every_verb_and_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfrom stillpoint.scripts.main import main\n"
@@ -194,6 +195,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path, words: list[s
     assert (result.returncode, errors) == (0, [])
 
 
+@pytest.mark.slow
 def test_importing_the_package_leaves_the_name_datasets_free() -> None:
     code = "import stillpoint.datasets, sys; print('datasets' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path("/"), check=True)
@@ -227,6 +229,7 @@ def test_a_full_standard_output_gives_one_line_error_and_no_success(small: Path)
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_closed_standard_output_is_refused(small: Path) -> None:
     done = run_stillpoint("info", str(small), preexec_fn=lambda: os.close(1))
     assert done.returncode == 2

@@ -132,6 +132,7 @@ def test_every_figure_shows_the_name_as_text(request, maker):
         assert DRAWN in text.replace(r"\$", "$")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".svg", ".pdf", ".png"])
 def test_printed_figures_hold_the_name(board, tmp_path, ending):
     write_figure(tmp_path / f"a{ending}", 1, 2.0, lambda axes: draw_ranking(axes[0], board.tables[0]))
@@ -140,6 +141,7 @@ def test_printed_figures_hold_the_name(board, tmp_path, ending):
         assert r"$\frac{$ \x1b[31m &lt;b&gt;" in (tmp_path / "a.svg").read_text()
 
 
+@pytest.mark.slow
 def test_pictures_of_pages_hold_the_name_as_text(board):
     picture = make_picture(NAME, "", 1, 100, lambda axes: draw_ranking(axes[0], board.tables[0]), time_axis=False)
     assert r"$\frac{$ \x1b[31m &lt;b&gt;" in picture.wide

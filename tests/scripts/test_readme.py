@@ -12,6 +12,7 @@ INDEX = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
+@pytest.mark.slow
 def test_the_python_of_the_first_page_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys) -> None:
     """Figures may move in their last digit with numpy and BLAS; the words and the order may not."""
     code, printed = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", INDEX, re.DOTALL).groups()

@@ -83,6 +83,7 @@ def test_wrong_names_and_values_are_refused_with_the_nearest(recording, method, 
         reference(recording, method, params)
 
 
+@pytest.mark.slow
 def test_the_verb_writes_what_reference_gives(call, folder, recording, capsys):
     assert call("reference", folder, "-o", folder / "out", "--json", folder / "r.json") == 0
     made = read(folder / "out" / "good.reference.mcap")

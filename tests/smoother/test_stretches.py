@@ -52,6 +52,7 @@ def test_a_late_last_sample_is_left_out_and_reported(hand):
     assert score(made, hand.truth).total_rmse_deg < 1.5 * score(reference(hand), hand.truth).total_rmse_deg
 
 
+@pytest.mark.slow
 def test_a_lone_sample_between_two_gaps_is_left_out(hand):
     t_s = seconds(hand)
     lone = keep(hand, (t_s < 20) | (np.abs(t_s - 25) < 0.01) | (t_s > 30))

@@ -69,6 +69,7 @@ def row_of(board, name):
     return next(row for row in board.tables[0].rows if row.estimator == name)
 
 
+@pytest.mark.slow
 def test_perfect_estimator_is_first_and_error_free(board):
     assert row_of(board, "truth").rank == (1, 1)
     assert row_of(board, "truth").total_rmse_deg.worst < 1e-3, "single precision is kept: 7e-6 deg"
@@ -109,6 +110,7 @@ def test_all_estimators_of_a_recording_are_scored_on_the_same_samples(board):
         assert len({run.samples for run in board.runs if run.recording == name and run.error is None}) == 1
 
 
+@pytest.mark.slow
 def test_an_estimator_that_settles_for_a_minute_takes_10_s_from_the_others(folder, files):
     alone = leaderboard(files[:1], [f"{folder}/own.py:truth"])
     both = leaderboard(files[:1], [f"{folder}/own.py:truth", f"{folder}/own.py:settling"])
@@ -147,6 +149,7 @@ def test_pairs_exclude_what_is_not_ranked(board):
     assert {name for pair in board.tables[0].pairs for name in (pair.a, pair.b)} == {"gyro", "Still", "truth"}
 
 
+@pytest.mark.slow
 def test_second_run_computes_nothing(folder, files, tmp_path):
     asked = []
 
@@ -317,6 +320,7 @@ def test_verb_writes_leaderboard_and_study_that_repeats_it(call, capsys, folder,
     assert second["rows"] == first["rows"]
 
 
+@pytest.mark.slow
 def test_verb_ends_with_2_when_nothing_is_scored(call, folder, files, tmp_path):
     assert call("leaderboard", files[1], "-e", f"{folder}/own.py:Broken", "-o", tmp_path / "out") == 2
 

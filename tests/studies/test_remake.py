@@ -40,6 +40,7 @@ def test_estimates_come_out_the_same(archive):
     assert [remake(job).difference_rad for job in jobs] == [0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_what_was_asked_beside_the_parameters_is_asked_again(tmp_path):
     """A full scale that leaves samples out, the course as heading with its own setting, and a calibration by file."""
     recording = simulate("car", 0, minutes=1.0)

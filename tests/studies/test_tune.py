@@ -35,6 +35,7 @@ def tuning(files, out):
     return tune(files, "cf", [RANGE], out, sampler="grid", steps=4)
 
 
+@pytest.mark.slow
 def test_grid_tries_every_point_once(tuning):
     tried = sorted(trial.params["omega0_radps"] for trial in tuning.trials)
     np.testing.assert_allclose(tried, np.geomspace(0.05, 2.0, 4))
@@ -64,6 +65,7 @@ def test_tpe_goes_on_to_the_number_asked_for(files, tmp_path):
     assert len(more.trials) == 5
 
 
+@pytest.mark.slow
 def test_seconds_score_no_more_than_that_stretch(files, tuning, tmp_path):
     cut = tune(files, "cf", [RANGE], tmp_path, sampler="grid", steps=4, seconds=20.0)
     assert cut.tuned_on.startswith("tuned on the first 20 s of motion of 2 recordings")

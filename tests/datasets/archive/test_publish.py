@@ -72,6 +72,7 @@ def test_croissant_passes_its_validator_and_gives_the_records(archive, tmp_path)
     assert hashes == {entry.sha256 for entry in archive.find("all")}
 
 
+@pytest.mark.slow
 def test_ro_crate_is_read_back_by_its_package(archive, tmp_path):
     rocrate = pytest.importorskip("rocrate.rocrate")
     write_bundle(bundle_files(select_items(archive, "all"), ABOUT, {}), tmp_path / "b")
@@ -185,6 +186,7 @@ def hostile_bundles(folder):
     return secret, [*folder.glob("*.zip"), *folder.glob("*.tar"), linked]
 
 
+@pytest.mark.slow
 def test_hostile_bundles_take_and_touch_nothing(tmp_path):
     secret, bundles = hostile_bundles(tmp_path)
     assert len(bundles) == 11

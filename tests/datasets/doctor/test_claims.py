@@ -31,6 +31,7 @@ def test_slow_waves_do_not_fix_a_lag(mission):
     assert lag is None or abs(lag.lag_s) < 5 * lag.sd_s
 
 
+@pytest.mark.slow
 def test_a_cruising_vehicle_does_not_rest(mission):
     assert len(find_rests(mission.require_imu())) > 20, "to the IMU alone an even course looks like rest"
     assert len(find_rests_at_default(mission)) == 0
@@ -46,6 +47,7 @@ def test_without_satellites_the_imu_alone_decides(mission):
     np.testing.assert_array_equal(find_rests_at_default(blind), find_rests(blind.require_imu()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", mark_slow_except([-0.06, 0.0, 0.06], "0.06"))
 def test_a_lag_of_lively_motion_is_found_within_its_sd(late_s):
     phone = simulate("phone-3", minutes=2.5, rate_hz=50)

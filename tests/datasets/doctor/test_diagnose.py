@@ -40,6 +40,7 @@ def absurd():
     yield Recording("spin", spin=Spin(stamps(3000), noise, noise[:, :1], geometry))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("recording", list(absurd()))
 def test_absurd_recordings_are_diagnosed_without_a_fuss(recording):
@@ -48,6 +49,7 @@ def test_absurd_recordings_are_diagnosed_without_a_fuss(recording):
     apply(recording, diagnosis.remedies)
 
 
+@pytest.mark.slow
 def test_axes_that_are_not_turned_are_said_to_be_untested():
     diagnosis = diagnose(still(mag=Mag(stamps(3000), RNG.normal(0, 0.3, (3000, 3)) + FIELD_UT)), NO_RESTS)
     assert diagnosis.clean

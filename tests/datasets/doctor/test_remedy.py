@@ -56,6 +56,7 @@ def test_a_matrix_and_its_inverse_cancel_for_the_truth_as_well(matrix):
     assert np.allclose(np.abs((apply(changed, [back]).truth.q_nb * recording.truth.q_nb).sum(axis=1)), 1)
 
 
+@pytest.mark.slow
 def test_units_count_as_checked_again_once_they_fit():
     recording = still()
     in_g = replace(recording, imu=replace(recording.imu, accel_b_mps2=recording.imu.accel_b_mps2 / 9.80665))

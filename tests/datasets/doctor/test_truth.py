@@ -82,6 +82,7 @@ def test_without_magnetometer_a_world_upside_down_may_be_an_inverted_acceleromet
     assert diagnosis.remedies == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "turn",
     [

@@ -52,12 +52,14 @@ def _same_bytes(folder: Path, file: Path, options: CsvOptions) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [f"{HEADER}\n", f"Device 7\nApp 2\n\n{HEADER}\ns,,,,,,,,,\n", f"# note\n{HEADER}\n"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_log_in_pieces_has_the_bytes_of_the_whole(tmp_path: Path, before: str, end: str) -> None:
     assert _same_bytes(tmp_path, _write_log(tmp_path, _make_rows(), before, end), OPTIONS)
 
 
+@pytest.mark.slow
 def test_blank_lines_comments_and_rows_without_a_gyro_are_counted_over_all_pieces(tmp_path: Path) -> None:
     rows = _make_rows()
     rows[1000:1000] = [[""], ["# a mark"]]

@@ -86,6 +86,7 @@ def test_a_zip_that_claims_too_much_is_not_unpacked(tmp_path):
     tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_a_small_zip_may_not_claim_hundreds_of_megabytes(tmp_path):
     file = tmp_path / "zeros.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("Gyroscope.csv", "w") as out:

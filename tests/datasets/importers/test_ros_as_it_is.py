@@ -177,6 +177,7 @@ def test_the_body_frame_is_the_child_of_a_chain_by_itself(known, tmp_path):
     assert (rotation(truth.q_nb.copy()) * rotation(known.q_nb).inv()).magnitude().max() < 1e-9
 
 
+@pytest.mark.slow
 def test_frames_side_by_side_are_connected_by_the_one_above(known, tmp_path):
     """table and phone both stand on odom: the truth is that of the phone against the table."""
     table = Rotation.from_euler("ZYX", [10, 20, 30], degrees=True)
@@ -186,6 +187,7 @@ def test_frames_side_by_side_are_connected_by_the_one_above(known, tmp_path):
     assert (rotation(truth.q_nb.copy()) * expected.inv()).magnitude().max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_gap_of_a_slow_link_is_not_bridged(known, tmp_path):
     """Samples 200-259 lack the slow link: 7 of its steps without one, where 5 are a gap."""
     file = write_chain(known, tmp_path / "run.mcap", hole=(200, 260))
@@ -195,6 +197,7 @@ def test_a_gap_of_a_slow_link_is_not_bridged(known, tmp_path):
     assert any("78 of 600 stamps dropped" in note for note in recording.info.notes)
 
 
+@pytest.mark.slow
 def test_a_chain_that_is_not_clear_or_not_there_is_refused_by_name(known, tmp_path):
     two = write_chain(known, tmp_path / "two.mcap", more=[("world", "odom", (1.0, 0, 0, 0))])
     options = RosOptions(truth_parent="map", truth_child="imu")

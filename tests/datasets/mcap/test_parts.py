@@ -21,6 +21,7 @@ def assert_written_alike(one, other, folder):
     assert (folder / "one").read_bytes() == (folder / "other").read_bytes()
 
 
+@pytest.mark.slow
 @given(recordings(), st.floats(0.02, 5.0))
 def test_split_and_join_give_the_whole_recording(tmp_path_factory, recording, share):
     span_s = max(recording.duration_s * share, 1e-6)

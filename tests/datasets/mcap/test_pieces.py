@@ -66,6 +66,7 @@ def assert_joined(pieces, recording):
         assert joined.tobytes() == series.values.tobytes()
 
 
+@pytest.mark.slow
 def test_pieces_of_bounded_size_join_to_the_recording(hour):
     path, recording = hour
     reader = PieceReader(path, most=10_000)
@@ -144,6 +145,7 @@ def read_library(path):
         return make_reader(file).get_header().library
 
 
+@pytest.mark.slow
 def test_a_cut_file_gives_the_same_whole_chunks_and_the_same_note(hour, tmp_path):
     path, _ = hour
     data = path.read_bytes()

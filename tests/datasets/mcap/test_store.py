@@ -36,6 +36,7 @@ def assert_same(a, b, where=""):
         assert a == b, where
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("things", [
     pytest.param(recordings(), id="recordings", marks=pytest.mark.slow),
     pytest.param(references(), id="references", marks=pytest.mark.slow),
@@ -184,6 +185,7 @@ def test_a_cut_recording_gives_its_whole_chunks_and_says_what_is_lost(tmp_path):
     assert read_samples[0] < read_samples[2] < read_samples[-1] == n
 
 
+@pytest.mark.slow
 def test_a_cut_anywhere_ends_in_a_recording_or_one_line(small, tmp_path):
     whole = small.read_bytes()
     path = tmp_path / "cut.mcap"

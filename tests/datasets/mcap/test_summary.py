@@ -26,6 +26,7 @@ def long_file(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_streams_have_the_counts_spans_and_rates_of_all_samples(long_file):
     recording, summary = read(long_file), summarise(long_file)
     found = {one.name: one for one in summary.streams}
@@ -65,6 +66,7 @@ def test_cut_file_is_refused(long_file, tmp_path):
         summarise(path)
 
 
+@pytest.mark.slow
 def test_info_of_a_large_file_says_what_it_did_not_look_for(long_file, call, capsys, monkeypatch):
     monkeypatch.setattr(info_verb, "LARGE_BYTES", 1 << 20)
     assert call("info", long_file, "--json", "-") == 0

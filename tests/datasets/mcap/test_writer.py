@@ -37,6 +37,7 @@ def ours(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_official_reader_accepts_every_checksum(ours):
     with ours.open("rb") as file:
         reader = NonSeekingReader(file, validate_crcs=True)  # tests the data section's, too

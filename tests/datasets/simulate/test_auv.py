@@ -38,6 +38,7 @@ def seconds(recording, t_ns):
     return (t_ns - start_ns) / 1e9
 
 
+@pytest.mark.slow
 def test_perfect_gyro_samples_are_the_turns_between_the_true_attitudes(perfect):
     imu, attitude = perfect.imu, rotation(perfect.truth.q_nb)
     steps = imu.gyro_b_radps[1:] * np.diff(imu.t_ns)[:, None] / 1e9
@@ -86,6 +87,7 @@ def test_the_vehicle_sails_along_its_x_axis(perfect):
     assert np.abs(along[:, 1]).max() < 0.25
 
 
+@pytest.mark.slow
 def test_the_mission_is_that_of_the_paper(recorded):
     when, t = phases_s(recorded), seconds(recorded, recorded.truth.t_ns)
     up_m, (_, pitch, _) = recorded.truth.position_n_m[:, 2], np.rad2deg(euler(recorded.truth.q_nb, "ned")).T

@@ -140,6 +140,7 @@ def test_stamps_rise_however_bad_the_jitter():
     assert (np.diff(recording.imu.t_ns) > 0).all()
 
 
+@pytest.mark.slow
 def test_disturbances_pass_and_come_as_often_as_stated():
     path = draw_path(IN_HAND, 3600.0, seed=0, kind="phone-3")
     t = np.arange(0, path.duration_s, 0.1)

@@ -21,6 +21,7 @@ def path(request):
     return draw_path(HANDS[request.param], 100.0, seed=5, kind=request.param)
 
 
+@pytest.mark.slow
 def test_acceleration_integrates_back_to_the_position(path):
     # Gauss-Legendre with three points is exact for the polynomials of degree 3 between the ends of the strokes; a lever
     # arm that turns is none, and twelve points are exact to rounding.
@@ -46,6 +47,7 @@ def test_angular_acceleration_is_the_derivative_of_the_rate(path):
     np.testing.assert_allclose(path.angular_acceleration_b_radps2(inside), differences, atol=2e-6, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_rate_integrates_back_to_the_attitude(path):
     start, end = path.rests_s[0, 1], path.rests_s[1, 0]
     knots = path.turn_b_rad.x
@@ -82,6 +84,7 @@ def test_before_and_after_the_path_rests(path):
     assert (path.attitude(t[:2]) * path.attitude([0.0]).inv()).magnitude().max() == 0
 
 
+@pytest.mark.slow
 def test_neither_rate_nor_acceleration_jumps(path):
     """Sampled ten times finer, the largest step of both must fall about tenfold."""
     t = np.arange(path.rests_s[0, 1], path.rests_s[1, 0], 0.002)

@@ -51,6 +51,7 @@ def test_rate_and_acceleration_are_the_derivatives_of_the_motion() -> None:
     assert np.rad2deg([angle.min(), angle.max()]) == pytest.approx([-90, 90], abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_perfect_gyro_integrates_to_the_truth_and_rests_are_still(perfect: Recording) -> None:
     imu, truth = perfect.require_imu(), perfect.truth
     dt_s = np.diff(imu.t_ns)[:, None] / 1e9
@@ -74,6 +75,7 @@ def test_the_same_seed_gives_the_same_bytes_and_a_longer_run_begins_alike() -> N
     assert (one.imu.accel_b_mps2[:n] == longer.imu.accel_b_mps2[:n]).all()
 
 
+@pytest.mark.slow
 def test_the_converters_have_the_steps_of_the_data_sheets(bench: Recording) -> None:
     imu, mag = bench.require_imu(), bench.mag
     gyro_lsb = np.rad2deg(imu.gyro_b_radps) * 131.072  # the sheets round to 131 and 16384 per deg/s and g

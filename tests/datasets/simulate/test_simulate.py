@@ -89,6 +89,7 @@ def test_perfect_magnetometer_sees_the_world_magnetic_model(perfect):
     np.testing.assert_allclose(in_n, np.broadcast_to(field_n, in_n.shape), atol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", mark_slow_except(KINDS, "phone-1"))
 def test_same_arguments_same_bytes(kind, phones):
     first, again, other = phones[kind], *(simulate(kind, seed=seed, rate_hz=RATE_HZ) for seed in (0, 1))
@@ -110,6 +111,7 @@ def test_one_option_does_not_shift_the_others_draws(phones):
     np.testing.assert_array_equal(plain.truth.q_nb, louder.truth.q_nb)
 
 
+@pytest.mark.slow
 def test_a_longer_recording_begins_like_a_shorter_one():
     short, long = (simulate("phone-3", seed=4, minutes=minutes) for minutes in (2.0, 4.0))
     rests = [json.loads(recording.info.extra["rests_s"]) for recording in (short, long)]
@@ -139,6 +141,7 @@ def test_the_moving_mask_is_the_time_outside_rests(kind, phones):
     assert change[inside[1:] & inside[:-1]].max() < 1e-15
 
 
+@pytest.mark.slow
 @given(minutes=st.floats(0.6, 30.0), seed=st.integers(0, 10**6), initial_s=st.sampled_from([10.0, 60.0]))
 def test_rests_and_swings_follow_the_protocol_of_the_paper(minutes, seed, initial_s):
     if minutes * 60 < initial_s + 23:
@@ -252,6 +255,7 @@ def test_accelerations_make_acc_as_wrong_as_in_the_paper(kind, rmse, largest):
     assert (most < largest[1]).all()
 
 
+@pytest.mark.slow
 def test_on_a_tripod_the_lever_arm_accelerates():
     """The force less gravity is that of the arm, but for jolts of up to 0.2 m/s^2."""
     recording = simulate("phone-2", seed=0, minutes=2.0, sensor=PERFECT)

@@ -41,6 +41,7 @@ def test_the_observations_of_a_perfect_sensor_are_the_truth(kind):
     assert samples.omega_dot_valid.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_true_angle_is_the_integral_of_the_true_rate(kind):
     truth = simulate(kind, 1, rate_hz=2000.0).roll_truth

@@ -44,6 +44,7 @@ def tripod():
     return Recording("tripod", imu, Mag(t_ns, field), info=Info(units_unchecked=True)), rotation(made.truth.q_nb)
 
 
+@pytest.mark.slow
 def test_it_is_eq_11_of_each_angle_open_loop(tripod):
     recording, _ = tripod
     found = estimate(recording, "cf-literal", {"kappa": 1.0, "omega0_radps": W0, "zeta": ZETA})

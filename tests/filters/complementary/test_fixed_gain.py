@@ -79,6 +79,7 @@ def test_in_small_steps_it_is_the_transfer_function_11(kp, ki):
     assert np.abs(angle_of(found.q_nb, 2) - by_acc - by_gyro).max() < (kp * STEP_S / 2 + 0.005) * 0.1
 
 
+@pytest.mark.slow
 def test_it_is_cf_with_the_same_poles(mission):
     """2 zeta w0 = kp, w0^2 = ki; the two take the error over a step differently, which is kp T / 2 = 0.3 % of it."""
     same = {"omega0_radps": 0.1, "zeta": 1.5, "kappa": 1.0, "levelled_by": "estimate"}
@@ -87,6 +88,7 @@ def test_it_is_cf_with_the_same_poles(mission):
     assert np.rad2deg((cf * fixed.inv()).magnitude()).max() < 0.05
 
 
+@pytest.mark.slow
 def test_for_a_vehicle_it_is_the_papers_three_euler_angles(mission):
     """Eqs (4)-(10) as printed (with (8) and (9) set right), angle by angle."""
     declination, _ = local_declination(mission.info)

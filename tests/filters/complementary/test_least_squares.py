@@ -34,6 +34,7 @@ def noisy(seed, n, turn_sd_rad, measured_sd_rad):
     return draw.normal(0, measured_sd_rad, n), draw.normal(0, turn_sd_rad, n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kp", "ki"), [(1.0, 0.05), (0.3, 0.01), (4.0, 1.0)])
 def test_eq_22_as_printed_keeps_its_gains(mission, kp, ki):
     """B-1: S = H K0 holds exactly, so (H^T H)^-1 H^T S is K0 whatever the sea does."""
@@ -83,6 +84,7 @@ def test_the_gains_are_the_least_squares_of_the_one_step_prediction():
         x, integral = x + STEP_S * kp * error, integral + STEP_S * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("turn_sd", "measured_sd"), [(1e-3, 0.02), (1e-3, 0.005), (2e-3, 0.02)])
 def test_for_white_noise_it_finds_the_gain_of_the_kalman_filter(turn_sd, measured_sd):
     """Its fixed point: the next error is uncorrelated with this one. So are the innovations of the optimal filter.

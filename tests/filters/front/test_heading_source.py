@@ -197,6 +197,7 @@ def test_single_precision_is_single_throughout_and_near_double() -> None:
     assert np.abs(logs[0].mag_b_ut - logs[1].mag_b_ut).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_courses_remove_the_heading_error_of_the_dolphin_under_water(seed: int) -> None:
     """Zia 2022: within about 2 deg of GPS; findings B-3: that is its hard iron, and courses take it away."""

@@ -57,6 +57,7 @@ def inside(total: float, degrees: int) -> bool:
     return bool(low < total < high)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf", "iekf"])
 def test_innovations_have_the_variance_that_is_expected_of_them(name: str) -> None:
     seen = runs(name).innovations

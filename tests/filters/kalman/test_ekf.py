@@ -66,6 +66,7 @@ def window_of(log: Log, start: Rotation, bias: np.ndarray, first: int, last: int
     return window
 
 
+@pytest.mark.slow
 def test_the_transition_over_a_window_is_the_derivative_of_what_the_window_does() -> None:
     recording, true, _ = matched(5, 2.0)
     log = columns(recording)
@@ -96,6 +97,7 @@ def test_the_transition_over_a_window_is_the_derivative_of_what_the_window_does(
         assert np.abs(a[6:, j] - numeric[3:]).max() < allowed, j
 
 
+@pytest.mark.slow
 def test_the_headings_row_is_the_derivative_of_the_fields_heading() -> None:
     recording, true, _ = matched(6, 2.0)
     log = columns(recording)
@@ -170,6 +172,7 @@ def test_the_covariance_stays_symmetric_and_positive_definite_for_hours(name: st
     assert min(smallest) > 1e-7  # of the correlations: what rounding leaves of a float32 is 6e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KALMAN)
 def test_single_precision_stays_near_double_for_hours(name: str) -> None:
     log = long_log(1.0)

@@ -133,6 +133,7 @@ def band(degrees_of_freedom: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [500, 2000, 5999])
 def test_the_attitude_error_is_as_large_as_its_covariance(runs: list, at: int) -> None:
     nees = []
@@ -314,6 +315,7 @@ def test_a_vertical_x_axis_has_a_positive_covariance(precision: str) -> None:
     assert (np.reshape(out.cov_b_rad2, (3, 3)) == found.cov_b_rad2[-1]).all()
 
 
+@pytest.mark.slow
 def test_the_covariance_goes_over_without_a_step() -> None:
     frames = [
         from_python(euler_frame)(tuple(quaternion(Rotation.from_euler("Y", 75.5 + x, degrees=True)))) for x in (0, 0.1)

@@ -59,6 +59,7 @@ def rms(recordings, name, settings, figure) -> float:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["roll-obs", "roll-ekf", "roll-guarded"])
 def test_the_stated_sd_of_angle_and_rate_fit_white_noise(name):
     """(error / sd)^2 at the ends of 40 runs is chi-square of 40 degrees; the angle's error is a walk, so only its end

@@ -31,6 +31,7 @@ def untidy() -> Recording:
     return Recording("untidy", spin=Spin(t_ns[kept], accel[kept], spin.gyro_radps[kept], spin.geometry))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", SPINS)
 def test_a_stream_is_the_batch_bit_for_bit_also_when_cut_in_two(name, precision):

@@ -59,6 +59,7 @@ def page(material, verdicts):
     return make_report_html(material, verdicts)
 
 
+@pytest.mark.slow
 def test_everything_is_judged_by_reference_and_truth(verdicts):
     """Estimates against the reference; the reference and the estimates against the truth."""
     by_reference, by_truth = verdicts
@@ -69,6 +70,7 @@ def test_everything_is_judged_by_reference_and_truth(verdicts):
     assert all(s.samples == 3001 for verdict in (by_reference, by_truth) for s in verdict.scores)
 
 
+@pytest.mark.slow
 def test_page_shows_the_scores_that_were_found(verdicts, page):
     for verdict in verdicts:
         for s in verdict.scores:
@@ -100,6 +102,7 @@ def test_page_says_what_the_reference_found_and_which_returns_it_used(material, 
     assert "±" not in make_report_html(material, verdicts).partition("The reference (redistribution)</h2>")[2][:2000]
 
 
+@pytest.mark.slow
 def test_further_references_are_judged_by_the_first(material):
     (first,) = material.references
     second = replace(first, method="graph")

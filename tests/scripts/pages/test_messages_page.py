@@ -1,8 +1,11 @@
 """The page of all messages is made from the code."""
 
+import pytest
+
 from stillpoint.scripts.pages.messages_page import find_messages, make_page
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_the_code_raises():
     page = make_page()
     assert "`datasets/importers/ros.py`" in page

@@ -52,6 +52,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_one_file_per_recording_and_estimator_that_names_its_source(recordings: Path, tmp_path: Path) -> None:
     facts = tmp_path / "facts.json"
     code = estimate(

@@ -102,6 +102,7 @@ def test_the_verb_writes_a_file_per_clock(call, folder, tmp_path, capsys):
     assert {line.rpartition("/")[2] for line in capsys.readouterr().out.splitlines()} == written
 
 
+@pytest.mark.slow
 def test_an_exported_log_comes_back_by_import(call, folder, tmp_path):
     assert call("export", folder / "run.mcap", "-o", tmp_path) == 0
     flags = ("--time", "t_ns:ns", "--gyro", "gx,gy,gz:rad/s", "--accel", "ax,ay,az:m/s^2")
@@ -112,6 +113,7 @@ def test_an_exported_log_comes_back_by_import(call, folder, tmp_path):
     np.testing.assert_array_equal(again.t_ns - again.t_ns[0], ours.t_ns - ours.t_ns[0])
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_another_program_scores_as_the_same_estimate_does(call, folder, tmp_path, capsys):
     assert call("export", folder / "run.gyro.estimate.mcap", "--format", "tum", "-o", tmp_path) == 0
     capsys.readouterr()

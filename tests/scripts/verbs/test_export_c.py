@@ -13,6 +13,7 @@ def call(*words: str) -> int:
     return int(stop.value.code or 0)
 
 
+@pytest.mark.slow
 def test_all_six_filters_are_written_with_their_settings(tmp_path: Path) -> None:
     saved = tmp_path / "ekf.toml"
     saved.write_text('estimator = "ekf"\n[params]\nwindow_s = 0.5\n')

@@ -142,6 +142,7 @@ def noisy(tmp_path: Path, size: float) -> Path:
 UNITS_OF_THE_VOCABULARY = ("--time", "t:ms", "--gyro", "gx,gy,gz:rad/s", "--accel", "ax,ay,az:m/s^2")
 
 
+@pytest.mark.slow
 def test_repair_mends_what_would_be_refused_and_records_it(call, tmp_path, capsys):
     file = noisy(tmp_path, 1.0)
     assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY) == 2
@@ -153,6 +154,7 @@ def test_repair_mends_what_would_be_refused_and_records_it(call, tmp_path, capsy
     assert not recording.info.units_unchecked
 
 
+@pytest.mark.slow
 def test_a_remedy_that_is_skipped_is_not_applied(call, tmp_path, capsys):
     file = noisy(tmp_path, 1.0)
     words = ("import", "csv", file, "-o", tmp_path / "out", *UNITS_OF_THE_VOCABULARY)
@@ -162,6 +164,7 @@ def test_a_remedy_that_is_skipped_is_not_applied(call, tmp_path, capsys):
     assert "--repair" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_the_doctor_cannot_mend_is_refused_unless_it_is_asked_for(call, tmp_path, capsys):
     file = noisy(tmp_path, 4.0)
     assert call("import", "csv", file, "-o", tmp_path, *UNITS_OF_THE_VOCABULARY, "--repair") == 2

@@ -21,6 +21,7 @@ def folder(tmp_path, made):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_attitude_lands_beside_the_recording_and_is_found(call, folder, made):
     assert call("import", "trajectory", folder / "other.txt", "--recording", folder / "run.mcap", "--name", "mine") == 0
     kept = read(folder / "run.mine.estimate.mcap")

@@ -24,6 +24,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["angles", "errors"])
 def test_a_recording_is_drawn_with_all_its_estimates(call, folder, tmp_path, kind) -> None:
     out = tmp_path / "figure.svg"
@@ -41,6 +42,7 @@ def test_only_named_estimates_are_drawn(call, folder, tmp_path) -> None:
     assert ">cf</text>" not in out.read_text()
 
 
+@pytest.mark.slow
 def test_a_stretch_of_time_can_be_chosen(call, folder, tmp_path, capsys) -> None:
     out = tmp_path / "figure.svg"
     assert call("plot", folder / "run.mcap", "--kind", "errors", "--from", "20", "--to", "30", "-o", out) == 0
@@ -50,6 +52,7 @@ def test_a_stretch_of_time_can_be_chosen(call, folder, tmp_path, capsys) -> None
     assert "--from, --to: select nothing" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ranking", "map"])
 @pytest.mark.parametrize("named", ["", "leaderboard.json"])
 def test_a_leaderboard_is_drawn_from_its_folder_or_its_file(call, folder, tmp_path, kind, named) -> None:
@@ -58,6 +61,7 @@ def test_a_leaderboard_is_drawn_from_its_folder_or_its_file(call, folder, tmp_pa
     assert out.read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_every_table_of_a_leaderboard_is_drawn_or_the_one_that_is_asked_for(call, tmp_path, capsys) -> None:
     board = make_board()
     second = replace(board.tables[0], ranked_by="inclination", rows=board.tables[0].rows[:2], pairs=())

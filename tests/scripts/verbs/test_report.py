@@ -19,6 +19,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 def test_a_report_lands_beside_its_recording(call, folder, monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert call("report", folder / "run0.mcap") == 0

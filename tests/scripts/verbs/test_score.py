@@ -38,6 +38,7 @@ def test_demo_leaves_the_files_of_every_step(made):
     assert {path.name for path in made.iterdir()} == expected
 
 
+@pytest.mark.slow
 def test_score_takes_the_reference_beside_the_estimates(call, made, capsys):
     code, rows = rows_of(call, capsys, made)
     assert code == 0
@@ -47,6 +48,7 @@ def test_score_takes_the_reference_beside_the_estimates(call, made, capsys):
     assert set(rows[0]["found"]) == {"heading_deg", "mounting_deg", "mounting_rotvec_deg", "time_s"}
 
 
+@pytest.mark.slow
 def test_a_recording_stands_for_the_estimates_beside_it(call, made, capsys):
     code, rows = rows_of(call, capsys, made / f"{NAME}.mcap")
     assert code == 0
@@ -76,6 +78,7 @@ def test_against_both_scores_by_truth_and_by_the_reference(call, made, capsys):
     assert all(found == ["truth", "reference (graph)"] for found in judges.values())
 
 
+@pytest.mark.slow
 def test_against_truth_leaves_the_reference_aside(call, made, capsys):
     _, rows = rows_of(call, capsys, made, "--against", "truth")
     assert {row["against"] for row in rows} == {"truth"}
@@ -118,6 +121,7 @@ def test_unknown_alignment_gives_one_line_error(call, made, capsys):
     assert "heading+mounting+time" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_estimate_of_another_recording_is_refused(call, folder, capsys):
     """The name fits, the SHA-256 does not: a score would compare two different runs."""
     file = folder / f"{NAME}.vqf.estimate.mcap"

@@ -50,6 +50,7 @@ def test_without_names_each_recording_gets_the_estimators_of_its_streams(call, f
     assert made == {"phone.ekf.estimate.mcap", *(f"{NAME}.{name}.estimate.mcap" for name in SPINS)}
 
 
+@pytest.mark.slow
 def test_truth_judges_all_and_the_reference_the_estimates(material):
     by_truth, by_reference = judge_spin(material)
     assert by_truth.against == "truth"
@@ -129,6 +130,7 @@ def test_a_spin_is_not_replayed_to_estimators_of_attitude(call, folder, capsys):
     assert "has no gyro and accelerometer" in one_line(capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="rerun-sdk is not installed")
 def test_view_shows_every_sample_of_rates_angles_and_sds(call, folder, tmp_path):
     from rerun.chunk import RrdReader

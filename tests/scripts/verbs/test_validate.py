@@ -92,6 +92,7 @@ def test_the_worst_coverage_is_the_smallest_and_what_was_refused_is_no_figure():
     assert all((row["scored"], row["of"], row["nees_per_dof"]) == (3, 4, None) for row in found.values())
 
 
+@pytest.mark.slow
 def test_methods_and_alignment_are_the_users(call, folder, capsys):
     code = call("validate", folder / "good.mcap", "--methods", "cf,redistribution", "--align", "none", "--json", "-")
     rows = json.loads(capsys.readouterr().out)["rows"]

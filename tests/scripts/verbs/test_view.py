@@ -53,6 +53,7 @@ def rows(columns):
     return np.array(values)[order], t_ns[order]
 
 
+@pytest.mark.slow
 @needs_rerun
 def test_every_sample_of_recording_and_reference_is_shown(call, folder):
     recording, reference = read(folder / f"{NAME}.mcap"), read(folder / f"{MADE}.mcap")

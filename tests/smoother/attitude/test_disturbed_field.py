@@ -55,12 +55,14 @@ def test_a_disturbed_place_costs_north_and_no_more(table):
     assert found.coverage95 > 0.9
 
 
+@pytest.mark.slow
 def test_a_small_disturbance_leaves_the_magnetometer_in(table):
     made = reference(turning_field(table, 3.0))
     assert "magnetometer_left_out" not in made.diagnostics
     assert made.calibration.field_n_ut is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "axes", [pytest.param(FLIPPED, id="flipped"), pytest.param(SWAPPED, id="swapped", marks=pytest.mark.slow)]
 )
@@ -71,6 +73,7 @@ def test_wrong_axes_still_raise_an_error(axes):
         reference(with_field(recording, recording.mag.mag_b_ut @ axes.T))
 
 
+@pytest.mark.slow
 def test_without_a_return_nothing_would_test_the_gyro(table):
     """Where the magnetometer is out of the question, and no rest comes back, a reference is made on demand only."""
     start_s = json.loads(table.info.extra["rests_s"])[1][0]
@@ -143,6 +146,7 @@ def test_a_field_that_wanders_slowly_is_within_the_covariance_and_said(data_dir,
     assert score(made, truth, "heading+mounting+time").coverage95 > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", mark_slow_except([6100, 6500, 6900], "6500"))
 def test_a_magnetometer_for_a_part_of_the_time_points_north_not_south(hand, first):
     """Where it sees little the start value has no heading: north came out half a turn off, and as sure as ever."""

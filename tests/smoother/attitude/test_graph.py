@@ -22,6 +22,7 @@ from stillpoint.smoother.attitude.params import HANDHELD
 SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", mark_slow_except(["phone-2", "phone-3"], "phone-3"))
 def test_a_perfect_sensor_gives_the_truth(kind):
     """Within 0.1 deg: the simulated hand finds the base pose to 0.2 deg, and the graph believes in it to 0.4 deg."""
@@ -44,12 +45,14 @@ def test_turned_sensor_axes_turn_the_answer(hand, of_hand, vector):
     np.testing.assert_allclose(axes @ of_hand.cov_b_rad2 @ axes.T, turned.cov_b_rad2, rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_another_time_gives_the_same_bits(hand, of_hand):
     shifted = reference(later(hand, 86_400_000_000_001))
     np.testing.assert_array_equal(shifted.q_nb, of_hand.q_nb)
     np.testing.assert_array_equal(shifted.cov_b_rad2, of_hand.cov_b_rad2)
 
 
+@pytest.mark.slow
 def test_recovered_calibration_is_the_drawn_one_within_its_sd():
     """4 sd over 18 elements, and 1.5 in the mean; without g-sensitivity, which the graph does not model."""
     sensor = replace(PHONE, gyro=replace(PHONE.gyro, g_sensitivity_degps_g=0.0))
@@ -104,6 +107,7 @@ def test_a_late_accelerometer_is_found_with_its_sign():
     assert 0.01 < offsets[1] - offsets[0] < 0.08
 
 
+@pytest.mark.slow
 def test_turning_about_the_vertical_only_leaves_the_field_its_size():
     """There hard iron and field are one in the vertical: without a word on the earth's field it became 166 uT."""
     field_n_ut = reference(simulate("phone-1", seed=1, minutes=SHORT)).calibration.field_n_ut

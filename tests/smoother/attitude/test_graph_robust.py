@@ -62,6 +62,7 @@ def test_a_knocked_base_pose_is_believed_less_and_said_so(table):
     assert "not the base pose" in rejected[0].reason
 
 
+@pytest.mark.slow
 def test_a_magnet_passing_by_turns_nothing(hand, of_hand):
     """Three times 50 uT, as much as the earth's field, for some seconds."""
     t_s = (hand.mag.t_ns - hand.mag.t_ns[0]) / 1e9
@@ -98,6 +99,7 @@ def test_a_gap_in_motion_is_bridged_with_a_covariance_that_grows(hand, of_hand):
     assert found.coverage95 > 0.85  # the band that one recording is asked to keep
 
 
+@pytest.mark.slow
 def test_without_magnetometer_the_heading_is_relative_to_the_start(hand):
     blind = replace(hand, mag=None, base_pose=None)
     made = reference(blind)
@@ -113,6 +115,7 @@ def test_with_neither_magnetometer_nor_returns_the_covariance_covers_the_error(s
     assert found.total_rmse_deg < 3.0
 
 
+@pytest.mark.slow
 def test_a_large_hard_iron_is_found(hand):
     """A phone's raw magnetometer: hundreds of uT. North as before it was added, to what 5 uT can tell."""
     iron = np.array([300.0, -200.0, 150.0])
@@ -129,6 +132,7 @@ def test_a_large_hard_iron_is_found(hand):
     assert np.deg2rad(found.heading_rmse_deg) < 3 * made.heading_sd_rad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit_radps", "total_deg"), [(4.4, 8.0), (8.7, 1.5)])
 def test_a_clipped_gyro_is_covered(hand, limit_radps, total_deg):
     """250 and 500 deg/s of a hand that turns at up to 800; the best that the clipped samples allow is not asked for."""
@@ -145,6 +149,7 @@ def test_a_clipped_accelerometer_costs_next_to_nothing(hand):
     assert score(reference(clipped), hand.truth, "heading").total_rmse_deg < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "prior_sd"), [(1.05, 0.03), pytest.param(1.2, 0.1, marks=pytest.mark.slow)])
 def test_a_raw_gyro_is_calibrated_with_the_prior_that_allows_for_it(hand, scale, prior_sd):
     """With the prior of a good gyro the error is 2 deg and more, or the recording is refused."""

@@ -22,6 +22,7 @@ def rests(imu, *spans_s):
     return np.array([[imu.t_ns[0] + round(a * 1e9), imu.t_ns[0] + round(b * 1e9)] for a, b in spans_s]).reshape(-1, 2)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     rate_hz=st.floats(20.0, 400.0),

@@ -49,6 +49,7 @@ def made(plain):
     return make(plain)
 
 
+@pytest.mark.slow
 def test_position_and_velocity_are_within_their_covariance(plain, made):
     """The fixes wander by 1.5 m; the speed has 0.1 m/s of noise a fix."""
     error = position_error_m(made, plain)
@@ -86,6 +87,7 @@ def test_the_score_has_the_position_error(plain, made):
     assert score(made, replace(plain.truth, position_n_m=None)).position is None
 
 
+@pytest.mark.slow
 def test_a_tunnel_widens_the_covariance_and_is_reported(made):
     through = drive(tunnel_start_s=60.0, tunnel_s=50.0)
     dark = make(through)
@@ -114,6 +116,7 @@ def test_the_antenna_lever_arm_is_taken_off():
     assert np.linalg.norm(untold, axis=1).mean() > 4.0
 
 
+@pytest.mark.slow
 def test_fixes_that_jump_are_left_out_and_counted(plain):
     gps = plain.gps
     wrong = np.zeros(len(gps.t_ns), dtype=bool)
@@ -125,6 +128,7 @@ def test_fixes_that_jump_are_left_out_and_counted(plain):
     assert np.sqrt((position_error_m(made, jumping) ** 2).mean(axis=0)).max() < 3.0
 
 
+@pytest.mark.slow
 def test_the_accuracy_that_the_receiver_states_is_used(plain):
     stated = np.full(len(plain.gps.t_ns), 12.0)
     made = make(replace(plain, gps=replace(plain.gps, position_sd_m=stated)))
@@ -143,6 +147,7 @@ def test_jumps_are_exactly_the_fixes_that_are_off(groups, in_pairs, far_m):
     assert np.flatnonzero(find_jumps(t_s, place, np.full(60, 3.0))).tolist() == rows
 
 
+@pytest.mark.slow
 def test_a_reference_without_satellites_has_no_position():
     made = reference(simulate("phone-3", seed=1, minutes=1.5, rate_hz=50))
     assert made.position_n_m is None

@@ -126,6 +126,7 @@ def test_step_and_covariance_are_those_of_the_full_problem(problem):
     np.testing.assert_allclose(accuracy.constants_sd, sd[n + 2 : n + 2 + len(CONSTANTS)], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_scalar_chain_is_that_of_a_banded_solver():
     """Without biases, gravity and encoder only rates are left: Gauss-Newton on the tridiagonal system, by LAPACK."""
     recording, params = simulate("spin-constant", seed=4, sensor="white"), known(GIVEN)

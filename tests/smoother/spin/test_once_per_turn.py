@@ -131,6 +131,7 @@ def test_a_tilt_that_is_known_can_be_told():
     assert np.abs(error).max() < 4 * made.angle_sd_rad.max()
 
 
+@pytest.mark.slow
 def test_a_vibration_that_mimics_gravity_in_both_cannot_be_told():
     """The same in both accelerometers, as gravity at 20 deg of tilt would be: stated, so that nobody relies on it."""
     recording = shaken(1)

@@ -49,6 +49,7 @@ def test_glitches_do_not_reach_the_rate_or_the_angle():
     assert spoilt["n_squared_glitches"] + spoilt["n_squared_missing"] == drawn_glitches(trials[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("params", "bias_mps2", "arm", "degps"), [(RIG, 0.1, 1e-3, 1.3), (SpinGraphParams(), 0.4, 5e-3, 6.0)]
 )
@@ -75,6 +76,7 @@ def test_defaults_cover_a_board_as_it_comes():
     assert chi2.ppf(0.005, 8) < np.sum(squares) < chi2.ppf(0.995, 8)
 
 
+@pytest.mark.slow
 def test_in_flight_there_is_no_harmonic_to_find():
     """The accelerometers at the centre take gravity and drag out of the channels: the geometry shows none."""
     recording = simulate("spin-flight", seed=0, sensor="white")
@@ -108,6 +110,7 @@ def test_a_spin_the_other_way_is_the_mirror_image(tilt_deg):
     np.testing.assert_array_equal(told.rate_radps, other.rate_radps)
 
 
+@pytest.mark.slow
 def test_lost_saturated_and_missing_samples_are_left_out_and_counted():
     recording = simulate("spin-constant", seed=2, sensor="white")
     spin = recording.spin

@@ -85,6 +85,7 @@ def test_a_rest_is_refused_with_its_time(rest_s, up_s, seed):
     assert rest_s < until_s < rest_s + up_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", mark_slow_except([5, 30, 90], "30"))
 def test_a_rest_on_a_tilted_axis_is_refused_too(tilt_deg):
     with pytest.raises(Unobservable, match="the spin rests"):
@@ -97,6 +98,7 @@ def test_a_rate_through_zero_is_refused():
         reference(felt(recording))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recording", [spun_up(5, 2), exact(lambda t: 30 * np.cos(t), lambda t: -30 * np.sin(t), 6.0)])
 def test_an_encoder_tells_what_the_square_does_not(recording):
     made = reference(replace(felt(recording), encoder=recording.roll_truth), params={"encoder.use": True})
@@ -114,6 +116,7 @@ def test_a_slow_spin_is_no_spin_until_the_bias_is_known_well_enough():
     assert np.median(made.rate_sd_radps) == pytest.approx(0.1 / 4, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_radps", "tilt_deg"), [pytest.param(2.0, 30, marks=pytest.mark.slow), (4.0, 90)])
 def test_a_spin_too_slow_beside_gravity_is_refused(rate_radps, tilt_deg):
     """Without the refusal off by 270 and 300 deg/s, of stated sd 4."""
@@ -121,6 +124,7 @@ def test_a_spin_too_slow_beside_gravity_is_refused(rate_radps, tilt_deg):
         reference(felt(steady(rate_radps, 20.0), gravity_mps2=9.80665 * np.sin(np.deg2rad(tilt_deg))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_radps", "tilt_deg"), [(4.0, 0), (8.0, 90)])
 def test_a_spin_above_the_limit_is_made_within_its_sd(rate_radps, tilt_deg):
     recording = felt(steady(rate_radps, 20.0), gravity_mps2=9.80665 * np.sin(np.deg2rad(tilt_deg)))

@@ -72,6 +72,7 @@ def test_a_heading_that_drifts_through_north_is_not_wrapped():
     assert found.heading_after_deg == pytest.approx(5 + 0.02 * 735, abs=0.01)
 
 
+@pytest.mark.slow
 def test_measured_angles_are_the_true_ones_of_a_level_unaccelerated_body():
     recording = simulate("auv-dolphin-calm", seed=0, minutes=6.0, sensor="perfect")
     off = compute_measured_deg(recording) - np.rad2deg(euler(recording.truth.q_nb, "ned"))[:, :2]

@@ -119,6 +119,7 @@ def test_rows_are_means_and_carry_what_the_paper_prints(tripod):
     np.testing.assert_allclose(compute_rms_drift_deg([tripod, tripod]), np.abs(tripod.drift_deg))
 
 
+@pytest.mark.slow
 def test_a_kalman_filter_beats_the_complementary_one_in_the_hand():
     """As the paper says of two hours; by more, as ours leaves a jolt's samples out of its tilt."""
     cf, kalman = time_long_run(1.6, "carried", (CF, KALMAN))

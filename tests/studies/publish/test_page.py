@@ -197,6 +197,7 @@ def test_every_control_has_a_name_and_tables_have_headers(shown) -> None:
     assert shown.evaluate(headless) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width_px", [390, 1280])
 def test_the_page_fits_its_window_and_follows_the_colour_scheme(shown, width_px: int, scheme: str) -> None:

@@ -80,6 +80,7 @@ def test_an_encoder_that_gives_counts_alone_tells_them_too(kind, counts, within)
     assert all(0.05 < one.smoothed_s <= 0.2 for one in found.trials)
 
 
+@pytest.mark.slow
 def test_one_with_few_counts_says_that_it_cannot(call, tmp_path, capsys):
     write(tmp_path / "coarse.mcap", angle_alone(trials(noisy(0.8, 1e-4), 1)[0], 16))
     assert call("spin", "identify", tmp_path, "-o", tmp_path) == 0
@@ -89,6 +90,7 @@ def test_one_with_few_counts_says_that_it_cannot(call, tmp_path, capsys):
     assert "by F5 alone" not in text
 
 
+@pytest.mark.slow
 def test_trials_whose_noise_cannot_be_one_rigs_are_named(call, tmp_path, capsys):
     for d4, name in ((0.8, "loud"), (0.05, "quiet")):
         write(tmp_path / f"{name}.mcap", replace(simulate("spin-constant", 0, sensor=noisy(d4, 0.12)), name=name))

@@ -13,6 +13,7 @@ def made() -> str:
     return make_page()
 
 
+@pytest.mark.slow
 def test_every_verb_has_a_section_and_a_place_in_the_list(made: str) -> None:
     for text in (made, PAGE.read_text(encoding="utf-8")):
         listed, _, _ = text.partition("\n## ")

@@ -46,6 +46,7 @@ class StopsAfter(dict):
             raise Stopped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solved", mark_slow_except([1, 2, 3], "2"))
 def test_a_stopped_run_goes_on_with_the_next_window(
     swings: Recording, windowed: GraphParams, wanted: Reference, solved: int, monkeypatch: pytest.MonkeyPatch

@@ -40,6 +40,7 @@ def driven(blind):
     return reference(blind, params=PRESETS["vehicle"], factors=[example()])
 
 
+@pytest.mark.slow
 def test_the_example_makes_a_reference_where_there_was_none(blind, driven):
     """Without the wheel speed such a recording is refused; with it, acceleration is told from gravity."""
     found = score(driven, blind.truth)
@@ -101,6 +102,7 @@ def test_added_factors_that_contradict_a_little_are_named_in_the_residuals(blind
     assert made.diagnostics["contradicting_factors"] == ["added two_places"]
 
 
+@pytest.mark.slow
 def test_a_known_turn_is_kept(blind):
     """A factor between states far apart, as a turntable gives it."""
 

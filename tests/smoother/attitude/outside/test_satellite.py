@@ -45,6 +45,7 @@ def drive(seed: int = 0) -> Recording:
     return Recording("drive", Imu(t_ns, gyro, accel), gps=gps, truth=truth, info=info)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_satellites_fix_the_heading_of_a_vehicle(seed: int) -> None:
     """No alignment: the heading is true north's; a speed good to 0.5 m/s gives 2.4 deg a fix, 0.2 over the drive."""
@@ -79,6 +80,7 @@ def test_even_sailing_is_not_taken_for_rest(preset: str) -> None:
     assert score(made, recording.truth).total_rmse_deg < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_deg", [0.004, 0.1])
 def test_a_fix_that_is_far_off_does_little(off_deg: float) -> None:
     """0.4 and 11 km; without a robust loss the first cost 2 deg, and the second was blamed on the accelerometer."""
