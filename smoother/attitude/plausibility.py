@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from stillpoint.datasets.doctor.witness import ask_mag
 from stillpoint.datasets.earth import local_field_n_ut
 from stillpoint.datasets.errors import Unobservable
-from stillpoint.datasets.recording import Floats, Info, Recording
+from stillpoint.datasets.recording import Floats, Imu, Info, Mag, Recording
 from stillpoint.datasets.trajectory import Calibration
 from stillpoint.smoother.attitude.build import Graph
 from stillpoint.smoother.attitude.chain import split_squares
@@ -44,6 +44,9 @@ _MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``Fi
 _RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
 _WIDE = 1.5  # times ``FieldParams.sd_ut``: the sd of a reading from which on errors of the field are said to last
 _DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
+_MINUTE_NS = 60 * 10**9
+_APART_NS = 10 * 10**9  # a gap in a stream of any rate
+_JUDGED_NS = 12 * _MINUTE_NS  # of a recording, by which the axes of its magnetometer are judged
 _ADVICE = "run the doctor: an axis, sign, scale, unit or clock may be wrong"
 _LEAVE_OUT = "--set magnetic.use=false leaves the magnetometer out all the same"
 
@@ -323,10 +326,32 @@ def _find_wrong_dip(fit: Fit, solution: Solution, info: Info) -> str:
 
 def _axes_fit(recording: Recording) -> bool:
     """Return whether the magnetometer turns as the gyro says; True also where it shows too little to tell."""
-    if recording.mag is None:
+    imu, mag = recording.require_imu(), recording.mag
+    if mag is None:
         return True
-    choice = ask_mag(recording.require_imu(), recording.mag).choice
+    choice = ask_mag(*_choose_minutes(imu, mag)).choice or ask_mag(imu, mag).choice
     return choice is None or bool(np.array_equal(choice.matrix, np.eye(3)))
+
+
+def _choose_minutes(imu: Imu, mag: Mag) -> tuple[Imu, Mag]:
+    """Return the minutes of a long recording by which its axes are judged, spread evenly over it.
+
+    Axes do not change, and all windows of an hour would take half as long as solving it. The minutes are moved
+    together, with gaps of ``_APART_NS`` between them.
+    """
+    first_ns = imu.t_ns[0]
+    every = int(np.ceil((imu.t_ns[-1] - first_ns) / _JUDGED_NS))
+    (imu_turn, imu_ns), (mag_turn, mag_ns) = (
+        np.divmod(t_ns - first_ns, max(every, 1) * _MINUTE_NS) for t_ns in (imu.t_ns, mag.t_ns)
+    )
+    of_imu, of_mag = imu_ns < _MINUTE_NS, mag_ns < _MINUTE_NS
+    if every <= 1 or not of_mag.any():
+        return imu, mag
+    imu_ns, mag_ns = imu_ns + imu_turn * (_MINUTE_NS + _APART_NS), mag_ns + mag_turn * (_MINUTE_NS + _APART_NS)
+    return (
+        Imu(imu_ns[of_imu], imu.gyro_b_radps[of_imu], imu.accel_b_mps2[of_imu]),
+        Mag(mag_ns[of_mag], mag.mag_b_ut[of_mag]),
+    )
 
 
 def _describe(contradiction: Contradiction | NoOptimum) -> str:
