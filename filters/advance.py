@@ -32,7 +32,7 @@ class _CellType(types.StructRef):
 
 
 class Cell(structref.StructRefProxy):
-    """What a stream holds: ``constants``, and ``state``, which each sample replaces; both are tuples."""
+    """Hold the ``constants`` of a stream, and its ``state``, which each sample replaces; both are tuples."""
 
 
 structref.define_proxy(Cell, _CellType, ["constants", "state"])

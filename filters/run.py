@@ -46,8 +46,8 @@ def estimate(
     At each IMU sample a filter gets the newest field that it has not had, if there is one (``mag.t_ns <= t_ns``). The
     declination comes from the recording's date and place; without them n is magnetic East-North-Up. A magnetometer
     that is not calibrated is left out. The diagnostics say what the heading refers to; those that begin with ``n_``
-    are counts of what was left out or counted, and ``asked`` holds ``heading``, ``heading_params`` and ``ranges`` where
-    they are not the defaults.
+    are counts of samples left out or handled specially, and ``asked`` holds ``heading``, ``heading_params`` and
+    ``ranges`` where they are not the defaults.
 
     Parameters
     ----------

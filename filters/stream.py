@@ -122,6 +122,6 @@ class Stream:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Return what was left out or counted, by the guard, by the heading source, and by the estimator itself."""
+        """Return the counts of the guard, of the heading source, and of the estimator itself."""
         passed, state, _ = read_cell(self._cell)
         return collect_counts(passed) | collect_counts(state)

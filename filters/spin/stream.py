@@ -100,6 +100,6 @@ class SpinStream:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Return what was left out or counted, before the estimator and by it."""
+        """Return the counts of the stage before the estimator, and of the estimator."""
         passed, state, _ = read_cell(self._cell)
         return collect_counts(passed) | collect_counts(state)

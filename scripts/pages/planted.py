@@ -145,17 +145,15 @@ _PLANTED: dict[str, Callable[[Recording], Recording]] = {
     "magnets of 30 uT pass": partial(_add_passing_magnets, size_ut=30.0),
     "iron of 20 uT on for a third": partial(_put_iron_on, iron_b_ut=(15.0, -10.0, 8.0)),
     "field wanders by 3 uT over 4 s": partial(_let_field_wander, sd_ut=3.0, time_s=4.0),
-    "5 uT over 1 s": partial(_let_field_wander, sd_ut=5.0, time_s=1.0),
-    "5 uT over 4 s": partial(_let_field_wander, sd_ut=5.0, time_s=4.0),
-    "5 uT over 15 s": partial(_let_field_wander, sd_ut=5.0, time_s=15.0),
-    "5 uT over 30 s": partial(_let_field_wander, sd_ut=5.0, time_s=30.0),
-    "10 uT over 1 s": partial(_let_field_wander, sd_ut=10.0, time_s=1.0),
-    "10 uT over 4 s": partial(_let_field_wander, sd_ut=10.0, time_s=4.0),
-    "10 uT over 15 s": partial(_let_field_wander, sd_ut=10.0, time_s=15.0),
-    "20 uT over 4 s": partial(_let_field_wander, sd_ut=20.0, time_s=4.0),
-    "the middle 60 s, 5 uT over 4 s": partial(_wander_without_rest, sd_ut=5.0, time_s=4.0),
-    "the middle 60 s, 5 uT over 15 s": partial(_wander_without_rest, sd_ut=5.0, time_s=15.0),
-    "the middle 60 s, 10 uT over 4 s": partial(_wander_without_rest, sd_ut=10.0, time_s=4.0),
+    **{
+        f"{sd_ut:g} uT over {time_s:g} s": partial(_let_field_wander, sd_ut=sd_ut, time_s=time_s)
+        for sd_ut, times_s in ((5.0, (1.0, 4.0, 15.0, 30.0)), (10.0, (1.0, 4.0, 15.0)), (20.0, (4.0,)))
+        for time_s in times_s
+    },
+    **{
+        f"the middle 60 s, {sd_ut:g} uT over {time_s:g} s": partial(_wander_without_rest, sd_ut=sd_ut, time_s=time_s)
+        for sd_ut, time_s in ((5.0, 4.0), (5.0, 15.0), (10.0, 4.0))
+    },
     "the middle 40 s": partial(_keep_middle, seconds=40.0),
     "a gap of 0.3 s every 20 s": partial(_cut_gaps, length_s=0.3),
     "48 Hz, averaged": partial(_slow_down, rate_hz=48.0, averaged=True),
