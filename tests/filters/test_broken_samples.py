@@ -107,7 +107,7 @@ def run_undisturbed(name: str) -> NDArray[np.float64]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
+@pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_half_a_second_of_a_fault_is_counted_and_overcome(name: str, fault: str) -> None:
     recording = record(gentle, regular(END_S))
@@ -215,7 +215,7 @@ def test_the_estimate_follows_a_turn_at_2000_degrees_per_second(name: str, axis:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", mark_slow_except(FILTERS, "cf", "ekf"))
+@pytest.mark.parametrize("name", FILTERS)
 def test_the_estimate_survives_hours_of_rest(name: str) -> None:
     pose = resting(Rotation.from_euler("ZYX", [-170, 40, 5], degrees=True))
     t_s = regular(2 * 3600.0, 10.0)

@@ -73,8 +73,8 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("align", ALIGN_PIECES)
 @pytest.mark.parametrize("judge", [_truth, _reference], ids=["truth", "reference"])
 @pytest.mark.parametrize("step_ns", [
-    pytest.param(3_000_000, id="denser", marks=pytest.mark.slow), pytest.param(10_000_000, id="equal"),
-    pytest.param(70_000_000, id="sparser", marks=pytest.mark.slow),
+    pytest.param(3_000_000, id="denser"), pytest.param(10_000_000, id="equal"),
+    pytest.param(70_000_000, id="sparser"),
 ])  # fmt: skip
 def test_pieces_give_the_bits_of_the_whole(align: Any, judge: Callable[[], Any], step_ns: int) -> None:
     estimate, truth = _estimate(step_ns=step_ns), judge()

@@ -86,7 +86,7 @@ def test_without_magnetometer_a_world_upside_down_may_be_an_inverted_acceleromet
 @pytest.mark.parametrize(
     "turn",
     [
-        pytest.param(QUARTER_X, id="quarter", marks=pytest.mark.slow),
+        pytest.param(QUARTER_X, id="quarter"),
         pytest.param(Rotation.from_rotvec(np.deg2rad([20.0, -30.0, 15.0])), id="39 deg"),
     ],
 )

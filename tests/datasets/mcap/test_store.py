@@ -38,10 +38,10 @@ def assert_same(a, b, where=""):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("things", [
-    pytest.param(recordings(), id="recordings", marks=pytest.mark.slow),
-    pytest.param(references(), id="references", marks=pytest.mark.slow),
+    pytest.param(recordings(), id="recordings"),
+    pytest.param(references(), id="references"),
     pytest.param(spin_references(), id="references of spins"),
-    pytest.param(estimates(), id="estimates", marks=pytest.mark.slow),
+    pytest.param(estimates(), id="estimates"),
 ])  # fmt: skip
 def test_every_thing_comes_back_bit_for_bit(tmp_path_factory, things):
     path = tmp_path_factory.mktemp("store") / "thing.mcap"

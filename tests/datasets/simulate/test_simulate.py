@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from quick import mark_slow_except
 
 from stillpoint.datasets.earth import declination_rad, magnetic_field_n_ut, normal_gravity_mps2
 from stillpoint.datasets.errors import BadParameter
@@ -90,7 +89,7 @@ def test_perfect_magnetometer_sees_the_world_magnetic_model(perfect):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", mark_slow_except(KINDS, "phone-1"))
+@pytest.mark.parametrize("kind", KINDS)
 def test_same_arguments_same_bytes(kind, phones):
     first, again, other = phones[kind], *(simulate(kind, seed=seed, rate_hz=RATE_HZ) for seed in (0, 1))
     for name in ("t_ns", "gyro_b_radps", "accel_b_mps2"):

@@ -90,7 +90,7 @@ CASES = [(name, kind, {}) for name in ATTITUDES for kind in ("clean", "spoilt")]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiler", mark_slow_except(COMPILERS, *COMPILERS[:1]))
+@pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize(("name", "kind", "params"), CASES)
 def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, logs, build):
     made = export_filter(name, params, declination_rad=0.05)
@@ -107,7 +107,7 @@ def test_c_gives_the_bits_of_the_compiled_step(name, kind, params, compiler, log
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", mark_slow_except(ATTITUDES, "cf"))
+@pytest.mark.parametrize("name", ATTITUDES)
 def test_single_precision_is_that_of_the_compiled_step_in_single(name, logs, build):
     made = export_filter(name, declination_rad=0.05)
     log = logs["clean"]

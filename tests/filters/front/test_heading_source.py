@@ -198,7 +198,7 @@ def test_single_precision_is_single_throughout_and_near_double() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_courses_remove_the_heading_error_of_the_dolphin_under_water(seed: int) -> None:
     """Zia 2022: within about 2 deg of GPS; findings B-3: that is its hard iron, and courses take it away."""
     recording = simulate("auv-dolphin", seed=seed, rate_hz=25.0)

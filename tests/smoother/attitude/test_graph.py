@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from known_motion import later, rotated_body
-from quick import mark_slow_except
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import quaternion, rotation
@@ -23,7 +22,7 @@ SHORT = 1.6  # minutes: a rest of a minute, one swing and the return
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", mark_slow_except(["phone-2", "phone-3"], "phone-3"))
+@pytest.mark.parametrize("kind", ["phone-2", "phone-3"])
 def test_a_perfect_sensor_gives_the_truth(kind):
     """Within 0.1 deg: the simulated hand finds the base pose to 0.2 deg, and the graph believes in it to 0.4 deg."""
     recording = simulate(kind, seed=1, minutes=SHORT, sensor=PERFECT)
