@@ -28,6 +28,8 @@ FIGURES = (
     "seconds",
 )
 
+WARNINGS = ("field_disturbed", "magnetometer_left_out", "slow_log", "left_out", "contradicting_factors")  # diagnostics
+
 
 @dataclass(frozen=True)
 class Found:
@@ -54,6 +56,8 @@ class ValidationRow:
     seconds: float | None = None  # of making the reference or estimate
     found: Found = field(default_factory=Found)
     magnetometer_left_out: str | None = None  # why, where the method went on without it
+    source: str = ""  # the dataset, app or simulator; "" where the recording could not be read or does not say
+    warnings: tuple[str, ...] = ()  # those of WARNINGS that the reference carries
     error: str | None = None  # why there are no figures
 
 
@@ -75,6 +79,7 @@ def validate(name: str, load: Callable[[], Recording], methods: Sequence[str], a
     rows = [ValidationRow(name, method, align) for method in methods]
     try:
         recording = load()
+        rows = [replace(row, source=recording.info.source) for row in rows]
         if recording.imu is None:
             raise Unobservable(f"{recording.name}: is of a spinning body; validate recordings of spins separately")
         if recording.truth is None:
@@ -109,6 +114,7 @@ def _validate_row(recording: Recording, truth: Truth, row: ValidationRow, align:
             time_s=scored.alignment.time_offset_s,
         ),
         magnetometer_left_out=made.diagnostics.get("magnetometer_left_out"),
+        warnings=tuple(name for name in WARNINGS if made.diagnostics.get(name)),
     )
 
 
@@ -128,3 +134,47 @@ def summary(rows: Sequence[ValidationRow]) -> list[dict[str, object]]:
                 figures["coverage95"] = min(columns["coverage95"])
             table.append({"statistic": name, "method": method, "scored": len(scored), "of": len(mine), **figures})
     return table
+
+
+@dataclass(frozen=True)
+class SourceSummary:
+    """How one method does on the recordings of one source; figures are None where nothing gives them."""
+
+    source: str
+    method: str
+    scored: int
+    of: int
+    total_mean_deg: float | None
+    heading_mean_deg: float | None
+    total_worst_deg: float | None
+    coverage95_mean: float | None
+    coverage95_least: float | None
+    nees_per_dof_mean: float | None
+    warned: dict[str, int]  # how many references carry each of WARNINGS
+
+
+def summarise_sources(rows: Sequence[ValidationRow]) -> list[SourceSummary]:
+    """Return one summary for each source and method, over the recordings that were not refused."""
+    found = []
+    for source, method in dict.fromkeys((row.source, row.method) for row in rows):
+        mine = [row for row in rows if (row.method, row.source) == (method, source)]
+        totals = [row.total_rmse_deg for row in mine if row.total_rmse_deg is not None]
+        headings = [row.heading_rmse_deg for row in mine if row.heading_rmse_deg is not None]
+        inside = [row.coverage95 for row in mine if row.coverage95 is not None]
+        squares = [row.nees_per_dof for row in mine if row.nees_per_dof is not None]
+        found.append(
+            SourceSummary(
+                source=source,
+                method=method,
+                scored=sum(row.error is None for row in mine),
+                of=len(mine),
+                total_mean_deg=mean(totals) if totals else None,
+                heading_mean_deg=mean(headings) if headings else None,
+                total_worst_deg=max(totals, default=None),
+                coverage95_mean=mean(inside) if inside else None,
+                coverage95_least=min(inside, default=None),
+                nees_per_dof_mean=mean(squares) if squares else None,
+                warned={name: sum(name in row.warnings for row in mine) for name in WARNINGS},
+            )
+        )
+    return found

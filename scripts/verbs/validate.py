@@ -24,11 +24,20 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, print_line, write
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.shared.spin_scores import find_spin_judge, print_spin_scores, zero_of
 from stillpoint.scripts.shared.tables import print_refusals, print_table
-from stillpoint.smoother import reference
+from stillpoint.smoother import METHODS, reference
 from stillpoint.smoother.reference import SPIN_METHODS
 from stillpoint.studies.fidelity import JudgeFidelity, measure_fidelity
 from stillpoint.studies.fidelity_figure import draw_fidelity
-from stillpoint.studies.validation import FIGURES, ValidationRow, check_methods, default_methods, summary
+from stillpoint.studies.validation import (
+    FIGURES,
+    WARNINGS,
+    SourceSummary,
+    ValidationRow,
+    check_methods,
+    default_methods,
+    summarise_sources,
+    summary,
+)
 from stillpoint.studies.validation import validate as validate_recording
 
 _FIDELITY_OUT = Path("fidelity")
@@ -46,6 +55,18 @@ _COLUMNS = (
     "found: heading, deg",
     "mounting, deg",
     "time, ms",
+)
+_SOURCE_COLUMNS = (
+    "source",
+    "method",
+    "made",
+    "total, deg",
+    "heading, deg",
+    "worst, deg",
+    "in 95 %",
+    "least",
+    "NEES/3",
+    *(name.replace("_", " ") for name in WARNINGS),
 )
 
 
@@ -67,6 +88,8 @@ def validate(
 
     Errors are RMSEs over the moving samples of the truth, as in BROAD. "in 95 %" is the share of these whose error lies
     in the 95 % ellipsoid of the stated covariance; NEES/3, the mean square of the error over it, is 1 when it fits.
+    A second table has the means of each source, and how many of its references warn: of a disturbed field, a
+    magnetometer that is left out, a slow log, stretches that are left out, or contradicting factors.
     Exit code 2 when nothing could be scored. Recordings of nothing but spinning bodies are scored by angle and rate.
 
     With --fidelity: does a reference rank estimators as truth does? Every estimator is scored by both, on the same
@@ -233,9 +256,19 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, w
         for row in means
     ]
     print_table(f"against the truth, aligned: {align}", _COLUMNS, [named, below], wanted=wanted)
+    by_source = [_format_source(one) for one in summarise_sources(rows)]
+    print_table("by source: means, and how many references carry a warning", _SOURCE_COLUMNS, [by_source])
     left_out = ((row.magnetometer_left_out, row.recording) for row in rows if row.magnetometer_left_out is not None)
     print_refusals("without magnetometer", left_out)
     print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))
+
+
+def _format_source(one: SourceSummary) -> list[str]:
+    errors = (one.total_mean_deg, one.heading_mean_deg, one.total_worst_deg)
+    figures = (*errors, one.coverage95_mean, one.coverage95_least, one.nees_per_dof_mean)
+    warned = map(str, one.warned.values()) if one.method in METHODS else ["-"] * len(WARNINGS)
+    cells = ["-" if figure is None else f"{figure:.2f}" for figure in figures]
+    return [one.source or "not stated", one.method, f"{one.scored} of {one.of}", *cells, *warned]
 
 
 def _figures(row: dict[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@ from stillpoint.datasets import write
 from stillpoint.datasets.simulate import simulate
 from stillpoint.scoring import score
 from stillpoint.smoother import METHODS, reference
-from stillpoint.studies.validation import ValidationRow, summary
+from stillpoint.studies.validation import ValidationRow, summarise_sources, summary
 
 KEYS = {
     "recording",
@@ -24,6 +24,8 @@ KEYS = {
     "seconds",
     "found",
     "magnetometer_left_out",
+    "source",
+    "warnings",
     "error",
 }
 OFFLINE_VQF_DEG = {"02": 0.44, "10": 0.44, "33": 1.28}  # 9D, heading-aligned, total; measured with vqf 2.1.2
@@ -90,6 +92,21 @@ def test_the_worst_coverage_is_the_smallest_and_what_was_refused_is_no_figure():
     assert {name: row["total_rmse_deg"] for name, row in found.items()} == {"mean": 4.0, "median": 3.0, "worst": 8.0}
     assert {name: row["coverage95"] for name, row in found.items()} == {"mean": 0.7, "median": 0.7, "worst": 0.5}
     assert all((row["scored"], row["of"], row["nees_per_dof"]) == (3, 4, None) for row in found.values())
+
+
+def test_each_source_has_its_own_means_and_counts_of_warnings():
+    rows = [
+        ValidationRow("a", "graph", "none", source="A", total_rmse_deg=1.0, coverage95=0.9, warnings=("slow_log",)),
+        ValidationRow("b", "graph", "none", source="A", total_rmse_deg=3.0, coverage95=0.5, warnings=("slow_log",)),
+        ValidationRow("c", "graph", "none", source="A", error="refused"),
+        ValidationRow("d", "graph", "none", source="B", total_rmse_deg=8.0, warnings=("field_disturbed",)),
+    ]
+    first, second = summarise_sources(rows)
+    assert (first.source, first.scored, first.of) == ("A", 2, 3)
+    assert (first.total_mean_deg, first.total_worst_deg, first.coverage95_least) == (2.0, 3.0, 0.5)
+    assert (first.warned["slow_log"], first.warned["field_disturbed"]) == (2, 0)
+    assert (second.source, second.total_mean_deg, second.coverage95_mean) == ("B", 8.0, None)
+    assert (second.warned["slow_log"], second.warned["field_disturbed"]) == (0, 1)
 
 
 @pytest.mark.slow
