@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.method_figures VALIDATED.json... RECORDING.mcap...``: draw docs/history.md.
+"""``python -m stillpoint.scripts.pages.figures.method VALIDATED.json... RECORDING.mcap...``: draw docs/history.md.
 
 The JSON files are those of ``stillpoint validate --json``. Of the recordings, which hold a truth, the error over time
 is drawn within the band that the graph states.
@@ -19,7 +19,7 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.scoring import AlignKind, compare
 from stillpoint.scoring.report.figures import COLOURS, draw_band, make_view
-from stillpoint.scripts.pages.readme_figure import STYLE
+from stillpoint.scripts.pages.figures.demo import STYLE
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 _ALIGN: AlignKind = "heading+mounting+time"

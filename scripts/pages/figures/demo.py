@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.readme_figure``: draw the demo's errors into docs/figures, as PNG and SVG."""
+"""``python -m stillpoint.scripts.pages.figures.demo``: draw the demo's errors into docs/figures, as PNG and SVG."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``python -m stillpoint.scripts.pages.spin_figures [DISC.csv]``: draw docs/roll.md, and print the numbers of the disc.
+"""``python -m stillpoint.scripts.pages.figures.spin [DISC.csv]``: draw docs/roll.md, and print the numbers of the disc.
 
 Geometry and graph are drawings; the errors are of simulated trials, by the graph told of a calibrated rig; the flight
 is that of the log given, which is left out without one.
@@ -19,7 +19,7 @@ from stillpoint.datasets.simulate.spin_sensor import CONSTANT, SpinSensor
 from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
-from stillpoint.scripts.pages.readme_figure import STYLE
+from stillpoint.scripts.pages.figures.demo import STYLE
 from stillpoint.smoother import reference
 
 _FOLDER = Path("docs/figures")

@@ -1,0 +1,1 @@
+"""Programs that draw figures of docs/figures."""
