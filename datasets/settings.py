@@ -87,8 +87,8 @@ def describe(settings: Settings) -> list[Description]:
     return [
         Description(
             name,
-            f"{_readable(each, getattr(owner, each.name))} {_unit(each)}".rstrip(),
-            _describe_allowed(each, get_type_hints(type(owner))[each.name], _readable),
+            f"{_format_readable(each, getattr(owner, each.name))} {_unit(each)}".rstrip(),
+            _describe_allowed(each, get_type_hints(type(owner))[each.name], _format_readable),
             each.metadata["meaning"],
         )
         for name, each, owner in _leaves(settings)
@@ -143,7 +143,7 @@ def _check_value(each: Field[Any], hint: Any, value: Any) -> Any:
         kind = "a number from " if "low" in each.metadata else ""
         raise BadParameter(
             f"{each.name} = {value!r} is not allowed ({each.metadata['meaning']}); "
-            f"give {kind}{_describe_allowed(each, hint, _plain)}"
+            f"give {kind}{_describe_allowed(each, hint, _format_plain)}"
         )
     return value
 
@@ -156,11 +156,11 @@ def _describe_allowed(each: Field[Any], hint: Any, shown: Callable[[Field[Any], 
     return f"{shown(each, each.metadata['low'])} to {shown(each, each.metadata['high'])}"
 
 
-def _plain(each: Field[Any], value: Any) -> str:
+def _format_plain(each: Field[Any], value: Any) -> str:
     return f"{value:.4g}"
 
 
-def _readable(each: Field[Any], value: Any) -> str:
+def _format_readable(each: Field[Any], value: Any) -> str:
     if isinstance(value, bool | str):
         return str(value)
     return f"{in_degrees(value) if _unit(each) else value:g}"

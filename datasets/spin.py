@@ -195,7 +195,7 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
     if omega_dot is None or omega_squared is None:
         raise Unobservable(_what_lacks(geometry, free, known, [term for term, one in wanted.items() if one is None]))
 
-    def spares(term: str) -> tuple[Channel | None, ...]:  # one whose noise is infinite has no weight
+    def make_spares(term: str) -> tuple[Channel | None, ...]:  # one whose noise is infinite has no weight
         alone = [np.where(np.arange(k) == lost, np.inf, variance) for lost in range(k)]
         return tuple(_channel(geometry, each, term, free, known) for each in alone)
 
@@ -205,8 +205,8 @@ def channels(geometry: SpinGeometry, accel_variance_m2ps4: ArrayLike = 1.0) -> S
         omega_squared=omega_squared,
         omega_xy=_channel(geometry, variance, "omega_x omega_y", free, known),
         omega_xz=_channel(geometry, variance, "omega_x omega_z", free, known),
-        spare_dot=spares("omega_x dot"),
-        spare_squared=spares("omega_x^2"),
+        spare_dot=make_spares("omega_x dot"),
+        spare_squared=make_spares("omega_x^2"),
         transverse=transverse,
         misplaced=find_misplaced(geometry),
     )

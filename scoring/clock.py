@@ -101,11 +101,11 @@ def _find_valley(turns: _Turns, label: str) -> float:
     The misfit is relative: 0 when the turns agree, about 1 when they have nothing to do with each other. An offset
     within the usual range is taken when no other fits better, so that a periodic motion keeps its nearest period.
     """
-    some = _evenly(len(turns.turn), _COARSE_TURNS)
+    some = _choose_evenly(len(turns.turn), _COARSE_TURNS)
     usual = np.linspace(-_USUAL_RANGE_S, _USUAL_RANGE_S, round(2 * _USUAL_RANGE_S / _COARSE_STEP_S) + 1)
     around = np.arange(-turns.width_s, turns.width_s + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     grids = [usual, *(centre_s + around for centre_s in _correlate_rates(turns))]
-    found = [_lowest([_misfit(turns, some, float(offset_s)) for offset_s in grid], grid) for grid in grids]
+    found = [_find_lowest([_misfit(turns, some, float(offset_s)) for offset_s in grid], grid) for grid in grids]
     near, near_s = found[0]
     best, offset_s = min(found)
     if near <= best + _TIE and abs(near_s) < _USUAL_RANGE_S - _COARSE_STEP_S / 2:
@@ -121,7 +121,7 @@ def _find_valley(turns: _Turns, label: str) -> float:
     return offset_s
 
 
-def _lowest(misfits: list[float], grid: Floats) -> tuple[float, float]:
+def _find_lowest(misfits: list[float], grid: Floats) -> tuple[float, float]:
     place = int(np.argmin(misfits))
     return misfits[place], float(grid[place])
 
@@ -146,8 +146,8 @@ def _correlate_rates(turns: _Turns) -> Floats:
     dense_s, dense = _rates_of(turns.dense, turns.width_s)
     if len(dense) < _FEWEST_TURNS:
         return np.empty(0)
-    a_s, a, a_known = _on_grid(sparse_s, sparse / (np.diff(turns.pairs_ns, axis=0)[0] / 1e9), turns.width_s)
-    b_s, b, b_known = _on_grid(dense_s, dense, turns.width_s)
+    a_s, a, a_known = _resample_on_grid(sparse_s, sparse / (np.diff(turns.pairs_ns, axis=0)[0] / 1e9), turns.width_s)
+    b_s, b, b_known = _resample_on_grid(dense_s, dense, turns.width_s)
     size = next_fast_len(len(a) + len(b), real=True)
 
     def correlate(x: Floats, y: Floats) -> Floats:  # at [k]: sum of x[i] y[i + k]
@@ -176,7 +176,7 @@ def _rates_of(track: Track, width_s: float) -> tuple[Floats, Floats]:
     return (t_ns[first] + t_ns[last]) / 2e9, rate
 
 
-def _on_grid(t_s: Floats, values: Floats, longest_s: float) -> tuple[float, Floats, Floats]:
+def _resample_on_grid(t_s: Floats, values: Floats, longest_s: float) -> tuple[float, Floats, Floats]:
     """Return the start of an even grid, the values on it, and 1 where they are known and 0 in gaps."""
     grid = np.arange(t_s[0], t_s[-1] + _COARSE_STEP_S / 2, _COARSE_STEP_S)
     right = np.clip(np.searchsorted(t_s, grid), 1, max(len(t_s) - 1, 1))
@@ -192,7 +192,7 @@ def _turns_at(turns: _Turns, some: NDArray[np.intp], offset_s: float) -> tuple[N
     return some[found], _rotation_vectors(q_first, q_last)
 
 
-def _evenly(n: int, most: int) -> NDArray[np.intp]:
+def _choose_evenly(n: int, most: int) -> NDArray[np.intp]:
     """Return at most so many of n rows, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
@@ -207,7 +207,7 @@ def _mounting_of_turns(turn_e: Floats, turn_b: Floats) -> tuple[Floats, float]:
 
 def _descend(turns: _Turns, start_s: float) -> float:
     """Return the offset in s at the bottom of the valley around ``start_s``."""
-    some = _evenly(len(turns.turn), _FINE_TURNS)
+    some = _choose_evenly(len(turns.turn), _FINE_TURNS)
     bounds = start_s - _COARSE_STEP_S, start_s + _COARSE_STEP_S
     offset_s = start_s
     for _ in range(_FINE_STEPS):

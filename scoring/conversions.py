@@ -25,21 +25,21 @@ _FLIP_YZ = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # forward-left-up <
 _Y_UP = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y up -> z up
 
 
-def _same(q: Floats) -> Floats:
+def _keep_order(q: Floats) -> Floats:
     return q
 
 
 _ORDERS: dict[str, Change] = {
-    "": _same,
+    "": _keep_order,
     "its components are x, y, z, w where w, x, y, z was read": from_xyzw,
     "its components are w, x, y, z where x, y, z, w was read": to_xyzw,
 }
 _DIRECTIONS: dict[str, Change] = {
-    "": _same,
+    "": _keep_order,
     "it is the inverse (it takes world vectors to the body)": lambda q: q * [1.0, -1.0, -1.0, -1.0],
 }
 _AXES: dict[str, Change] = {
-    "": _same,
+    "": _keep_order,
     "its world is North-East-Down": lambda q: quaternion(_SWAP_NE * rotation(q)),
     "its world is North-East-Down and its body forward-right-down": lambda q: quaternion(
         _SWAP_NE * rotation(q) * _FLIP_YZ

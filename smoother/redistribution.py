@@ -77,7 +77,7 @@ def _redistribute_in_order(recording: Recording, params: RedistributionParams, a
     base = find_base_pose(recording, rests_ns, params.returns)
     returns = find_returns(recording, rests_ns, base, params.gyro, params.returns)
     if not returns.spans:
-        raise Unobservable(_no_return(recording, returns))
+        raise Unobservable(_explain_no_return(recording, returns))
     scale = _drift_scale(returns, base, params)
     repeat = params.returns.repeat_sd_rad**2 * np.eye(3)
 
@@ -172,7 +172,7 @@ def _drift_scale(returns: Returns, base: BasePose, params: RedistributionParams)
     return (params.prior_returns + sum(squares) / 3) / (params.prior_returns + len(squares))
 
 
-def _no_return(recording: Recording, returns: Returns) -> str:
+def _explain_no_return(recording: Recording, returns: Returns) -> str:
     message = f"{recording.name}: never returns to the base pose of its first rest"
     if not returns.verdicts:
         return f"{message} (no other rest); record again with a rest in the base pose every 20-30 s and at the end"

@@ -176,9 +176,9 @@ def make_reference_in_pieces(
         settings = choose_settings(PRESETS[preset.name], params, name)
     try:
         if calibration is None:
-            made = _in_pieces(function(recording, settings))
+            made = _to_pieces(function(recording, settings))
         else:
-            made = _in_pieces(function(correct_recording(recording, calibration), settings))
+            made = _to_pieces(function(correct_recording(recording, calibration), settings))
             if isinstance(made, LongReference):
                 made = express_in_raw_readings(made, calibration)
     except Unobservable as error:
@@ -189,7 +189,7 @@ def make_reference_in_pieces(
     return replace(made, params=asdict(settings), diagnostics={**made.diagnostics, **found})
 
 
-def _in_pieces(made: LongReference | Reference | SpinReference) -> LongReference | SpinReference:
+def _to_pieces(made: LongReference | Reference | SpinReference) -> LongReference | SpinReference:
     return as_long_reference(made) if isinstance(made, Reference) else made
 
 

@@ -95,7 +95,7 @@ class RestFinder:
     def rests_ns(self) -> Times:
         """Return first and last stamp of each rest (R, 2)."""
         spans = np.array([(one.start_ns, one.end_ns) for one in self._found], np.int64).reshape(-1, 2)
-        return spans[_at_bias(self._found, self._params)]
+        return spans[_find_spans_at_bias(self._found, self._params)]
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _keeps_tilt(imu: Imu, t_s: Floats, span: Times, params: RestParams) -> bool:
     return bool(turned <= params.tilt_change_rad)
 
 
-def _at_bias(spans: Sequence[_Span], params: RestParams) -> NDArray[np.bool_]:
+def _find_spans_at_bias(spans: Sequence[_Span], params: RestParams) -> NDArray[np.bool_]:
     """Return which spans show the gyro's rest bias, which may drift slowly from rest to rest.
 
     The rest bias is the mean rate that most spans share, among the spans about as calm as the calmest; in a tie the

@@ -28,7 +28,7 @@ class Island:
     samples: int
 
 
-def _longest_bridged_s(t_ns: Times) -> float:
+def _find_longest_bridged_s(t_ns: Times) -> float:
     """Return the longest step (s) between samples that is integrated across; a longer one is a gap in the graph."""
     return max(LONG_GAP_S, GAP_STEPS * float(np.median(np.diff(t_ns))) / 1e9)
 
@@ -42,7 +42,7 @@ def leave_out_islands(recording: Recording) -> tuple[Recording, tuple[Island, ..
     imu = recording.require_imu()
     if len(imu.t_ns) < 2:
         raise Unobservable(f"{recording.name}: has one sample of gyro and accelerometer; a reference needs seconds")
-    edges = np.flatnonzero(np.diff(imu.t_ns) / 1e9 > _longest_bridged_s(imu.t_ns)) + 1
+    edges = np.flatnonzero(np.diff(imu.t_ns) / 1e9 > _find_longest_bridged_s(imu.t_ns)) + 1
     first, stop = np.r_[0, edges], np.r_[edges, len(imu.t_ns)]
     length_s = (imu.t_ns[stop - 1] - imu.t_ns[first]) / 1e9
     short = (length_s < SHORTEST_STRETCH_S) | (stop - first < _FEWEST_SAMPLES)

@@ -147,7 +147,7 @@ def _find_judges(
     """Return the judge of each recording, read at the truth's stamps, or the reason why there is none."""
     if name in METHODS:
         references = find_references(sources, out, store, run_jobs, name)
-        return {recording: _of_reference(reference) for recording, reference in references.items()}
+        return {recording: _specify_reference_judge(reference) for recording, reference in references.items()}
     found: dict[str, JudgeSpec | str] = {}
     for cell in cells:
         if cell.line.entrant.target == name:
@@ -157,7 +157,7 @@ def _find_judges(
     return found
 
 
-def _of_reference(reference: KeptReference) -> JudgeSpec | str:
+def _specify_reference_judge(reference: KeptReference) -> JudgeSpec | str:
     if reference.file is None:
         return f"no reference: {reference.error}"
     return JudgeSpec(f"reference ({reference.method})", reference.sha256, reference.file, at_truth=True)

@@ -42,7 +42,7 @@ def write_one_file(
     reasons: dict[str, str] = {}
     for estimate in estimates:
         more, record = contents_of(estimate)
-        streams += [_of_estimator(stream, estimate.name) for stream in more]
+        streams += [_name_by_estimator(stream, estimate.name) for stream in more]
         records[f"stillpoint estimate {estimate.name}"] = record
         judge = recording.truth or (reference if isinstance(reference, Reference) else None)
         if estimate.q_nb is None or judge is None:
@@ -59,7 +59,7 @@ def write_one_file(
     return reasons
 
 
-def _of_estimator(stream: Stream, name: str) -> Stream:
+def _name_by_estimator(stream: Stream, name: str) -> Stream:
     return replace(stream, topic=stream.topic.replace("/estimate/", f"/estimate/{name}/", 1), group=f"estimate {name}")
 
 

@@ -225,7 +225,7 @@ def _run_trials(spec: _TuneSpec) -> int:
         nonlocal run
         trial.set_user_attr(_RMSE_ATTRIBUTE, rmse)
         run += 1
-        return _typical(rmse, bench.row_of)
+        return _average_rmse(rmse, bench.row_of)
 
     def stop_when_done(study: Any, trial: Any) -> None:
         if _is_done(study, spec):
@@ -276,7 +276,7 @@ def _summarise(spec: _TuneSpec) -> Tuning:
         for trial in _complete(_open_study(spec))
     ]
     defaults_rmse = bench.evaluate({})
-    defaults = TunedTrial(_defaults_of(spec), tuple(defaults_rmse), _typical(defaults_rmse, bench.row_of))
+    defaults = TunedTrial(_get_defaults(spec), tuple(defaults_rmse), _average_rmse(defaults_rmse, bench.row_of))
     table = np.array([trial.rmse_deg for trial in trials])
     devices = sorted({source.device or source.source or "unknown device" for source in spec.sources})
     part = "" if spec.seconds is None else f"the first {spec.seconds:g} s of motion of "
@@ -399,13 +399,13 @@ def _complete(study: Any) -> list[Any]:
     return [trial for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
 
 
-def _typical(rmse_deg: Sequence[float], row_of: Sequence[int]) -> float:
+def _average_rmse(rmse_deg: Sequence[float], row_of: Sequence[int]) -> float:
     """Return the geometric mean over rows of the RMSE of each recording."""
     logs = np.log(np.maximum(np.array(rmse_deg)[:, None], 1e-6))
     return float(np.exp(merge_rows(logs, row_of).mean()))
 
 
-def _defaults_of(spec: _TuneSpec) -> dict[str, float]:
+def _get_defaults(spec: _TuneSpec) -> dict[str, float]:
     defaults = asdict(ESTIMATORS[spec.estimator].params())
     return {each.name: float(defaults[each.name]) for each in spec.ranges if each.name in defaults}
 

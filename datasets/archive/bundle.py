@@ -28,7 +28,7 @@ def bundle_files(items: Sequence[Item], about: About, extra: Mapping[str, bytes]
         "README.md": _readme(items, about).encode(),
         "CITATION.cff": _citation(items, about).encode(),
         "LICENSES.md": _licences(items).encode(),
-        "REPRODUCE.md": _how_to_reproduce(items).encode(),
+        "REPRODUCE.md": _write_instructions(items).encode(),
         "reproduce.sh": _reproduce_script(items).encode(),
         "index.csv": _index(items).encode(),
         **extra,
@@ -170,7 +170,7 @@ tags: [imu, orientation, attitude, mcap]
 """
 
 
-def _how_to_reproduce(items: Sequence[Item]) -> str:
+def _write_instructions(items: Sequence[Item]) -> str:
     made = sorted({item.entry.columns["version"] for item in items if item.entry.columns.get("version")})
     return f"""# Reproduce
 

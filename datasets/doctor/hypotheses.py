@@ -195,7 +195,7 @@ def report_axes_faults(verdict: Verdict, witnesses: Sequence[Witness]) -> list[F
     return [
         one
         if one.remedy is None or verdict.settles(one.remedy.target)
-        else replace(one, message=_without_advice(one.message) + advice + "; nothing is changed", remedy=None)
+        else replace(one, message=_drop_advice(one.message) + advice + "; nothing is changed", remedy=None)
         for one in findings
     ]
 
@@ -254,7 +254,7 @@ def _describe(hypothesis: Hypothesis) -> str:
     return " and ".join(parts) or "nothing is wrong"
 
 
-def _without_advice(message: str) -> str:
+def _drop_advice(message: str) -> str:
     return message.split("; ")[0]
 
 
@@ -281,20 +281,21 @@ def find_scale_fault(witnesses: Sequence[Witness]) -> Finding | None:
 
 
 def _find_common_scale(scales: dict[str, float]) -> tuple[float, list[str]] | None:
-    def off(scale: float) -> float:
+    def measure_log(scale: float) -> float:
         return abs(float(np.log(scale)))
 
     if "truth" in scales:
         others = [name for name in ("mag", "accel") if name in scales]
-        denied = others and all(off(scales[name]) < _AGREEMENT for name in others)
-        return (scales["truth"], ["truth"]) if off(scales["truth"]) > _SCALE_LIMIT and not denied else None
+        denied = others and all(measure_log(scales[name]) < _AGREEMENT for name in others)
+        return (scales["truth"], ["truth"]) if measure_log(scales["truth"]) > _SCALE_LIMIT and not denied else None
     if "accel" in scales and "mag" in scales:
-        both = off(scales["accel"] / scales["mag"]) < _AGREEMENT
-        sure = min(off(scales["accel"]), off(scales["mag"])) > _SCALE_LIMIT  # each by itself: one may be far off alone
+        both = measure_log(scales["accel"] / scales["mag"]) < _AGREEMENT
+        # Each by itself: one may be far off alone.
+        sure = min(measure_log(scales["accel"]), measure_log(scales["mag"])) > _SCALE_LIMIT
         mean = float(np.sqrt(scales["accel"] * scales["mag"]))
         return (mean, ["accel", "mag"]) if both and sure else None
     for name, limit in (("accel", _ACCEL_ALONE), ("mag", _MAG_ALONE)):
-        if name in scales and off(scales[name]) > limit:
+        if name in scales and measure_log(scales[name]) > limit:
             return scales[name], [name]
     return None
 

@@ -112,11 +112,11 @@ def check_lags(
     findings = [] if gyro is None else [_gyro_against_truth(recording, gyro)]
     if accel_by_truth is not None and gyro is not None:
         both = Lag(accel_by_truth.lag_s - gyro.lag_s, (accel_by_truth.sd_s**2 + gyro.sd_s**2) ** 0.5)
-        findings.append(_against_gyro("accel", "accelerometer", both, 2 * _TRUTH_S, "by way of the truth"))
+        findings.append(_report_gyro_lag("accel", "accelerometer", both, 2 * _TRUTH_S, "by way of the truth"))
     elif accel_by_gravity is not None:
-        findings.append(_against_gyro("accel", "accelerometer", accel_by_gravity, _ACCEL_S, "by gravity"))
+        findings.append(_report_gyro_lag("accel", "accelerometer", accel_by_gravity, _ACCEL_S, "by gravity"))
     if mag is not None:
-        findings.append(_against_gyro("mag", "magnetometer", mag, _MAG_S, "by the field"))
+        findings.append(_report_gyro_lag("mag", "magnetometer", mag, _MAG_S, "by the field"))
     return findings
 
 
@@ -135,7 +135,7 @@ def _gyro_against_truth(recording: Recording, lag: Lag) -> Finding:
     return Finding("gyro-truth-lag", "warning", message + advice, remedy, values)
 
 
-def _against_gyro(sensor: str, name: str, lag: Lag, systematic_s: float, how: str) -> Finding:
+def _report_gyro_lag(sensor: str, name: str, lag: Lag, systematic_s: float, how: str) -> Finding:
     values = {"lag_s": lag.lag_s, "sd_s": lag.sd_s, "systematic_s": systematic_s}
     message = (
         f"{sensor}: the {name}'s stamps are {_ms(lag.lag_s)} late (+) against the gyro's {how}, "

@@ -56,7 +56,7 @@ def repeats(values: Floats) -> np.ndarray:
     return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
 
 
-def _with(recording: Recording, stream: str, value: Imu | Mag | Truth | None) -> Recording:
+def _replace_stream(recording: Recording, stream: str, value: Imu | Mag | Truth | None) -> Recording:
     changed: dict[str, Any] = {stream: value}
     return replace(recording, **changed)
 
@@ -79,7 +79,7 @@ def _values(recording: Recording, target: str) -> Floats:
     return np.asarray(getattr(recording.require_imu(), _SENSORS[target]))
 
 
-def _with_values(recording: Recording, target: str, values: Floats) -> Recording:
+def _replace_values(recording: Recording, target: str, values: Floats) -> Recording:
     if target == "mag":
         assert recording.mag is not None
         return replace(recording, mag=replace(recording.mag, mag_b_ut=values))
@@ -94,12 +94,12 @@ def _matrix(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
         assert recording.truth is not None
         turned = rotation(recording.truth.q_nb) * Rotation.from_matrix(matrix.T)
         return replace(recording, truth=replace(recording.truth, q_nb=quaternion(turned))), ""
-    return _with_values(recording, remedy.target, _values(recording, remedy.target) @ matrix.T), ""
+    return _replace_values(recording, remedy.target, _values(recording, remedy.target) @ matrix.T), ""
 
 
 def _offset(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     values = _values(recording, remedy.target) - np.asarray(remedy.values)
-    return _with_values(recording, remedy.target, values), ""
+    return _replace_values(recording, remedy.target, values), ""
 
 
 def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -110,7 +110,7 @@ def _shift(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     keep = stream.t_ns + by_ns >= 0
     lost = len(keep) - int(keep.sum())
     note = f"{lost} samples before time 0 dropped" if lost else ""
-    return _with(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), note
+    return _replace_stream(recording, remedy.target, _rows(stream, keep, stream.t_ns + by_ns)), note
 
 
 def _shift_within_imu(recording: Recording, sensor: str, by_ns: int) -> tuple[Recording, str]:
@@ -134,7 +134,7 @@ def _line(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     even = line_through(stream.t_ns)
     note = f"stamps moved by up to {np.abs(even - stream.t_ns).max() / 1e6:.3g} ms"
     even = even - min(int(even[0]), 0)  # a line may start a little before time 0
-    return _with(recording, remedy.target, replace(stream, t_ns=even)), note
+    return _replace_stream(recording, remedy.target, replace(stream, t_ns=even)), note
 
 
 def _drop(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
@@ -161,7 +161,7 @@ def _keep(recording: Recording, target: str, keep: np.ndarray) -> tuple[Recordin
         )
     note = f"{len(keep) - int(keep.sum())} of {len(keep)} samples dropped"
     stream = getattr(recording, target)
-    return _with(recording, target, _rows(stream, keep, stream.t_ns)), note
+    return _replace_stream(recording, target, _rows(stream, keep, stream.t_ns)), note
 
 
 def _rows(stream: Imu | Mag | Truth, keep: np.ndarray, t_ns: Times) -> Imu | Mag | Truth:
@@ -174,11 +174,11 @@ def _interpolate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
     held = repeats(values)
     seconds = (imu.t_ns - imu.t_ns[0]) / 1e9
     filled = np.stack([np.interp(seconds, seconds[~held], column[~held]) for column in values.T], axis=1)
-    return _with_values(recording, remedy.target, filled), f"{int(held.sum())} samples interpolated"
+    return _replace_values(recording, remedy.target, filled), f"{int(held.sum())} samples interpolated"
 
 
 def _drop_stream(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:
-    return _with(recording, remedy.target, None), ""
+    return _replace_stream(recording, remedy.target, None), ""
 
 
 def _conjugate(recording: Recording, remedy: Remedy) -> tuple[Recording, str]:

@@ -33,17 +33,17 @@ def ask_truth(imu: Imu, truth: Truth) -> Witness:
         return Witness("truth", None)
     known = np.hstack([rate, np.ones((len(rate), 1))])
 
-    def measured(lag_s: float) -> Floats:
+    def average_at_lag(lag_s: float) -> Floats:
         return gyro.smooth_between(start + lag_s, end + lag_s) / (end - start)[:, None]
 
     def loss(lag_s: float) -> Floats:
-        rates = measured(lag_s)
+        rates = average_at_lag(lag_s)
         fit = np.linalg.lstsq(known, rates, rcond=None)[0]
         return np.asarray(((rates - known @ fit) ** 2).sum(axis=1))
 
     lag = find_lag(loss)
     moving = stands_out(np.linalg.norm(rate, axis=1))
-    rates, rate = measured(lag.lag_s if lag else 0.0)[moving], rate[moving]
+    rates, rate = average_at_lag(lag.lag_s if lag else 0.0)[moving], rate[moving]
     turned, target = rates - np.median(rates, axis=0), rate - np.median(rate, axis=0)
     floor = 0.02**2 * float((target**2).sum(axis=1).mean()) + 1e-300
     along = np.array([(turned @ matrix.T * target).sum() for matrix in CANDIDATES])
@@ -90,7 +90,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     if len(at_s) < FEWEST:
         return None
 
-    def measured(lag_s: float) -> Floats:
+    def average_at_lag(lag_s: float) -> Floats:
         return force.smooth_between(at_s - half + lag_s, at_s + half + lag_s) / _FORCE_WINDOW_S
 
     usual = 0.1 * STANDARD_GRAVITY_MPS2
@@ -100,7 +100,7 @@ def find_accel_lag(imu: Imu, truth: Truth) -> Lag | None:
     columns = np.concatenate([axes, swing, eye], axis=2)
 
     def loss(lag_s: float) -> Floats:
-        felt = measured(lag_s)
+        felt = average_at_lag(lag_s)
         weight = np.ones(len(felt))
         for _ in range(2):
             _, residual = solve(columns, felt, weight)

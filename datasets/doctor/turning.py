@@ -42,7 +42,7 @@ class Series:
 
     def between(self, start_s: Floats, end_s: Floats) -> Floats:
         """Return the integral from each start to each end, (n, 3)."""
-        return self._at(end_s) - self._at(start_s)
+        return self._interpolate_integral(end_s) - self._interpolate_integral(start_s)
 
     def smooth_between(self, start_s: Floats, end_s: Floats) -> Floats:
         """Return :meth:`between` over spans whose ends fade within one step of the stream.
@@ -54,7 +54,7 @@ class Series:
         early = self.between(start_s - quarter, end_s - quarter)
         return 0.5 * (early + self.between(start_s + quarter, end_s + quarter))
 
-    def _at(self, t_s: Floats) -> Floats:
+    def _interpolate_integral(self, t_s: Floats) -> Floats:
         return np.stack([np.interp(t_s, self.t_s, column) for column in self.integral.T], axis=1)
 
     def touches_gap(self, start_s: Floats, end_s: Floats) -> NDArray[np.bool_]:
@@ -125,7 +125,7 @@ class Grid:
         whole = ~gyro.touches_gap(start, stop) & ~vector.touches_gap(start - margin, stop + margin)
         self.first = first[whole]
         self.last = self.first + length
-        self._turns = _running(self.turn)
+        self._turns = _sum_cumulatively(self.turn)
         turned = self._turns[self.last] - self._turns[self.first]
         size = np.linalg.norm(turned - np.median(turned, axis=0), axis=1) if len(turned) else np.zeros(0)
         self._keep(stands_out(size))
@@ -142,8 +142,8 @@ class Grid:
         half = self.width_s / 2
         at = self.vector.smooth_between(self.t_s - half + lag_s, self.t_s + half + lag_s) / self.width_s
         middle = 0.5 * (at[1:] + at[:-1])
-        cross = _running((middle[:, :, None] * self.turn[:, None, :]).reshape(-1, 9))
-        mean = _running(middle * self.step_s)
+        cross = _sum_cumulatively((middle[:, :, None] * self.turn[:, None, :]).reshape(-1, 9))
+        mean = _sum_cumulatively(middle * self.step_s)
         first, last = self.first, self.last
         return Windows(
             change=at[last] - at[first],
@@ -160,7 +160,7 @@ def stands_out(size: Floats) -> NDArray[np.bool_]:
     return keep if keep.sum() >= FEWEST_WINDOWS else np.ones(len(size), dtype=np.bool_)
 
 
-def _running(values: Floats) -> Floats:
+def _sum_cumulatively(values: Floats) -> Floats:
     total = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=total[1:])
     return total

@@ -61,7 +61,7 @@ def check_values(recording: Recording) -> list[Finding]:
 
 def check_steps(recording: Recording) -> list[Finding]:
     """Find values in steps so coarse that slow motion hides between them; for a recording whose units are right."""
-    return [finding for sensor in _sensors(recording) for finding in _coarse(sensor)]
+    return [finding for sensor in _sensors(recording) for finding in _find_coarse_steps(sensor)]
 
 
 def _sensors(recording: Recording) -> list[_Sensor]:
@@ -117,7 +117,7 @@ def _find_clipping(sensor: _Sensor) -> list[Finding]:
     findings = []
     for k, name in enumerate(sensor.axes):
         column = sensor.values[:, k]
-        step, span = _smallest_step(column), float(np.ptp(column))
+        step, span = _find_converter_step(column), float(np.ptp(column))
         for sign in (1.0, -1.0):
             toward = sign * column
             extreme = float(toward.max())
@@ -147,7 +147,7 @@ def _find_frozen(sensor: _Sensor) -> list[Finding]:
     seconds = (sensor.t_ns[last] - sensor.t_ns[np.maximum(first - 1, 0)]) / 1e9
     moving = np.array([sensor.moving[a : b + 1].mean() > 0.5 for a, b in zip(first, last, strict=True)], dtype=np.bool_)
     frozen = moving & (seconds >= _FROZEN_S) & (last - first + 1 >= _FROZEN_SAMPLES)
-    if not frozen.any() or _slow_for_its_steps(sensor, same, sensor.moving):
+    if not frozen.any() or _is_slow_for_steps(sensor, same, sensor.moving):
         return []
     first, last = first[frozen], last[frozen]
     spans = tuple(int(t) for pair in zip(sensor.t_ns[first], sensor.t_ns[last], strict=True) for t in pair)
@@ -170,11 +170,11 @@ def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     pairs = same & sensor.moving
     stretch = _share_around(pairs, 40) > 0.4
     where = sensor.moving if share >= _HELD_SHARE else stretch & sensor.moving
-    if not where.any() or _slow_for_its_steps(sensor, same, where):
+    if not where.any() or _is_slow_for_steps(sensor, same, where):
         return []
     if sensor.stream == "mag":
         remedy = Remedy("drop-repeats", "mag", "mag: of equal neighbouring samples the first kept")
-    elif _repeat_together(pairs, repeats(_other(sensor.name, recording)) & sensor.moving):
+    elif _repeat_together(pairs, repeats(_get_other_sensor(sensor.name, recording)) & sensor.moving):
         remedy = Remedy("drop-repeats", "imu", "imu: of equal neighbouring samples the first kept")
     else:
         remedy = Remedy("interpolate", sensor.name, f"{sensor.name}: held samples interpolated")
@@ -185,9 +185,9 @@ def _find_held(sensor: _Sensor, recording: Recording) -> list[Finding]:
     return [Finding(f"{sensor.name}-held", "warning", message, remedy, {"share": share})]
 
 
-def _slow_for_its_steps(sensor: _Sensor, same: NDArray[np.bool_], where: NDArray[np.bool_]) -> bool:
+def _is_slow_for_steps(sensor: _Sensor, same: NDArray[np.bool_], where: NDArray[np.bool_]) -> bool:
     """Do values repeat because the converter's steps are larger than what happens between samples?"""
-    step = np.array([_smallest_step(column) for column in sensor.values.T])
+    step = np.array([_find_converter_step(column) for column in sensor.values.T])
     changes = np.abs(np.diff(sensor.values, axis=0))[(where & ~same)[1:]]
     if len(changes) == 0 or not step.any():
         return False
@@ -199,15 +199,15 @@ def _repeat_together(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
     return bool((one & other).sum() > 0.9 * max(1, min(one.sum(), other.sum())))
 
 
-def _other(sensor: str, recording: Recording) -> Floats:
+def _get_other_sensor(sensor: str, recording: Recording) -> Floats:
     imu = recording.require_imu()
     return imu.accel_b_mps2 if sensor == "gyro" else imu.gyro_b_radps
 
 
-def _coarse(sensor: _Sensor) -> list[Finding]:
+def _find_coarse_steps(sensor: _Sensor) -> list[Finding]:
     if sensor.name not in _COARSE:
         return []
-    steps = [_smallest_step(column) for column in sensor.values.T]
+    steps = [_find_converter_step(column) for column in sensor.values.T]
     step = max(steps)
     if step <= _COARSE[sensor.name]:
         return []
@@ -218,7 +218,7 @@ def _coarse(sensor: _Sensor) -> list[Finding]:
     return [Finding(f"{sensor.name}-coarse", "warning", message, values={"step": step})]
 
 
-def _smallest_step(column: Floats) -> float:
+def _find_converter_step(column: Floats) -> float:
     """The step of the converter: the smallest difference between values that all differ by whole steps, else 0."""
     levels = np.unique(column)
     if len(levels) < 2 or len(levels) > 0.5 * len(column):

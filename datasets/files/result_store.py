@@ -82,7 +82,7 @@ class ResultStore:
 
 def key_of(**deciding: Any) -> str:
     """Return the key of everything that decides a result; values must be plain JSON."""
-    text = json.dumps({"product": product_version(), **deciding}, sort_keys=True, default=_plain)
+    text = json.dumps({"product": product_version(), **deciding}, sort_keys=True, default=_to_plain)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -104,7 +104,7 @@ def hash_code(packages: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     """Return numpy scalars and arrays as plain JSON; raises ``TypeError`` for anything else."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()

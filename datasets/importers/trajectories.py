@@ -157,7 +157,7 @@ def _recognise(table: Table, file: Path, options: _PoseOptions) -> Format:
         return "csv"
     widths = {len(row) for row in table.rows}
     commas = len(table.columns) > 1 and not any(" " in cell for cell in table.rows[0]) and "," in table.delimiter
-    if commas and min(widths) >= _EUROC_WIDTH and _largest(table.rows[0][0]) >= _EUROC_NS:
+    if commas and min(widths) >= _EUROC_WIDTH and _read_size(table.rows[0][0]) >= _EUROC_NS:
         return "euroc"
     if widths == {_KITTI_WIDTH}:
         return "kitti"
@@ -169,7 +169,7 @@ def _recognise(table: Table, file: Path, options: _PoseOptions) -> Format:
     return "tum"
 
 
-def _largest(cell: str) -> float:
+def _read_size(cell: str) -> float:
     try:
         return abs(float(cell))
     except ValueError:

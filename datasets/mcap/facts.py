@@ -35,9 +35,9 @@ def facts_of(thing: Kept) -> dict[str, Any]:
     if isinstance(thing, Recording):
         return recording_facts(thing.head, thing.spin, thing.extra)
     in_topics = {column.field for topic in TOPICS if not topic.stream for column in topic.columns} | {"t_ns"}
-    facts: dict[str, Any] = {name: value for name, value in _shallow(thing).items() if name not in in_topics}
+    facts: dict[str, Any] = {name: value for name, value in _list_fields(thing).items() if name not in in_topics}
     if isinstance(thing, Reference):
-        facts["calibration"] = _shallow(thing.calibration)
+        facts["calibration"] = _list_fields(thing.calibration)
         facts["returns"] = [asdict(one) for one in thing.returns]
     return facts
 
@@ -48,7 +48,7 @@ def recording_facts(head: Head, spin: Spin | None, extra: Mapping[str, Series]) 
     return {
         "name": head.name,
         "base_pose": head.base_pose,
-        "spin_geometry": None if spin is None else _shallow(spin.geometry),
+        "spin_geometry": None if spin is None else _list_fields(spin.geometry),
         "info": asdict(head.info),
         **({"extra": labels} if labels else {}),
     }
@@ -90,7 +90,7 @@ def reference_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def to_json(facts: Mapping[str, Any]) -> str:
     """Return one line of JSON; raises :class:`BadRecording` for a value that JSON has no word for."""
-    plain = _plain(facts, "facts")
+    plain = _to_plain(facts, "facts")
     text = json.dumps(plain, ensure_ascii=False, allow_nan=False)
     try:
         text.encode()
@@ -101,33 +101,33 @@ def to_json(facts: Mapping[str, Any]) -> str:
 
 def from_json(text: str) -> dict[str, Any]:
     """Return the inverse of :func:`to_json`; sequences come back as lists. Raises ``ValueError``."""
-    facts = json.loads(text, object_hook=_special)
+    facts = json.loads(text, object_hook=_restore_special)
     if not isinstance(facts, dict):
         raise ValueError("facts are no mapping")
     return facts
 
 
-def _shallow(thing: Any) -> dict[str, Any]:
+def _list_fields(thing: Any) -> dict[str, Any]:
     return {field.name: getattr(thing, field.name) for field in fields(thing)}
 
 
-def _special(item: dict[str, Any]) -> Any:
+def _restore_special(item: dict[str, Any]) -> Any:
     return float(item[_NOT_FINITE]) if item.keys() == {_NOT_FINITE} else item
 
 
-def _plain(value: Any, where: str) -> Any:
+def _to_plain(value: Any, where: str) -> Any:
     if isinstance(value, np.ndarray):
         value = value.tolist()
     elif isinstance(value, np.generic):
         value = value.item()
     elif is_dataclass(value) and not isinstance(value, type):
-        value = _shallow(value)
+        value = _list_fields(value)
     if isinstance(value, float) and not np.isfinite(value):
         return {_NOT_FINITE: str(value)}
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Mapping):
-        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+        return {str(key): _to_plain(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes):
-        return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
+        return [_to_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
     raise BadRecording(f"{where}: is a {type(value).__name__}; give numbers, strings, lists or mappings")

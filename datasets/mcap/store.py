@@ -369,17 +369,17 @@ def make_checked(log: Log, make: Callable[[], Made]) -> Made:
 
 def read_recording(path: Path | str, units_unchecked: bool = False) -> Recording:
     """Return the recording in a file; raises :class:`BadFile` when it holds something else."""
-    return _of_kind(path, Recording, read(path, units_unchecked))
+    return _require_kind(path, Recording, read(path, units_unchecked))
 
 
 def read_reference(path: Path | str) -> Reference:
     """Return the reference in a file; raises :class:`BadFile` when it holds something else."""
-    return _of_kind(path, Reference, read(path))
+    return _require_kind(path, Reference, read(path))
 
 
 def read_estimate(path: Path | str) -> Estimate:
     """Return the estimate in a file; raises :class:`BadFile` when it holds something else."""
-    return _of_kind(path, Estimate, read(path))
+    return _require_kind(path, Estimate, read(path))
 
 
 @dataclass(frozen=True)
@@ -616,7 +616,7 @@ def make_trajectory(log: Log, kind: str, facts: Mapping[str, Any], absent: Seque
     return KINDS[kind](**columns, **keywords)
 
 
-def _of_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKind:
+def _require_kind(path: Path | str, wanted: type[OneKind], thing: Kept) -> OneKind:
     if isinstance(thing, wanted):
         return thing
     needed = next(kind for kind, of_kind in KINDS.items() if of_kind is wanted)

@@ -225,10 +225,10 @@ def sail(sea: Sea, when: Phases, seed: int) -> Voyage:
             make_interp_spline(t, euler, k=5), make_interp_spline(t, _velocities(sea, when, t, euler, seed), k=5), when
         )
 
-    def left_m(ascent_pitch_deg: float) -> float:
+    def find_final_depth_m(ascent_pitch_deg: float) -> float:
         return float(voyage(ascent_pitch_deg).position([when.end_s])[0, 2])
 
-    return voyage(brentq(left_m, 0.5 * _DIVE_PITCH_DEG, 2.0 * _DIVE_PITCH_DEG, xtol=1e-3))
+    return voyage(brentq(find_final_depth_m, 0.5 * _DIVE_PITCH_DEG, 2.0 * _DIVE_PITCH_DEG, xtol=1e-3))
 
 
 def euler_ned_rad(sea: Sea, when: Phases, t_s: Floats, ascent_pitch_deg: float, seed: int) -> Floats:

@@ -74,13 +74,13 @@ class Path:
 
     def attitude(self, t_s: ArrayLike) -> Rotation:
         """Return the rotation from body to n at times (N,)."""
-        return rotation(self.base_q_nb) * Rotation.from_rotvec(self.turn_b_rad(self._within(t_s)))
+        return rotation(self.base_q_nb) * Rotation.from_rotvec(self.turn_b_rad(self._clip_time(t_s)))
 
     def rate_b_radps(self, t_s: ArrayLike) -> Floats:
         """Return the angular rate of the body in n, in body axes, (N, 3): the right Jacobian of exp times the turn's
         rate.
         """
-        t = self._within(t_s)
+        t = self._clip_time(t_s)
         turn, turn_rate = self.turn_b_rad(t), self._turn_rate(t)
         first, second, _, _ = _jacobian_shares(turn)
         crossed = np.cross(turn, turn_rate)
@@ -88,7 +88,7 @@ class Path:
 
     def angular_acceleration_b_radps2(self, t_s: ArrayLike) -> Floats:
         """Return the derivative of the angular rate, in body axes, (N, 3)."""
-        t = self._within(t_s)
+        t = self._clip_time(t_s)
         turn, turn_rate, turn_accel = self.turn_b_rad(t), self._turn_rate(t), self._turn_accel(t)
         first, second, first_slope, second_slope = _jacobian_shares(turn)
         growth = np.sum(turn * turn_rate, axis=1, keepdims=True)
@@ -112,7 +112,7 @@ class Path:
 
     def position(self, t_s: ArrayLike) -> Floats:
         """Return the position in n, (N, 3) in m."""
-        t = self._within(t_s)
+        t = self._clip_time(t_s)
         moved = np.sum([chain(t) for chain in self.place_n_m], axis=0)
         if not any(self.arm_b_m):
             return np.asarray(moved)
@@ -120,7 +120,7 @@ class Path:
 
     def acceleration_n_mps2(self, t_s: ArrayLike) -> Floats:
         """Return the second derivative of the position in n, (N, 3)."""
-        t = self._within(t_s)
+        t = self._clip_time(t_s)
         moved = np.sum([chain(t) for chain in self._accelerations], axis=0)
         if not any(self.arm_b_m):
             return np.asarray(moved)
@@ -130,7 +130,7 @@ class Path:
 
     def moving(self, t_s: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each time (N,) lies outside all rests."""
-        t = self._within(t_s)
+        t = self._clip_time(t_s)
         rest = np.maximum(np.searchsorted(self.rests_s[:, 0], t, side="right") - 1, 0)
         return np.asarray(t > self.rests_s[rest, 1])
 
@@ -146,7 +146,7 @@ class Path:
     def _accelerations(self) -> list[BPoly]:
         return [chain.derivative(2) for chain in self.place_n_m]
 
-    def _within(self, t_s: ArrayLike) -> Floats:
+    def _clip_time(self, t_s: ArrayLike) -> Floats:
         return np.clip(np.asarray(t_s, dtype=np.float64), 0.0, self.duration_s)
 
 

@@ -40,22 +40,22 @@ class _Search:
     seconds: float | None = None  # of motion; the filters of ahrs take 0.1 to 0.5 ms a sample
 
 
-def _of(text: str, trials: int, sampler: Sampler = "tpe", seconds: float | None = None) -> _Search:
+def _make_search(text: str, trials: int, sampler: Sampler = "tpe", seconds: float | None = None) -> _Search:
     return _Search(tuple(map(ParamRange.parse, text.split())), trials, sampler, seconds)
 
 
 _KALMAN = "velocity_mps_rts=0.1:3:log field_noise_ut_rts=2:60:log"
 SEARCHES: dict[str, _Search] = {
-    "ekf": _of(_KALMAN, 30),
-    "aekf": _of(_KALMAN, 30),
-    "vqf": _of("tau_acc_s=0.5:10:log tau_mag_s=2:100:log", 30),
-    "cf": _of("omega0_radps=0.01:2:log zeta=0.3:3", 30),
-    "cf-fixed": _of("kp_per_s=0.02:2:log ki_per_s2=0.0001:0.1:log", 30),
-    "kf-axis": _of("tilt_sd_rad=0.05:1.5:log heading_sd_rad=0.1:3:log", 30),
-    "fusion": _of("gain_radps=0.02:2:log", 12),
-    "madgwick": _of("gain_marg_radps=0.002:0.2:log", 8, "grid", 60.0),
-    "mahony": _of("k_p_radps=0.02:3:log k_i_radps2=0.0001:0.5:log", 14, "tpe", 60.0),
-    "ahrs-ekf": _of("accel_sd=0.1:100:log mag_sd=0.1:100:log", 14, "tpe", 60.0),
+    "ekf": _make_search(_KALMAN, 30),
+    "aekf": _make_search(_KALMAN, 30),
+    "vqf": _make_search("tau_acc_s=0.5:10:log tau_mag_s=2:100:log", 30),
+    "cf": _make_search("omega0_radps=0.01:2:log zeta=0.3:3", 30),
+    "cf-fixed": _make_search("kp_per_s=0.02:2:log ki_per_s2=0.0001:0.1:log", 30),
+    "kf-axis": _make_search("tilt_sd_rad=0.05:1.5:log heading_sd_rad=0.1:3:log", 30),
+    "fusion": _make_search("gain_radps=0.02:2:log", 12),
+    "madgwick": _make_search("gain_marg_radps=0.002:0.2:log", 8, "grid", 60.0),
+    "mahony": _make_search("k_p_radps=0.02:3:log k_i_radps2=0.0001:0.5:log", 14, "tpe", 60.0),
+    "ahrs-ekf": _make_search("accel_sd=0.1:100:log mag_sd=0.1:100:log", 14, "tpe", 60.0),
 }
 
 

@@ -45,17 +45,17 @@ def is_of_spin(path: Path) -> bool:
 
 def recordings(paths: Iterable[str | Path]) -> list[Path]:
     """Return MCAP files that are no reference and no estimate; raises :class:`BadParameter` when there is none."""
-    return _of_kind(paths, RECORDING)
+    return _select_kind(paths, RECORDING)
 
 
 def references(paths: Iterable[str | Path]) -> list[Path]:
     """Return files ``*.reference.mcap``; raises :class:`BadParameter` when there is none."""
-    return _of_kind(paths, "reference")
+    return _select_kind(paths, "reference")
 
 
 def estimates(paths: Iterable[str | Path]) -> list[Path]:
     """Return files ``*.estimate.mcap``; raises :class:`BadParameter` when there is none."""
-    return _of_kind(paths, "estimate")
+    return _select_kind(paths, "estimate")
 
 
 def mcap_files(paths: Iterable[str | Path]) -> list[Path]:
@@ -84,7 +84,7 @@ def folder_for(source: Path, out: Path | None) -> Path:
     return source.parent if out is None else out
 
 
-def _of_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
+def _select_kind(paths: Iterable[str | Path], kind: str) -> list[Path]:
     named = [Path(path) for path in paths]
     if not named:
         raise BadParameter(f"no input: name {kind}s as files, folders or globs")
@@ -111,7 +111,7 @@ def _expand(path: Path) -> list[Path]:
     if is_url(path):
         return list_files(path, SUFFIX)
     if path.is_dir():
-        found = sorted(file for file in path.rglob(f"*{SUFFIX}") if file.is_file() and not _hidden(file, path))
+        found = sorted(file for file in path.rglob(f"*{SUFFIX}") if file.is_file() and not _is_hidden(file, path))
         if not found:
             raise BadParameter(f"{path}: this folder holds no MCAP file; import recordings first: stillpoint import")
         return found
@@ -128,6 +128,6 @@ def _expand(path: Path) -> list[Path]:
     return [file for match in kept for file in _expand(match)]
 
 
-def _hidden(file: Path, below: Path) -> bool:
+def _is_hidden(file: Path, below: Path) -> bool:
     """Return whether a file is temporary or hidden, and so nobody's input."""
     return any(part.startswith(".") for part in file.relative_to(below).parts)

@@ -56,7 +56,7 @@ def write_document(target: str | None, content: Mapping[str, Any]) -> None:
     """Write an object as JSON to a file or to the standard output, as :func:`write_json` does with rows."""
     if target is None:
         return
-    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(_to_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
     if target == STDOUT:
         for line in text.split("\n"):
             print(line if line.isprintable() else "".join(map(_escape_in_json, line)))
@@ -91,11 +91,11 @@ def _escape_in_json(letter: str) -> str:
     return letter if letter.isprintable() else json.dumps(letter)[1:-1]
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_plain(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(item) for item in value]
+        return [_to_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

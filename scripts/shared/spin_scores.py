@@ -49,7 +49,7 @@ def is_spin(thing: object) -> bool:
 def score_spin_file(file: Path, thing: Estimate | SpinReference, against: Path | None, align: AlignKind) -> SpinScore:
     """Score one file; raises :class:`BadParameter` for an alignment that an angle does not have, or without a judge."""
     zero = zero_of(align, str(file))
-    judge = find_spin_judge(_beside(file, thing) if against is None else against)
+    judge = find_spin_judge(_find_judge(file, thing) if against is None else against)
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_roll(thing, judge.truth, zero or usual_zero(thing, judge.truth, judge.name), judge.name)
 
@@ -93,7 +93,7 @@ def print_spin_scores(scores: Sequence[SpinScore]) -> None:
                 print_line(note)
 
 
-def _beside(file: Path, thing: Estimate | SpinReference) -> Path:
+def _find_judge(file: Path, thing: Estimate | SpinReference) -> Path:
     """Return what judges a file when nothing was named: as for attitudes, the reference, else the recording."""
     name = recording_name(file) if isinstance(thing, Estimate) else thing.name
     candidates = files_of(name, "reference", neighbours(file)) if isinstance(thing, Estimate) else []

@@ -98,20 +98,20 @@ def _settings(figures: list[_Figures]) -> dict[str, dict[str, float]]:
     """Return the settings that follow, of the worst axis: of the smoother at rest, and of the ekf."""
     gyro, accel = (one.found for one in figures)
 
-    def worst(values: Floats) -> float:
+    def find_largest(values: Floats) -> float:
         return float(values.max())
 
     return {
         "reference": {
-            "inertial.gyro_rest_radps_rthz": worst(gyro.noise_density),
-            "inertial.gyro_bias_walk": worst(gyro.bias_walk),
-            "inertial.accel_rest_mps2_rthz": worst(accel.noise_density),
-            "inertial.accel_bias_walk": worst(accel.bias_walk),
+            "inertial.gyro_rest_radps_rthz": find_largest(gyro.noise_density),
+            "inertial.gyro_bias_walk": find_largest(gyro.bias_walk),
+            "inertial.accel_rest_mps2_rthz": find_largest(accel.noise_density),
+            "inertial.accel_bias_walk": find_largest(accel.bias_walk),
         },
         "params": {
-            "gyro_noise_rad_rts": worst(gyro.noise_density),
-            "bias_walk_radps": worst(gyro.bias_walk),
-            "accel_noise_mps_rts": worst(accel.noise_density),
+            "gyro_noise_rad_rts": find_largest(gyro.noise_density),
+            "bias_walk_radps": find_largest(gyro.bias_walk),
+            "accel_noise_mps_rts": find_largest(accel.noise_density),
         },
     }
 

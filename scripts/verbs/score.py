@@ -250,11 +250,11 @@ def _decide(job: _Job, asked: _Asked, beside: Callable[[Path], list[Path]]) -> D
         return Deciding((job.file, job.judge), settings)
     near = beside(job.file.parent / "*")
     judges = files_of(recording_name(job.file), "reference", near)
-    judges += [path for path in near if inputs.kind_of(path) == inputs.RECORDING and _may_be_of(job.file, path)]
+    judges += [path for path in near if inputs.kind_of(path) == inputs.RECORDING and _is_named_after(job.file, path)]
     return Deciding((job.file, *(path for path in judges if path.name != job.file.name)), settings)
 
 
-def _may_be_of(file: Path, recording: Path) -> bool:
+def _is_named_after(file: Path, recording: Path) -> bool:
     return file.name.startswith(recording.name.removesuffix(inputs.SUFFIX) + ".")
 
 
@@ -280,7 +280,7 @@ def _score_file(file: Path, against: Path | str | None, asked: _Asked) -> Score 
         return score_spin_file(file, thing, against, asked.align)
     if not isinstance(thing, Estimate | Reference):
         raise BadParameter(f"{file}: holds no attitude to score; give estimates or references")
-    judge = _judge_of(against if isinstance(against, Path) else _beside(file, thing, against))
+    judge = _judge_of(against if isinstance(against, Path) else _find_judge(file, thing, against))
     require_same(file, thing.made_from, judge.path, judge.made_from)
     return score_against(thing, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
@@ -294,7 +294,7 @@ def _score_in_pieces(file: Path, against: Path | str | None, asked: _Asked) -> S
     first = next(pieces)
     if not isinstance(first, Estimate) or is_spin(first):
         return None
-    judge, made_from, truths = _open_judge(against if isinstance(against, Path) else _beside(file, first, against))
+    judge, made_from, truths = _open_judge(against if isinstance(against, Path) else _find_judge(file, first, against))
     require_same(file, first.made_from, judge, made_from)
     estimates = (piece for piece in chain([first], pieces) if isinstance(piece, Estimate))
     return score_pieces(estimates, truths, asked.align, asked.frame, ScratchStore)
@@ -333,7 +333,7 @@ def _score_trajectory(file: Path, against: Path | None, asked: _Asked) -> Score:
     return score_against(made, judge.truth, asked.align, asked.frame, over_s=asked.over_s)
 
 
-def _beside(file: Path, thing: Estimate | Reference, kind: str | None = None) -> Path:
+def _find_judge(file: Path, thing: Estimate | Reference, kind: str | None = None) -> Path:
     """Return what judges a file: of a kind, or the reference of its recording, else the recording's truth."""
     name = recording_name(file) if isinstance(thing, Estimate) else thing.name
     recording = file.parent / f"{name}{inputs.SUFFIX}"

@@ -205,7 +205,7 @@ class Leaderboard:
             "general": all(table.general for table in self.tables),
             "conclusion": " ".join(table.conclusion for table in self.tables),
             "recordings": [asdict(run) for run in self.runs],
-            "tables": [_without_rows(table) for table in self.tables],
+            "tables": [_count_rows(table) for table in self.tables],
             "groups": [asdict(table) for table in self.groups],
             "sources": [asdict(source) for source in self.sources],
             "version": self.version,
@@ -239,7 +239,7 @@ class Leaderboard:
         )
 
 
-def _without_rows(table: Table) -> dict[str, Any]:
+def _count_rows(table: Table) -> dict[str, Any]:
     """Return a table with the numbers of its rows and pairs, which are in one list with those of the others."""
     kept = {each.name: getattr(table, each.name) for each in fields(table) if each.name not in ("rows", "pairs")}
     return {**kept, "row_count": len(table.rows), "pair_count": len(table.pairs)}

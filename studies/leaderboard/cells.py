@@ -84,10 +84,10 @@ def make_estimates(cells: Sequence[Cell], store: ResultStore, run_jobs: JobRunne
     errors = {
         cell.job.key: outcome.error for cell, outcome in zip(ordered, outcomes, strict=True) if cell.job is not None
     }
-    return [_with_error(cell, errors, store) for cell in cells]
+    return [_add_error(cell, errors, store) for cell in cells]
 
 
-def _with_error(cell: Cell, errors: dict[str, str | None], store: ResultStore) -> Cell:
+def _add_error(cell: Cell, errors: dict[str, str | None], store: ResultStore) -> Cell:
     if cell.job is None:
         return cell
     facts = store.facts(cell.job.key)

@@ -114,7 +114,7 @@ def _build_table(name: str, runs: ScoredRuns, sources: Sequence[Source], rows: S
         against=against,
         ranked_by=ranked_by,
         why_ranked_by=why,
-        rows=tuple(sorted(filled, key=lambda row: _order(row, ranked_by))),
+        rows=tuple(sorted(filled, key=lambda row: _make_sort_key(row, ranked_by))),
         pairs=tuple(_name_pairs(pairs, ranked, against)) if pairs else (),
         general=len(set(row_of)) >= LEAST_ROWS,
         independent_rows=len(set(row_of)),
@@ -145,9 +145,9 @@ def _fill_row(
         "recordings": len(sources),
         "failed": len(failed),
         "against": " and ".join(sorted({_kind_of(run.against) for run in mine}, reverse=True)),
-        "ns_per_sample": _of_known(median, [run.ns_per_sample for run in mine]),
-        "nees_per_dof": _of_known(fmean, [run.nees_per_dof for run in mine]),
-        "coverage95": _of_known(fmean, [run.coverage95 for run in mine]),
+        "ns_per_sample": _apply_to_known(median, [run.ns_per_sample for run in mine]),
+        "nees_per_dof": _apply_to_known(fmean, [run.nees_per_dof for run in mine]),
+        "coverage95": _apply_to_known(fmean, [run.coverage95 for run in mine]),
     }
     for figure in _AXES:
         figures[f"{figure}_rmse_deg"] = _summarise(runs, scored, row.label, figure) if scored else None
@@ -207,12 +207,12 @@ def _kind_of(judge: str) -> str:
     return judge.partition(" (")[0]
 
 
-def _of_known(function: Any, values: Sequence[float | None]) -> float | None:
+def _apply_to_known(function: Any, values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(function(known)) if known else None
 
 
-def _order(row: Row, figure: RankedBy) -> tuple[bool, tuple[int, int], float]:
+def _make_sort_key(row: Row, figure: RankedBy) -> tuple[bool, tuple[int, int], float]:
     """Return ranked rows first, by rank, then by the typical error."""
     summary: Summary | None = getattr(row, f"{figure}_rmse_deg")
     return row.rank is None, row.rank or (0, 0), float("inf") if summary is None else summary.typical

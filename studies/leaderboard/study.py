@@ -55,15 +55,17 @@ def read_study(path: Path) -> Study:
     if unknown is not None:
         raise BadParameter(f"{path}: has no setting {unknown!r}; {nearest(unknown, known)}")
     content.pop("stillpoint", None)
-    recordings = [_beside(path, text) for text in _texts(content, "recordings", path)]
+    recordings = [_resolve_path(path, text) for text in _texts(content, "recordings", path)]
     given: dict[str, Any] = {**content, "recordings": tuple(recordings)}
     for name in ("estimators", "calibration", "groups"):
         if name in content:
             given[name] = tuple(_texts(content, name, path))
     given["calibration"] = tuple(
-        text if text in (NONE, REFERENCE) else _beside(path, text) for text in given.get("calibration", (NONE,))
+        text if text in (NONE, REFERENCE) else _resolve_path(path, text) for text in given.get("calibration", (NONE,))
     )
-    given["estimators"] = tuple(map_own_file(text, partial(_beside, path)) for text in given.get("estimators", ()))
+    given["estimators"] = tuple(
+        map_own_file(text, partial(_resolve_path, path)) for text in given.get("estimators", ())
+    )
     return Study(**given)
 
 
@@ -90,7 +92,7 @@ def _texts(content: Mapping[str, Any], name: str, path: Path) -> Sequence[str]:
     return value
 
 
-def _beside(path: Path, text: str) -> str:
+def _resolve_path(path: Path, text: str) -> str:
     """Return a path of the study as seen from here."""
     return text if is_url(text) or Path(text).is_absolute() else str(path.parent / text)
 

@@ -128,7 +128,7 @@ def _draw_errors() -> Figure:
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for column, tilt_deg in zip(axes.T, (0.0, 90.0), strict=True):
-        recording = simulate("spin-constant", seed=1, sensor=_wrong(CONSTANT["white"], tilt_deg))
+        recording = simulate("spin-constant", seed=1, sensor=_add_errors(CONSTANT["white"], tilt_deg))
         made, truth = reference(recording, params=_RIG), recording.roll_truth
         assert isinstance(made, SpinReference)
         assert truth is not None
@@ -142,7 +142,7 @@ def _draw_errors() -> Figure:
     return figure
 
 
-def _wrong(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
+def _add_errors(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
     radial, tangential = replace(sensor.radial, **_ERRORS), replace(sensor.tangential, **_ERRORS)
     return replace(sensor, name="docs", tilt_deg=tilt_deg, radial=radial, tangential=tangential)
 

@@ -91,14 +91,14 @@ def _leaderboard_files(items: Sequence[Item]) -> dict[str, bytes]:
         stem = item.path.removesuffix(".json")
         files[f"{stem}.html"] = make_page_html(board).encode()
         known = {each.name for each in fields(Study)}
-        settings = {name: _as_tuple(value) for name, value in board.study.items() if name in known}
+        settings = {name: _to_tuple(value) for name, value in board.study.items() if name in known}
         paths = tuple(f"../../{recordings[one.sha256]}" for one in board.sources if one.sha256 in recordings)
         study = Study(**{**settings, "recordings": paths, "sha256": {}})
         files[f"{stem}{STUDY_SUFFIX}"] = study_toml(study, board.version).encode()
     return files
 
 
-def _as_tuple(value: Any) -> Any:
+def _to_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 

@@ -29,7 +29,7 @@ def draw_sensors(axes: Sequence[Axes], series: Series, span: Span) -> None:
 
 def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) -> None:
     """Draw figure 5: the gyro's roll from the start of the span on, and its error."""
-    rows = _within(series, span)
+    rows = _find_rows(series, span)
     roll = restart_at(series, GYRO, span[0])
     _draw_line(axes[0], series, roll, rows, get_colour(colour), GYRO)
     _draw_truth(axes[0], series, rows)
@@ -41,7 +41,7 @@ def draw_drift(axes: Sequence[Axes], series: Series, span: Span, colour: int) ->
 def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int], spans: Sequence[Span]) -> None:
     """Draw figures 6 and 7: roll by each method over each of the spans, the truth on top."""
     for ax, span in zip(axes, spans, strict=True):
-        rows = _within(series, span)
+        rows = _find_rows(series, span)
         for method, colour in methods.items():
             roll = restart_at(series, method, span[0]) if method == GYRO else series.roll_deg[method]
             _draw_line(ax, series, roll, rows, get_colour(colour), method)
@@ -50,7 +50,7 @@ def draw_rolls(axes: Sequence[Axes], series: Series, methods: Mapping[str, int],
     axes[-1].set_xlabel("time (s)")
 
 
-def _within(series: Series, span: Span) -> slice:
+def _find_rows(series: Series, span: Span) -> slice:
     first, last = series.t_s.searchsorted(span)
     return slice(int(first), int(last))
 

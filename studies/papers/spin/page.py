@@ -58,13 +58,13 @@ def spin_page(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online:
         facts=_facts(scenario, first, online, methods, trials),
         scenario=scenario.name,
         counted=_count_wins(scenario, trials, online),
-        shaken=_shaken(trials.get("vibration", ())),
+        shaken=_describe_vibration(trials.get("vibration", ())),
         recorded=set(trials) <= set(RECORDED),
-        worst_of={noise: _worst_of(some) for noise, some in trials.items()},
+        worst_of={noise: _summarise_trials(some) for noise, some in trials.items()},
         metrics=_NAMED,
         of_paper=OF_PAPER,
         has_smoother=SMOOTHER in methods,
-        worst=_worst_rows(scenario, trials, online, methods),
+        worst=_list_worst_rows(scenario, trials, online, methods),
         wins=_win_rows(scenario, trials, online, methods),
         sections=[_section(noise, some, scenario, online, methods) for noise, some in trials.items()],
         command=command,
@@ -111,14 +111,14 @@ def _count_wins(scenario: Scenario, trials: Mapping[str, Sequence[Trial]], onlin
     return {**counts, "the paper": f"{printed} of {5 if online else 10}"}
 
 
-def _worst_of(trials: Sequence[Trial]) -> dict[str, str]:
+def _summarise_trials(trials: Sequence[Trial]) -> dict[str, str]:
     """Return the observation's worst angle RMSE, and the trials in which the AEKF is best or equal, by metric."""
     worst = find_worst(trials, "observation", "angle_rmse_deg")
     wins = [str(count_wins(trials, metric, OF_PAPER)["AEKF"]) for metric in METRICS]
     return {"observation": "–" if worst is None else f"{worst:.2f}", "wins": "/".join(wins)}
 
 
-def _shaken(trials: Sequence[Trial]) -> str:
+def _describe_vibration(trials: Sequence[Trial]) -> str:
     """Return a sentence: which of the paper's methods has the least errors of the rate under vibration of the motor."""
     if not trials:
         return ""
@@ -129,7 +129,7 @@ def _shaken(trials: Sequence[Trial]) -> str:
     return f"Where D5 is the vibration of the motor, of {len(trials)} trials {'; '.join(least)}."
 
 
-def _worst_rows(
+def _list_worst_rows(
     scenario: Scenario, trials: Mapping[str, Sequence[Trial]], online: bool, methods: Sequence[str]
 ) -> list[dict[str, Any]]:
     printed = scenario.printed[online].worst
