@@ -19,7 +19,7 @@ _NAMED = 3  # unknowns that a message names
 def require_connected(
     factor_keys: NDArray[np.int64],
     lengths: NDArray[np.int64],
-    variables: Sequence[int],
+    variables: Sequence[int] | NDArray[np.int64],
     describe: Callable[[int], str],
     name: str,
     may_stand_alone: Sequence[int] = (),

@@ -5,17 +5,20 @@ of gtsam's factors (factors.py), which the elimination joins with them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, M, V, X
+from numpy.typing import NDArray
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.factors import CALIBRATION, bias_steps
 from stillpoint.smoother.attitude.keys import Keys, Motion
+from stillpoint.smoother.attitude.linear.effective import eliminate_effective, find_noise, split_residuals
 from stillpoint.smoother.attitude.linear.preintegration import linearise_intervals, preintegrate
 from stillpoint.smoother.attitude.linear.rows import Indices, Rows, starts
+from stillpoint.smoother.attitude.linear.structure import Structure
 from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.samples.compound import compound_samples
 
@@ -40,20 +43,28 @@ class Chain:
     speed_weight: Floats  # (k,) 1 / sd
     placed: Indices  # (p,) states with bounded place
     place_weight: Floats  # (p,)
+    explicit: NDArray[np.bool_]  # (m,) the effective bias is an unknown of its own, since other factors have it
 
     def keys(self) -> Rows:
         """Return rows without data, for their keys."""
-        i, m = self.interval, len(self.interval)
+        whole, i = self.interval[~self.explicit], self.interval[self.explicit]
+        k, m = len(whole), len(i)
+        of_states = np.stack([X(0) + whole, V(0) + whole, X(1) + whole, V(1) + whole], axis=1)
+        of_whole = np.column_stack([of_states, B(0) + self.bias_step[~self.explicit], np.full(k, M(0))])
         imu = np.stack([X(0) + i, V(0) + i, X(1) + i, V(1) + i, C(0) + i], axis=1)
-        calibration = np.stack([C(0) + i, B(0) + self.bias_step, np.full(m, M(0))], axis=1)
-        keys = [imu.ravel(), calibration.ravel(), V(0) + self.fast, X(0) + self.placed]
-        counts = [m, m, len(self.fast), len(self.placed)]
+        calibration = np.stack([C(0) + i, B(0) + self.bias_step[self.explicit], np.full(m, M(0))], axis=1)
+        keys = [of_whole.ravel(), imu.ravel(), calibration.ravel(), V(0) + self.fast, X(0) + self.placed]
+        counts = [k, m, m, len(self.fast), len(self.placed)]
         return Rows(
             keys=np.concatenate(keys).astype(np.int64),
-            key_first=starts(np.repeat([5, 3, 1, 1], counts)),
-            count=np.repeat([_IMU, _CALIBRATION, _SPEED, _PLACE], counts),
+            key_first=starts(np.repeat([6, 5, 3, 1, 1], counts)),
+            count=np.repeat([_IMU, _IMU, _CALIBRATION, _SPEED, _PLACE], counts),
             data=np.empty(0),
         )
+
+    def with_explicit(self, intervals: Sequence[int]) -> "Chain":
+        """Return the chain with the effective biases of some intervals as unknowns of their own."""
+        return replace(self, explicit=np.isin(self.interval, intervals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +122,7 @@ def build_chain(
         speed_weight=1 / speed_sd[slow],
         placed=states[:] if bounded else states[:0],
         place_weight=1 / (p.position_sd_m * share) if bounded else np.empty(0),
+        explicit=np.zeros(m, dtype=np.bool_),
     )
 
 
@@ -152,7 +164,7 @@ def read_place(chain: Chain, values: gtsam.Values, effective: Floats, states: ra
 
 def linearise_chain(chain: Chain, place: Place) -> Floats:
     """Return the data of the chain's rows at a place, in the order of :meth:`Chain.keys`."""
-    begin, m = chain.interval - place.first, len(chain.interval)
+    begin = chain.interval - place.first
     poses, velocities = place.poses, place.velocities
     imu = linearise_intervals(
         chain.zeta,
@@ -164,21 +176,30 @@ def linearise_chain(chain: Chain, place: Place) -> Floats:
         (poses[begin], poses[begin + 1]),
         (velocities[begin], velocities[begin + 1]),
     )
-    weight = 1 / _EFFECTIVE_BIAS_SD
-    calibration = np.zeros((m, 12 + CALIBRATION + 1, 6))  # C - B - M z
-    calibration[:, :6] = np.diag(weight)
-    calibration[:, 6:12] = -np.diag(weight)
-    calibration[:, 12:-1] = -(chain.by_matrix * weight[:, None]).transpose(0, 2, 1)
-    excess = place.effective - place.biases[chain.bias_step - place.first_step] - chain.by_matrix @ place.calibration
-    calibration[:, -1] = -weight * excess
-    speed = np.zeros((len(chain.fast), 4, 3))
+    data = np.empty(sum(int(np.prod(shape)) for shape in _shapes(chain)))
+    whole, alone, calibration, speed, bound = _split_rows(chain, data)
+    by_matrix, excess = chain.by_matrix, _compute_excess(chain, place)
+    if len(alone):
+        alone[:], imu = imu[chain.explicit], imu[~chain.explicit]
+        _fill_calibration(calibration, by_matrix[chain.explicit], excess[chain.explicit])
+        by_matrix, excess = by_matrix[~chain.explicit], excess[~chain.explicit]
+    eliminate_effective(imu, by_matrix, excess, _EFFECTIVE_BIAS_SD**2, whole)
     speed[:, :3] = np.eye(3) * chain.speed_weight[:, None, None]
     speed[:, 3] = -chain.speed_weight[:, None] * velocities[chain.fast - place.first]
     where = poses[chain.placed - place.first]
-    bound = np.zeros((len(chain.placed), 7, 3))  # a step in body axes moves the place by R times it
+    bound[:, :3] = 0.0  # a step in body axes moves the place by R times it
     bound[:, 3:6] = chain.place_weight[:, None, None] * where[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
     bound[:, 6] = -chain.place_weight[:, None] * where[:, 9:]
-    return np.concatenate([part.ravel() for part in (imu, calibration, speed, bound)])
+    return data
+
+
+def _fill_calibration(rows: Floats, by_matrix: Floats, excess: Floats) -> None:
+    """Write the factors C - B - M z = 0 (m, 12 + 19 + 1, 6) of effective biases that are unknowns."""
+    weight = 1 / _EFFECTIVE_BIAS_SD
+    rows[:, :6] = np.diag(weight)
+    rows[:, 6:12] = -np.diag(weight)
+    rows[:, 12:-1] = -(by_matrix * weight[:, None]).transpose(0, 2, 1)
+    rows[:, -1] = -weight * excess
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,21 +209,74 @@ class ChainSquares:
     imu: Floats  # (m,)
     speed: Floats  # (k,)
     place: Floats  # (p,)
-    calibration: Floats  # (m,)
+    calibration: Floats  # (m,) where the effective bias is eliminated, that of the best one, as is ``imu``
 
 
 def split_squares(chain: Chain, data: Floats) -> ChainSquares:
     """Return the squared residuals in the data of the chain's rows."""
-    shapes = [
-        (len(chain.interval), 25, _IMU),
-        (len(chain.interval), 13 + CALIBRATION, _CALIBRATION),
+    whole, imu, calibration, speed, place = _split_rows(chain, data)
+    of_imu, of_calibration = np.empty(len(chain.interval)), np.empty(len(chain.interval))
+    of_imu[~chain.explicit], of_calibration[~chain.explicit] = split_residuals(whole, _EFFECTIVE_BIAS_SD**2)
+    of_imu[chain.explicit], of_calibration[chain.explicit] = _square(imu), _square(calibration)
+    return ChainSquares(of_imu, _square(speed), _square(place), of_calibration)
+
+
+def _square(rows: Floats) -> Floats:
+    """Return the squared residuals (m,) of factors (m, columns, rows)."""
+    return np.asarray((rows[:, -1] ** 2).sum(axis=1))
+
+
+def _shapes(chain: Chain) -> list[tuple[int, int, int]]:
+    """Return the shapes of the rows of IMU with calibration, IMU alone, calibration alone, speed, and place."""
+    k = int(chain.explicit.sum())
+    return [
+        (len(chain.interval) - k, 24 + CALIBRATION + 1, _IMU),
+        (k, 25, _IMU),
+        (k, 13 + CALIBRATION, _CALIBRATION),
         (len(chain.fast), 4, _SPEED),
         (len(chain.placed), 7, _PLACE),
     ]
+
+
+def _split_rows(chain: Chain, data: Floats) -> list[Floats]:
+    """Return views of the rows of each kind, column by column."""
+    shapes = _shapes(chain)
     begin = starts([int(np.prod(shape)) for shape in shapes])
-    parts = [data[begin[k] : begin[k + 1]].reshape(shape) for k, shape in enumerate(shapes)]
-    imu, calibration, speed, place = ((part[:, -1] ** 2).sum(axis=1) for part in parts)
-    return ChainSquares(imu, speed, place, calibration)
+    return [data[begin[k] : begin[k + 1]].reshape(shape) for k, shape in enumerate(shapes)]
+
+
+@dataclass(frozen=True, eq=False)
+class StepPlaces:
+    """Where a step (D,) has the changes of the chain's unknowns."""
+
+    whole: Indices  # (k, 24 + 19) of states, bias and calibration of intervals whose effective bias is eliminated
+    effective: Indices  # (m - k, 6) effective biases that are unknowns
+
+
+def find_step_places(chain: Chain, structure: Structure) -> StepPlaces:
+    """Return where the steps that :func:`step_effective` needs stand."""
+    i, step = chain.interval[~chain.explicit], chain.bias_step[~chain.explicit]
+    parts = [(X(0) + i, 6), (V(0) + i, 3), (X(1) + i, 6), (V(1) + i, 3), (B(0) + step, 6), (M(0) + 0 * i, CALIBRATION)]
+    whole = [structure.scalars(keys, size) for keys, size in parts]
+    explicit = structure.scalars(C(0) + chain.interval[chain.explicit], 6)
+    return StepPlaces(np.concatenate(whole, axis=1), explicit)
+
+
+def step_effective(chain: Chain, place: Place, data: Floats, step: Floats, places: StepPlaces) -> Floats:
+    """Return the change (m, 6) of the effective biases that belongs to a step (D,) of the rows with this data."""
+    change = np.empty((len(chain.interval), 6))
+    change[chain.explicit] = step[places.effective]
+    of_whole, whole = step[places.whole], ~chain.explicit
+    noise = find_noise(_split_rows(chain, data)[0], of_whole, _EFFECTIVE_BIAS_SD**2)
+    by_calibration = (chain.by_matrix[whole] @ of_whole[:, 24:, None])[:, :, 0]
+    change[whole] = of_whole[:, 18:24] + by_calibration + noise - _compute_excess(chain, place)[whole]
+    return change
+
+
+def _compute_excess(chain: Chain, place: Place) -> Floats:
+    """Return C - B - M z (m, 6) of all intervals."""
+    bias = place.biases[chain.bias_step - place.first_step]
+    return np.asarray(place.effective - bias - chain.by_matrix @ place.calibration)
 
 
 def poses_of(values: gtsam.Values, states: Sequence[int] | Indices) -> Floats:

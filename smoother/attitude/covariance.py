@@ -69,7 +69,7 @@ def compute_accuracy(
 
     def turns(which: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the scalars (n, 3) of the turns of states."""
-        return eliminated.structure.scalars([X(int(i)) for i in which], 3)
+        return eliminated.structure.scalars(X(0) + np.asarray(which), 3)
 
     # The product of the covariance with a column b is the covariance with b' d: here with the means of A' d.
     columns = np.zeros((len(eliminated.right), shared.shape[2]))

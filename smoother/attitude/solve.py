@@ -5,13 +5,21 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, H, X
+from gtsam.symbol_shorthand import H, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.build import Graph
-from stillpoint.smoother.attitude.chain import linearise_chain, poses_of, read_place, split_squares
+from stillpoint.smoother.attitude.chain import (
+    StepPlaces,
+    find_step_places,
+    linearise_chain,
+    poses_of,
+    read_place,
+    split_squares,
+    step_effective,
+)
 from stillpoint.smoother.attitude.factors import CALIBRATION
 from stillpoint.smoother.attitude.linear.elimination import SingularSystem, eliminate, optimise
 from stillpoint.smoother.attitude.linear.rows import Rows, flatten, join_rows
@@ -72,12 +80,25 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
+class Layout:
+    """The structure of the linear factors, and where the parts of a step (D,) stand.
+
+    To find them takes longer than to read them.
+    """
+
+    structure: Structure
+    turns: NDArray[np.int64]  # (n, 3) of the states
+    of_chain: StepPlaces
+    of_key: list[tuple[int, slice]]  # of each value
+
+
+@dataclass(frozen=True, eq=False)
 class Approach:
     """Where the iterations have come to."""
 
     values: gtsam.Values
     effective: Floats  # (m, 6)
-    structure: Structure | None  # of the linear factors; None before the first iteration
+    layout: Layout | None  # of the linear factors; None before the first iteration
     field_scale_ut: float  # scale of the magnetometer's robust weights
     q_steps_rad: tuple[float, ...] = ()  # largest turn of a state in each iteration
 
@@ -105,17 +126,15 @@ def iterate(
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
     values, effective, scale_ut = approach.values, approach.effective, approach.field_scale_ut
-    structure = approach.structure
+    layout = approach.layout
     steps: list[float] = []
     final = measured is None
     before: Floats | None = None  # turns of the last step
-    places: _Places | None = None
     while len(steps) < params.iterations:
         rows, residual = linearise(graph, values, effective, states, measured, scale_ut, params)
-        structure = structure or _find_structure(rows, states, name)
-        places = places or _find_places(structure, values, states, graph.chain.interval)
-        step = _solve_linear(rows, structure, name)
-        turns = step[places.turns]
+        layout = layout or _find_layout(graph, rows, values, states, name)
+        step = _solve_linear(rows, layout.structure, name)
+        turns = step[layout.turns]
         turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise make_unobservable(name)
@@ -123,16 +142,16 @@ def iterate(
         before = turns if longer == 1.0 else None  # after a longer step the next one does not show the rate of decay
         if turn * longer > _STEP_LIMIT_RAD:
             longer = _STEP_LIMIT_RAD / turn
-        step = step if longer == 1.0 else longer * step
-        values = values.retract(_as_vectors(step, places))
-        effective = effective + step[places.effective]
+        place = read_place(graph.chain, values, effective, states)
+        effective = effective + longer * step_effective(graph.chain, place, rows.data, step, layout.of_chain)
+        values = values.retract(_as_vectors(step if longer == 1.0 else longer * step, layout))
         rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and (turn < params.turn_limit_rad or rest < _REST_SHARE * params.turn_limit_rad):
-            return Approach(values, effective, structure, scale_ut, tuple(steps))
+            return Approach(values, effective, layout, scale_ut, tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -156,14 +175,14 @@ def solve(
         residual, errors = _find_field_errors(there.values, counted, params)
         sd_ut, lasting = params.magnetic.sd_ut * float(np.median(counted.widening)), errors.lasting
         measured = widen_for_covariance(counted, errors, params.magnetic)
-    assert there.structure is not None
+    assert there.layout is not None
     values, effective, scale_ut = there.values, there.effective, there.field_scale_ut
     rows, _ = linearise(graph, values, effective, states, measured, scale_ut, params)
     squares = split_squares(graph.chain, rows.data)
     of_chain = sum(float(part.sum()) for part in (squares.imu, squares.speed, squares.place))
     cost = float(graph.others.error(values)) + of_chain / 2
     field = scale_ut, measured, sd_ut, lasting
-    return Solution(values, effective, rows, there.structure, *field, there.q_steps_rad, residual, cost)
+    return Solution(values, effective, rows, there.layout.structure, *field, there.q_steps_rad, residual, cost)
 
 
 def _adapt_to_field(
@@ -245,38 +264,32 @@ def _solve_linear(rows: Rows, structure: Structure, name: str) -> Floats:
         raise make_unobservable(name) from error
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Where the parts of a step (D,) stand. To find them takes longer than to read them."""
-
-    turns: NDArray[np.int64]  # (n, 3) of the states
-    effective: NDArray[np.int64]  # (m, 6)
-    of_key: list[tuple[int, slice]]  # of each value
-
-
-def _find_places(structure: Structure, values: gtsam.Values, states: range, intervals: NDArray[np.int64]) -> _Places:
-    """Return where the steps of the values stand, and those of the effective biases of ``intervals`` (m,)."""
-    keys = [key for key in values.keys() if key in structure.key_number]  # noqa: SIM118 - not a dict
-    numbers = [structure.key_number[key] for key in keys]
+def _find_layout(graph: Graph, rows: Rows, values: gtsam.Values, states: range, name: str) -> Layout:
+    """Return the layout of linear factors; raises :class:`Unobservable` where nothing ties a state to the others."""
+    structure = _find_structure(rows, states, name)
+    keys = np.array(values.keys(), dtype=np.int64)
+    keys = keys[structure.has(keys)]
+    numbers = structure.numbers(keys)
     begins, sizes = structure.key_begin[numbers], structure.key_size[numbers]
-    return _Places(
-        turns=structure.scalars([X(i) for i in states], 3),
-        effective=structure.scalars([C(int(i)) for i in intervals], 6),
-        of_key=list(zip(keys, map(slice, begins.tolist(), (begins + sizes).tolist()), strict=True)),
+    return Layout(
+        structure=structure,
+        turns=structure.scalars(X(0) + np.array(states), 3),
+        of_chain=find_step_places(graph.chain, structure),
+        of_key=list(zip(keys.tolist(), map(slice, begins.tolist(), (begins + sizes).tolist()), strict=True)),
     )
 
 
-def _as_vectors(step: Floats, places: _Places) -> gtsam.VectorValues:
+def _as_vectors(step: Floats, layout: Layout) -> gtsam.VectorValues:
     """Return a step (D,) in the form in which gtsam adds it to values."""
     vectors = gtsam.VectorValues()
-    for key, rows in places.of_key:
+    for key, rows in layout.of_key:
         vectors.insert(key, step[rows])
     return vectors
 
 
 def _find_structure(rows: Rows, states: range, name: str) -> Structure:
     """Return the structure of the system; raises :class:`Unobservable` where nothing ties a state to the others."""
-    wanted = [X(i) for i in states]
+    wanted = X(0) + np.array(states)
     require_connected(rows.keys, np.diff(rows.key_first), wanted, _describe_unknown, name, may_stand_alone=(H(0),))
     return find_structure(rows, SIZES)
 

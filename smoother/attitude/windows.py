@@ -153,10 +153,10 @@ def split_windows(keys: Keys, params: KeyParams) -> list[tuple[int, int, int]]:
 
 
 def _push_added(graph: Graph, added: list[Added]) -> Graph:
-    """Return the graph with the added factors at its end."""
+    """Return the graph with the added factors at its end, and the effective biases that they have as unknowns."""
     for one in added:
         graph.others.push_back(one.factor)
-    return graph
+    return replace(graph, chain=graph.chain.with_explicit(find_effective(added)))
 
 
 def join_graphs(parts: Sequence[Graph], votes: Votes | None, past: Past | None, params: GraphParams) -> Graph:

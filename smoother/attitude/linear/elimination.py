@@ -96,7 +96,8 @@ def _eliminate(
     """Write the triangular system of each node; return whether one is singular.
 
     The front of a node is the information matrix of its scalars, those it is tied to, and the right side, above the
-    diagonal: the sum over its factors and over what remains of its children.
+    diagonal: the sum over its factors and over what remains of its children. Fronts end at the same row, so that what
+    remains of a node can stay where it is if its parent is eliminated next: of a chain, only the next state moves.
     """
     first, later, later_first, parent, factor_of_node, factor_first = tree
     node, begin, size, key_first = tied
@@ -104,22 +105,21 @@ def _eliminate(
     roots, roots_first, ties, ties_first, right = out
     m = len(parent)
     front = np.zeros((sizes[0], sizes[0]))
+    last = sizes[0] - 1
     top = int(np.int64(0))  # a plain 0 has a type of its own, for which callees compile again
     stack = np.empty(sizes[1])
-    of_rows, squares = np.empty((sizes[2], sizes[3])), np.empty(sizes[3])
-    at, column = np.zeros(m, dtype=np.int64), np.empty(sizes[3], dtype=np.int64)
+    of_rows, column = np.empty((sizes[2], sizes[3])), np.empty(sizes[3] + 1, dtype=np.int64)
+    at, entries = np.zeros(m, dtype=np.int64), np.empty(sizes[3], dtype=np.int64)
     children = np.zeros(m, dtype=np.int64)
     waiting, n_waiting = np.empty(m, dtype=np.int64), 0
+    stays = False
     for j in range(m):
         d = first[j + 1] - first[j]
-        at[j] = 0
-        width = d
-        for e in range(later_first[j], later_first[j + 1]):
-            k = later[e]
-            at[k] = width
-            width += first[k + 1] - first[k]
-        for a in range(width + 1):
-            front[a, a : width + 1] = 0.0
+        if not stays:
+            base = _place(j, first, later, later_first, last, at)
+            for a in range(base, last + 1):
+                for b in range(a, last + 1):
+                    front[a, b] = 0.0
         for e in range(factor_first[j], factor_first[j + 1]):
             _add_factor(
                 factor_of_node[e],
@@ -132,35 +132,84 @@ def _eliminate(
                 data_first,
                 first,
                 at,
-                width,
                 of_rows,
                 column,
-                squares,
+                entries,
                 front,
             )
         for _ in range(children[j]):
             n_waiting -= 1
             child = waiting[n_waiting]
-            top = _take_up(stack, top, child, first, later, later_first, at, width, front)
-        if _factorise(front, d, width):
+            top = _take_up(stack, top, child, first, later, later_first, at, front)
+        inner = base + d
+        if _factorise(front, base, inner):
             return True
-        for e in range(first[j], first[j + 1]):
-            i = e - first[j]
-            right[e] = front[i, width]
-            for b in range(i, d):
-                roots[roots_first[j] + i * d + b] = front[i, b]
-            for b in range(d, width):
-                ties[ties_first[j] + i * (width - d) + b - d] = front[i, b]
-        if parent[j] >= 0:
-            for a in range(d, width + 1):
-                row = top + (a - d) * (width + 1 - d) - d
-                for b in range(a, width + 1):  # a slice would take numba seconds to compile
+        for i in range(d):
+            right[first[j] + i] = front[base + i, last]
+            root, tie = roots_first[j] + i * d - base, ties_first[j] + i * (last - inner) - inner
+            for b in range(base + i, inner):
+                roots[root + b] = front[base + i, b]
+            for b in range(inner, last):
+                ties[tie + b] = front[base + i, b]
+        stays = False
+        if parent[j] == j + 1:
+            base = _place(j + 1, first, later, later_first, last, at)
+            stays = _stays(j, first, later, later_first, inner, at)
+            if stays:
+                _move_up(front, inner, base, first[j + 2] - first[j + 1])
+        if parent[j] >= 0 and not stays:
+            for a in range(inner, last + 1):
+                row = top + (a - inner) * (last + 1 - inner) - inner
+                for b in range(a, last + 1):  # a slice would take numba seconds to compile
                     stack[row + b] = front[a, b]
-            top += (width + 1 - d) ** 2
+            top += (last + 1 - inner) ** 2
             waiting[n_waiting] = j
             n_waiting += 1
             children[parent[j]] += 1
     return False
+
+
+@compiled
+def _place(j: int, first: Indices, later: Indices, later_first: Indices, last: int, at: Indices) -> int:
+    """Write where the nodes of a front stand, its last scalar before row ``last``, and return where it begins."""
+    row = last
+    for e in range(later_first[j + 1] - 1, later_first[j] - 1, -1):
+        row -= first[later[e] + 1] - first[later[e]]
+        at[later[e]] = row
+    at[j] = row - (first[j + 1] - first[j])
+    return int(at[j])
+
+
+@compiled
+def _stays(j: int, first: Indices, later: Indices, later_first: Indices, inner: int, at: Indices) -> bool:
+    """Return whether all nodes that node j is tied to but the first stand in the next front where they stood.
+
+    ``inner`` is the row at which the first one stood, ``at`` where they stand next.
+    """
+    row = inner
+    for e in range(later_first[j], later_first[j + 1]):
+        if e > later_first[j] and at[later[e]] != row:
+            return False
+        row += first[later[e] + 1] - first[later[e]]
+    return True
+
+
+@compiled
+def _move_up(front: Floats, source: int, target: int, d: int) -> None:
+    """Move the first d rows of what remains to the beginning of the next front, and clear the rows in between."""
+    if source == target:
+        return
+    last = len(front) - 1
+    for a in range(d):
+        for b in range(a, d):
+            front[target + a, target + b] = front[source + a, source + b]
+        for b in range(target + d, source + d):
+            front[target + a, b] = 0.0
+        for b in range(source + d, last + 1):
+            front[target + a, b] = front[source + a, b]
+    for a in range(target + d, source + d):
+        for b in range(a, last + 1):
+            front[a, b] = 0.0
 
 
 @compiled
@@ -175,33 +224,54 @@ def _add_factor(
     data_first: Indices,
     first: Indices,
     at: Indices,
-    width: int,
     of_rows: Floats,
     column: Indices,
-    squares: Floats,
+    entries: Indices,
     front: Floats,
 ) -> None:
     """Add the information of a factor to the front."""
-    n, columns = count[f], 0
-    for e in range(key_first[f], key_first[f + 1]):
-        start = at[node[e]] + begin[e] - first[node[e]]
+    n, n_keys = count[f], key_first[f + 1] - key_first[f]
+    for k in range(n_keys):  # keys in the order in which they stand in the front
+        to = k
+        while to > 0 and begin[entries[to - 1]] > begin[key_first[f] + k]:
+            entries[to] = entries[to - 1]
+            to -= 1
+        entries[to] = key_first[f] + k
+    columns = 0
+    for k in range(n_keys):
+        e = entries[k]
+        start, source = at[node[e]] + begin[e] - first[node[e]], data_first[f]
+        for other in range(key_first[f], e):
+            source += size[other] * n
         for c in range(size[e]):
             column[columns] = start + c
+            for r in range(n):
+                of_rows[r, columns] = data[source + c * n + r]
             columns += 1
-    column[columns] = width
+    column[columns] = len(front) - 1
+    for r in range(n):
+        of_rows[r, columns] = data[data_first[f + 1] - n + r]
     columns += 1
-    part = data[data_first[f] : data_first[f + 1]]
-    for c in range(columns):
-        for r in range(n):
-            of_rows[r, c] = part[c * n + r]
-    for a in range(columns):
-        total = squares[: columns - a]
-        total[:] = 0.0
-        for r in range(n):
-            if of_rows[r, a] != 0.0:
-                _add(total, of_rows[r, a], of_rows[r, a:columns])
-        for b in range(len(total)):
-            front[min(column[a], column[a + b]), max(column[a], column[a + b])] += total[b]
+    run = 0
+    while run < columns:  # of columns that follow each other in the front
+        end = run + 1
+        while end < columns and column[end] == column[end - 1] + 1:
+            end += 1
+        for a in range(end):
+            begins = max(a, run)
+            row = front[column[a], column[begins] : column[begins] + end - begins]
+            r = 0
+            while r + 3 <= n:
+                u, v, w = of_rows[r, a], of_rows[r + 1, a], of_rows[r + 2, a]
+                if u != 0.0 or v != 0.0 or w != 0.0:
+                    _add_three(
+                        row, u, v, w, of_rows[r, begins:end], of_rows[r + 1, begins:end], of_rows[r + 2, begins:end]
+                    )
+                r += 3
+            while r < n:
+                _add(row, of_rows[r, a], of_rows[r, begins:end])
+                r += 1
+        run = end
 
 
 @compiled
@@ -213,11 +283,10 @@ def _take_up(
     later: Indices,
     later_first: Indices,
     at: Indices,
-    width: int,
     front: Floats,
 ) -> int:
     """Add what remains of a child to the front, and return the top of the stack below it."""
-    total = 1
+    total, last = 1, len(front) - 1
     for e in range(later_first[child], later_first[child + 1]):
         total += first[later[e] + 1] - first[later[e]]
     top -= total * total
@@ -233,47 +302,51 @@ def _take_up(
                 target = at[later[q]]
                 _add(front[a, target : target + size], 1.0, stack[source : source + size])
                 source += size
-            front[a, width] += stack[source]
+            front[a, last] += stack[source]
             row += 1
     return top
 
 
 @compiled
-def _factorise(front: Floats, d: int, width: int) -> bool:
-    """Replace the first d rows of a front by those of its Cholesky factor, and subtract their squares from the rest.
+def _factorise(front: Floats, base: int, inner: int) -> bool:
+    """Replace rows of a front by those of its Cholesky factor, and subtract their squares from the rest.
 
-    Returns whether the first d scalars are not determined.
+    Its rows are those from ``base`` to ``inner``. Returns whether their scalars are not determined.
     """
-    for i in range(d):
-        row = front[i, i : width + 1]
-        for k in range(i):
-            _subtract(row, front[k, i], front[k, i : width + 1])
-        pivot = row[0]
-        if not pivot > 0.0:
-            return True
-        scale = 1.0 / np.sqrt(pivot)
-        for b in range(len(row)):
-            row[b] *= scale
-    for a in range(d, width):
-        row = front[a, a : width + 1]
-        k = 0
-        while k + 3 <= d:
-            u, v, w = front[k, a], front[k + 1, a], front[k + 2, a]
-            one, two, three = front[k, a : width + 1], front[k + 1, a : width + 1], front[k + 2, a : width + 1]
-            for b in range(len(row)):
-                row[b] -= u * one[b] + v * two[b] + w * three[b]
+    width = len(front)
+    for a in range(base, width):
+        row = front[a, a:width]
+        end = min(a, inner)
+        k = base
+        while k + 3 <= end:
+            _add_three(
+                row,
+                -front[k, a],
+                -front[k + 1, a],
+                -front[k + 2, a],
+                front[k, a:width],
+                front[k + 1, a:width],
+                front[k + 2, a:width],
+            )
             k += 3
-        while k < d:
-            _subtract(row, front[k, a], front[k, a : width + 1])
+        while k < end:
+            _add(row, -front[k, a], front[k, a:width])
             k += 1
+        if a < inner:
+            pivot = row[0]
+            if not pivot > 0.0:
+                return True
+            scale = 1.0 / np.sqrt(pivot)
+            for b in range(len(row)):
+                row[b] *= scale
     return False
 
 
 @compiled
-def _subtract(row: Floats, factor: float, other: Floats) -> None:
-    """Subtract a multiple of another row."""
+def _add_three(row: Floats, u: float, v: float, w: float, one: Floats, two: Floats, three: Floats) -> None:
+    """Add multiples of three other rows."""
     for b in range(len(row)):
-        row[b] -= factor * other[b]
+        row[b] += u * one[b] + v * two[b] + w * three[b]
 
 
 @compiled

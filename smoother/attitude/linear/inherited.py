@@ -36,18 +36,18 @@ class Inherited:
 def remaining_rows(eliminated: Eliminated, keys: Sequence[int]) -> Rows:
     """Return what is known of the keys, the last that were eliminated, as linear factors."""
     e, s = eliminated, eliminated.structure
-    order = sorted(s.key_number, key=lambda key: s.key_begin[s.key_number[key]])
-    node_of = {key: int(s.key_node[number]) for key, number in s.key_number.items()}
+    order = np.argsort(s.key_begin)
     found: list[list[int]] = []
     parts: list[Floats] = []
     counts = []
-    for j in sorted({node_of[key] for key in keys if key in node_of}):
-        tied = {j, *s.later[s.later_first[j] : s.later_first[j + 1]].tolist()}
+    there = np.array(keys, dtype=np.int64)
+    for j in np.unique(s.key_node[s.numbers(there[s.has(there)])]):
+        tied = np.append(s.later[s.later_first[j] : s.later_first[j + 1]], j)
         n = int(s.first[j + 1] - s.first[j])
         root = e.roots[e.roots_first[j] : e.roots_first[j + 1]].reshape(n, n)
         tie = e.ties[e.ties_first[j] : e.ties_first[j + 1]].reshape(n, -1)
         right = e.right[s.first[j] : s.first[j + 1], None]
-        found.append([key for key in order if node_of[key] in tied])
+        found.append(s.known[order[np.isin(s.key_node[order], tied)]].tolist())
         parts.append(np.hstack([root, tie, right]).T.ravel())
         counts.append(n)
     return Rows(

@@ -22,7 +22,7 @@ from stillpoint.smoother.attitude.linear.rows import Indices, starts, sums
 def compute_covariances(eliminated: Eliminated, pairs: Sequence[tuple[int, int]]) -> list[Floats]:
     """Return the covariance of the unknowns of each pair of keys, whose nodes must be tied to each other."""
     e, s = eliminated, eliminated.structure
-    numbers = np.array([[s.key_number[key] for key in pair] for pair in pairs], dtype=np.int64).reshape(-1, 2)
+    numbers = s.numbers(np.array(pairs, dtype=np.int64).ravel()).reshape(-1, 2)
     swapped = s.key_node[numbers[:, 0]] > s.key_node[numbers[:, 1]]
     numbers[swapped] = numbers[swapped][:, ::-1]
     order = np.argsort(s.key_node[numbers[:, 0]], kind="stable")

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillpoint.datasets.compiled import compiled, compiled_entry
 from stillpoint.smoother.attitude.linear.rows import Indices, Rows, starts
@@ -21,7 +22,7 @@ _END = np.iinfo(np.int64).max  # behind all states
 class Structure:
     """The order in which the D scalars of m nodes are eliminated, and which nodes each is tied to by then."""
 
-    key_number: Mapping[int, int]  # of each key
+    known: Indices  # the keys, rising; the number of a key is its place here
     key_begin: Indices  # first scalar of each key
     key_size: Indices  # its scalars
     key_node: Indices  # node of each key
@@ -34,10 +35,21 @@ class Structure:
     number: Indices  # number of the key of each entry of ``Rows.keys``
     key_first: Indices  # that of the rows for which the structure was made
 
-    def scalars(self, keys: Sequence[int], size: int) -> Indices:
+    def has(self, keys: Sequence[int] | Indices) -> NDArray[np.bool_]:
+        """Return which of the keys (K,) are unknowns of the system."""
+        return np.isin(np.asarray(keys, dtype=np.int64), self.known)
+
+    def numbers(self, keys: Sequence[int] | Indices) -> Indices:
+        """Return the numbers (K,) of keys; raises :class:`KeyError` for one that is no unknown of the system."""
+        wanted = np.asarray(keys, dtype=np.int64)
+        found = np.minimum(np.searchsorted(self.known, wanted), len(self.known) - 1)
+        if not (self.known[found] == wanted).all():
+            raise KeyError(int(wanted[self.known[found] != wanted][0]))
+        return np.asarray(found, dtype=np.int64)
+
+    def scalars(self, keys: Sequence[int] | Indices, size: int) -> Indices:
         """Return the first ``size`` scalars of each key, (K, size)."""
-        numbers = [self.key_number[key] for key in keys]
-        return np.asarray(self.key_begin[numbers][:, None] + np.arange(size))
+        return np.asarray(self.key_begin[self.numbers(keys)][:, None] + np.arange(size))
 
 
 def find_structure(rows: Rows, sizes: Mapping[int, int], last: Sequence[int] = ()) -> Structure:
@@ -84,7 +96,7 @@ def find_structure(rows: Rows, sizes: Mapping[int, int], last: Sequence[int] = (
     begin[sorted_keys] = starts(size[sorted_keys])[:-1]
     first = starts(np.bincount(node, weights=size, minlength=m).astype(np.int64))
     return Structure(
-        key_number=dict(zip(known.tolist(), range(len(known)), strict=True)),
+        known=known,
         key_begin=begin,
         key_size=size,
         key_node=node,

@@ -11,8 +11,13 @@ from scipy.spatial.transform import Rotation
 from stillpoint.datasets import Imu
 from stillpoint.smoother.attitude import chain, factors
 from stillpoint.smoother.attitude.keys import choose_keys, prepare_motion
+from stillpoint.smoother.attitude.linear.elimination import eliminate, optimise
+from stillpoint.smoother.attitude.linear.inverse import compute_covariances
+from stillpoint.smoother.attitude.linear.rows import flatten, join_rows
+from stillpoint.smoother.attitude.linear.structure import find_structure
 from stillpoint.smoother.attitude.params import GraphParams, InertialNoise, KeyParams
 from stillpoint.smoother.attitude.samples.compound import compound_samples
+from stillpoint.smoother.attitude.solve import SIZES
 
 G = 9.80665
 PARAMS = GraphParams(inertial=InertialNoise(accel_mps2_rthz=0.2))  # the bounds below are errors over this noise
@@ -47,9 +52,14 @@ def values_of(keys, attitude, tilt=None):
     return values
 
 
+def explicit_chain(motion, keys, bias_b_radps, params=PARAMS):
+    """Return the chain with the effective bias of each interval as an unknown of its own."""
+    return chain.build_chain(motion, keys, bias_b_radps, G, True, params).with_explicit(range(len(keys.t_s)))
+
+
 def squares_of(motion, keys, values, params=PARAMS, effective=None):
     """Return the squared residuals of the chain at values, with effective biases (m, 6) that are 0 by default."""
-    made = chain.build_chain(motion, keys, np.zeros(3), G, True, params)
+    made = explicit_chain(motion, keys, np.zeros(3), params)
     effective = np.zeros((len(made.interval), 6)) if effective is None else effective
     place = chain.read_place(made, values, effective, range(len(keys.t_s)))
     return chain.split_squares(made, chain.linearise_chain(made, place))
@@ -156,7 +166,7 @@ def test_an_interval_says_what_gtsam_says():
     """
     motion, keys, attitude = turning(RATE)
     bias = np.array([0.01, 0.02, -0.01])
-    made = chain.build_chain(motion, keys, bias, G, True, PARAMS)
+    made = explicit_chain(motion, keys, bias)
     random, n = np.random.default_rng(4), len(keys.t_s)
     values = values_of(keys, attitude * Rotation.from_rotvec(1e-3 * random.normal(size=(n, 3))))
     effective = 1e-3 * random.normal(size=(len(made.interval), 6)) + np.concatenate([np.zeros(3), bias])
@@ -187,7 +197,7 @@ def test_an_interval_says_what_gtsam_says():
 def test_the_chain_linearises_as_central_differences_do():
     """Every column, at attitudes, velocities and biases that are off."""
     motion, keys, attitude = turning(RATE)
-    made = chain.build_chain(motion, keys, np.array([0.01, 0.02, -0.01]), G, True, PARAMS)
+    made = explicit_chain(motion, keys, np.array([0.01, 0.02, -0.01]))
     random = np.random.default_rng(4)
     m, n = len(made.interval), len(keys.t_s)
     values = values_of(keys, attitude * Rotation.from_rotvec(0.02 * random.normal(size=(n, 3))))
@@ -234,6 +244,55 @@ def test_the_chain_linearises_as_central_differences_do():
                 column = sum(size[other >> 56] for other in keys_of[: keys_of.index(key)]) + axis
                 slope = -(after[f][:, -1] - before[f][:, -1]) / (2 * h)
                 np.testing.assert_allclose(part[:, column], slope, atol=1e-5 * max(1.0, np.abs(part[:, :-1]).max()))
+
+
+@pytest.mark.parametrize("explicit", [[], [2, 3]])
+def test_effective_biases_may_be_eliminated_beforehand(explicit):
+    """The optimum and its covariances are those with all effective biases as unknowns."""
+    motion, keys, attitude = turning(RATE)
+    every = explicit_chain(motion, keys, np.array([0.01, 0.02, -0.01]))
+    random, n = np.random.default_rng(4), len(keys.t_s)
+    values = values_of(keys, attitude * Rotation.from_rotvec(1e-3 * random.normal(size=(n, 3))))
+    at = chain.read_place(every, values, 1e-3 * random.normal(size=(n - 1, 6)), range(n))
+    known = gtsam.NonlinearFactorGraph()
+    known.push_back(gtsam.PriorFactorPose3(X(0), values.atPose3(X(0)), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)))
+    known.push_back(gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), _spread(6)))
+    known.push_back(gtsam.PriorFactorVector(M(0), np.zeros(factors.CALIBRATION), _spread(factors.CALIBRATION)))
+    priors = flatten(known.linearize(values))
+    found = []
+    for made in (every, every.with_explicit(explicit)):
+        data = chain.linearise_chain(made, at)
+        rows = join_rows([replace(made.keys(), data=data), priors])
+        structure = find_structure(rows, SIZES)
+        eliminated = eliminate(structure, rows)
+        step = optimise(eliminated)
+        change = chain.step_effective(made, at, data, step, chain.find_step_places(made, structure))
+        covariances = compute_covariances(eliminated, [(X(n - 1), X(n - 1)), (B(0), B(0)), (M(0), M(0))])
+        steps = [step[structure.scalars([key], size)[0]] for key, size in ((X(n - 1), 6), (V(3), 3), (M(0), 19))]
+        found.append([*steps, change, *covariances])
+    for wanted, got in zip(*found, strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-7 * np.abs(wanted).max())
+
+
+def test_residuals_of_an_eliminated_bias_are_those_of_the_best_one():
+    motion, keys, attitude = turning(RATE)
+    every = explicit_chain(motion, keys, np.zeros(3))
+    random, n = np.random.default_rng(4), len(keys.t_s)
+    values = values_of(keys, attitude * Rotation.from_rotvec(1e-3 * random.normal(size=(n, 3))))
+    at = chain.read_place(every, values, 1e-3 * random.normal(size=(n - 1, 6)), range(n))
+    eliminated = every.with_explicit([])
+    squares = chain.split_squares(eliminated, chain.linearise_chain(eliminated, at))
+    of_imu = chain.linearise_chain(every, at)[: 225 * (n - 1)].reshape(-1, 25, 9)
+    sd = np.repeat([1e-3, 1e-4], 3)
+    for i, columns in enumerate(of_imu):  # bias and calibration are 0, so that the calibration's factor is C / sd
+        system = np.concatenate([columns[18:24].T, np.diag(1 / sd)])
+        best = np.linalg.lstsq(system, np.concatenate([columns[24], -at.effective[i] / sd]), rcond=None)[0]
+        np.testing.assert_allclose(squares.imu[i], np.sum((columns[18:24].T @ best - columns[24]) ** 2), rtol=1e-6)
+        np.testing.assert_allclose(squares.calibration[i], np.sum(((at.effective[i] + best) / sd) ** 2), rtol=1e-6)
+
+
+def _spread(size):
+    return gtsam.noiseModel.Isotropic.Sigma(size, 0.01)
 
 
 def test_rest_factors_hold_the_attitude():
