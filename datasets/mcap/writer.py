@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -26,7 +26,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -47,8 +46,15 @@ from stillpoint.datasets.mcap.file import INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECO
 _CHUNK_BYTES = 1 << 20  # unpacked; docs/mcap.md has the sizes and speeds that it and the level were chosen by
 _CHUNK_SPAN_NS = 30_000_000_000  # of one chunk: a cut file loses at most this much of a slow sensor beside the others
 ZSTD_LEVEL = 3
+_FAST_HASH_LOG = 11  # of the levels below 0
 _PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
 _MOST_WAITING = 2 * _PACKERS  # chunks that wait to be packed: some MiB
+_LONG_LEAF = 64  # bytes: a covariance is not copied once more than needed
+_SHORT_GAP = 8  # bytes between two leaves of a message that are copied along
+_SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
+_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")  # all of a chunk's record before its packed bytes
+_INDEX_HEAD = struct.Struct("<BQHI")
+_NO_BYTES = np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,11 @@ class MessageWriter:
 
 
 class _Messages:
-    """The records of one stream, made for a slice of its rows at a time."""
+    """The records of one stream, made for a slice of its rows at a time.
+
+    All messages of a stream are equal but for a few bytes. Those that lie side by side are one run, and a run of many
+    messages is copied to its places at once.
+    """
 
     def __init__(self, stream: Stream, channel: int) -> None:
         self.topic, self.channel, self.done = stream.topic, channel, 0
@@ -179,9 +189,9 @@ class _Messages:
             lengths[leaf] = column.shape[1] if column.ndim > 1 else 1
         message_type = cdr.parse(stream.type_name, "ros2msg", cdr.definition(stream.type_name))
         layout = cdr.layout_for(message_type, lengths)
-        self.dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
-        blank = np.zeros(1, self.dtype)
-        blank["opcode"], blank["length"] = Opcode.MESSAGE, self.dtype.itemsize - RECORD_HEAD.itemsize
+        dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
+        blank = np.zeros(1, dtype)
+        blank["opcode"], blank["length"] = Opcode.MESSAGE, dtype.itemsize - RECORD_HEAD.itemsize
         blank["channel"] = channel
         raw = blank.view(np.uint8)
         for leaf, value in stream.constants.items():
@@ -190,8 +200,9 @@ class _Messages:
         for offset, word in layout.words:
             at = MESSAGE_HEAD.itemsize + offset
             raw[at : at + len(word)] = np.frombuffer(word, np.uint8)
-        self.blank = blank.view((np.void, self.dtype.itemsize))
-        self.stamped = "header.stamp.sec" in (layout.dtype.names or ())
+        self.blank, self.size = raw, dtype.itemsize  # the bytes of a message, (size,)
+        self._stamped = _SECONDS in (layout.dtype.names or ())
+        self._runs = _find_runs(dtype, raw, _list_leaves(layout.dtype, stream.columns))
 
     def take_numbers(self, count: int) -> int:
         """Return the sequence number of the next message, and count these many."""
@@ -199,21 +210,85 @@ class _Messages:
         self.done += count
         return first
 
-    def fill(self, stream: Stream, rows: slice, first: int, room: NDArray[np.uint8], step: int) -> None:
-        """Write the records of some rows into the bytes of ``room``, each ``step`` bytes after the one before.
+    def fill(self, stream: Stream, rows: slice, number: int, buffer: NDArray[np.uint8], begin: int, step: int) -> None:
+        """Write what differs among the messages of some rows into a buffer that has the rest of them.
 
-        ``first`` is the sequence number of the first row.
+        The first message begins at byte ``begin``, each next one ``step`` bytes on; ``number`` is the first one's.
         """
         t_ns = stream.t_ns[rows]
-        out: NDArray[np.void] = np.ndarray((len(t_ns),), self.dtype, room, strides=(step,))
-        out.view(self.blank.dtype)[...] = self.blank
-        out["sequence"] = np.arange(first, first + len(t_ns))
-        out["log_time"] = out["publish_time"] = t_ns
-        body = out["body"]
-        if self.stamped:
-            body["header.stamp.sec"], body["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
-        for leaf, column in stream.columns.items():
-            body[leaf] = column[rows].reshape(body[leaf].shape)
+        count = len(t_ns)
+        given = {leaf: column[rows] for leaf, column in stream.columns.items()}
+        given |= {"sequence": np.arange(number, number + count), "log_time": t_ns, "publish_time": t_ns}
+        if self._stamped:
+            seconds = t_ns // 1_000_000_000
+            given |= {_SECONDS: seconds, _NANOSECONDS: t_ns - seconds * 1_000_000_000}
+        for run in self._runs:
+            values = run.join(given, count)
+            np.ndarray((count,), values.dtype, buffer, begin + run.offset, (step,))[...] = values
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Leaves that lie side by side in a message, or nearly."""
+
+    offset: int
+    leaves: tuple[str, ...]
+    form: np.dtype[Any]  # with a field for each leaf
+    blank: NDArray[np.void]  # (1,) what lies between them
+
+    def join(self, given: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.void]:
+        """Return the bytes of these leaves for some messages, (count,)."""
+        if len(self.leaves) == 1:
+            column = given[self.leaves[0]]
+            if column.dtype == self.form[0].base and column.flags.c_contiguous:
+                return column.reshape(-1).view(self.blank.dtype)  # as it is in memory
+        values = np.empty(count, self.blank.dtype)
+        values[...] = self.blank
+        by_leaf = values.view(self.form)
+        for name in self.leaves:
+            room = by_leaf[name]
+            room[...] = given[name].reshape(room.shape)
+        return values
+
+
+def _list_leaves(body: np.dtype[Any], columns: Mapping[str, NDArray[Any]]) -> dict[str, tuple[np.dtype[Any], int]]:
+    """Return dtype and place, in a whole message, of each part that differs from message to message."""
+    fields: Any = body.fields or {}
+    of_head: Any = MESSAGE_HEAD.fields
+    leaves = {name: of_head[name][:2] for name in ("sequence", "log_time", "publish_time")}
+    stamped = [_SECONDS, _NANOSECONDS] if _SECONDS in fields else []
+    for leaf in (*stamped, *columns):
+        leaves[leaf] = fields[leaf][0], MESSAGE_HEAD.itemsize + fields[leaf][1]
+    return leaves
+
+
+def _find_runs(
+    message: np.dtype[Any], blank: NDArray[np.uint8], leaves: Mapping[str, tuple[np.dtype[Any], int]]
+) -> list[_Run]:
+    """Return the leaves in runs: neighbours with few bytes between them together, long sequences alone."""
+    runs: list[list[str]] = []
+    end = -message.itemsize
+    for leaf, (dtype, offset) in sorted(leaves.items(), key=lambda one: one[1][1]):
+        if dtype.itemsize == 0:
+            continue
+        alone = dtype.itemsize > _LONG_LEAF
+        if alone or offset - end > _SHORT_GAP:
+            runs.append([])
+        runs[-1].append(leaf)
+        end = -message.itemsize if alone else offset + dtype.itemsize
+    forms = []
+    for run in runs:
+        first, (last, last_at) = leaves[run[0]][1], leaves[run[-1]]
+        spec: Any = {
+            "names": run,
+            "formats": [leaves[leaf][0] for leaf in run],
+            "offsets": [leaves[leaf][1] - first for leaf in run],
+            "itemsize": last_at + last.itemsize - first,
+        }
+        form = np.dtype(spec)
+        between = blank[first : first + form.itemsize].copy().view((np.void, form.itemsize))
+        forms.append(_Run(first, tuple(run), form, between))
+    return forms
 
 
 _Laid = tuple[NDArray[np.uint8], Mapping[int, NDArray[np.void]]]  # the bytes of messages, and their message indexes
@@ -236,21 +311,22 @@ class _Part:
 
     size: int  # bytes
     turn: int  # from a message to the next of its topic, where the topics follow each other in turn; else 0
+    blank: NDArray[np.uint8]  # (size,) the bytes where the topics follow each other in turn, without what differs
     topics: Sequence[_Rows]
 
     def lay_out(self) -> _Laid:
         """Return the messages and their indexes."""
-        buffer = np.empty(self.size, np.uint8)
+        buffer = self.blank.copy() if self.turn else np.empty(self.size, np.uint8)
         indexes = {}
         for one in self.topics:
-            maker, size = one.maker, one.maker.dtype.itemsize
-            if self.turn:  # the records lie evenly, so that they are written where they belong
-                maker.fill(one.stream, one.rows, one.number, buffer[int(one.offsets[0]) :], self.turn)
+            maker, count = one.maker, len(one.offsets)
+            if self.turn:
+                maker.fill(one.stream, one.rows, one.number, buffer, int(one.offsets[0]), self.turn)
             else:
-                records = np.empty(len(one.offsets) * size, np.uint8)
-                maker.fill(one.stream, one.rows, one.number, records, size)
-                windows(buffer, size)[one.offsets] = records.view((np.void, size))
-            entries = np.empty(len(one.offsets), INDEX_ENTRY)
+                records = np.tile(maker.blank, count)
+                maker.fill(one.stream, one.rows, one.number, records, 0, maker.size)
+                windows(buffer, maker.size)[one.offsets] = records.view((np.void, maker.size))
+            entries = np.empty(count, INDEX_ENTRY)
             entries["log_time"], entries["offset"] = one.stream.t_ns[one.rows], one.offsets
             indexes[maker.channel] = entries
         return buffer, indexes
@@ -302,6 +378,7 @@ class _Group:
         self.open: _OpenChunk | None = None
         self.size = 0  # bytes of all messages so far
         self.start_ns: int | None = None  # of the first message
+        self.blanks: dict[tuple[int, ...], NDArray[np.uint8]] = {}  # by the channels that follow each other in turn
 
     def next_ns(self, until_ns: int | None) -> float:
         """Return the time at which the next chunk begins, or, where there is no message yet, cannot begin before."""
@@ -327,7 +404,7 @@ class _Group:
         if not makers:
             return
         streams = [by_topic[maker.topic] for maker in makers]
-        order = _put_in_order([np.asarray(stream.t_ns) for stream in streams], [m.dtype.itemsize for m in makers])
+        order = _put_in_order([np.asarray(stream.t_ns) for stream in streams], [maker.size for maker in makers])
         if self.start_ns is None:
             self.start_ns = order.time_of(0)
         first = 0
@@ -344,10 +421,21 @@ class _Group:
                 if len(offsets):
                     rows.append(_Rows(maker, stream, own, maker.take_numbers(len(offsets)), offsets))
             begin = order.end_of(first - 1) if first else 0
-            part = _Part(order.end_of(last - 1) - begin, order.turn, rows)
+            size = order.end_of(last - 1) - begin
+            blank = self._find_blank(makers, begin % order.turn, size) if order.turn else _NO_BYTES
+            part = _Part(size, order.turn, blank, rows)
             self._append((number, span), order.time_of(first), part)
             first = last
         self.size += order.end_of(order.count - 1)
+
+    def _find_blank(self, makers: Sequence[_Messages], begin: int, size: int) -> NDArray[np.uint8]:
+        """Return messages that follow each other in turn, without what differs, from a byte of the first turn on."""
+        key = tuple(maker.channel for maker in makers)
+        have = self.blanks.get(key)
+        if have is None or len(have) < begin + size:
+            turn = np.concatenate([maker.blank for maker in makers])
+            have = self.blanks[key] = np.tile(turn, -(-(begin + max(size, _CHUNK_BYTES)) // len(turn)) + 1)
+        return have[begin : begin + size]
 
     def _append(self, key: tuple[int, int], first_ns: int, part: _Part) -> None:
         if self.open is not None and self.open.key != key:
@@ -489,20 +577,49 @@ _OF_THREAD = threading.local()
 
 @dataclass(frozen=True)
 class _Packed:
-    """A chunk as it goes into the file."""
+    """The record of a chunk and those of its message indexes, as they go into the file, and what the summary says."""
 
-    data: bytes
-    size: int  # unpacked
-    crc: int
-    indexes: Mapping[int, NDArray[np.void]]
+    records: bytes
+    index: ChunkIndex  # with offsets from the beginning of ``records``
+    counts: Mapping[int, int]  # messages by channel
 
 
 def _pack(lay_out: Callable[[], _Laid], level: int) -> _Packed:
     """Lay out a chunk, and return it packed; most of it is computed without the interpreter's lock."""
     if not hasattr(_OF_THREAD, "compressor"):  # one cannot work for two threads; a file has threads of its own
-        _OF_THREAD.compressor = zstandard.ZstdCompressor(level=level)
+        _OF_THREAD.compressor = _make_compressor(level)
     buffer, indexes = lay_out()
-    return _Packed(_OF_THREAD.compressor.compress(buffer.data), len(buffer), crc32(buffer.data), indexes)
+    data, crc = _OF_THREAD.compressor.compress(buffer.data), crc32(buffer.data)
+    first = min(int(entries["log_time"][0]) for entries in indexes.values())
+    last = max(int(entries["log_time"][-1]) for entries in indexes.values())
+    length = _CHUNK_HEAD.size - RECORD_HEAD.itemsize + len(data)
+    records = [_CHUNK_HEAD.pack(Opcode.CHUNK, length, first, last, len(buffer), crc, 4, b"zstd", len(data)), data]
+    end = chunk_length = _CHUNK_HEAD.size + len(data)
+    offsets, counts = {}, {}
+    for channel, entries in indexes.items():
+        offsets[channel], counts[channel] = end, len(entries)
+        records += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes), entries.data]
+        end += _INDEX_HEAD.size + entries.nbytes
+    index = ChunkIndex(
+        message_start_time=first,
+        message_end_time=last,
+        chunk_start_offset=0,
+        chunk_length=chunk_length,
+        message_index_offsets=offsets,
+        message_index_length=end - chunk_length,
+        compression="zstd",
+        compressed_size=len(data),
+        uncompressed_size=len(buffer),
+    )
+    return _Packed(b"".join(records), index, counts)
+
+
+def _make_compressor(level: int) -> zstandard.ZstdCompressor:
+    """Return a compressor of chunks; at the fast levels, with a table of matches that stays in the first cache."""
+    if level > 0:
+        return zstandard.ZstdCompressor(level=level)
+    settings = zstandard.ZstdCompressionParameters.from_level(level, source_size=_CHUNK_BYTES, hash_log=_FAST_HASH_LOG)
+    return zstandard.ZstdCompressor(compression_params=settings)
 
 
 class _Writer:
@@ -571,37 +688,12 @@ class _Writer:
 
     def _write_chunk(self, packed: _Packed) -> None:
         """Write one chunk and its message indexes."""
-        indexes = packed.indexes
-        first = min(int(entries["log_time"][0]) for entries in indexes.values())
-        last = max(int(entries["log_time"][-1]) for entries in indexes.values())
-        chunk = Chunk(
-            compression="zstd",
-            data=packed.data,
-            message_start_time=first,
-            message_end_time=last,
-            uncompressed_crc=packed.crc,
-            uncompressed_size=packed.size,
-        )
-        at, length = self.record(chunk)
-        offsets, start = {}, self.position
-        for channel, entries in indexes.items():
-            offsets[channel] = self.position
-            data = entries.tobytes()
-            self.write_bytes(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data)) + data)
-            self.counts[channel] = self.counts.get(channel, 0) + len(entries)
-        self.chunks.append(
-            ChunkIndex(
-                message_start_time=first,
-                message_end_time=last,
-                chunk_start_offset=at,
-                chunk_length=length,
-                message_index_offsets=offsets,
-                message_index_length=self.position - start,
-                compression="zstd",
-                compressed_size=len(packed.data),
-                uncompressed_size=packed.size,
-            )
-        )
+        at = self.position
+        self.write_bytes(packed.records)
+        places = {channel: at + offset for channel, offset in packed.index.message_index_offsets.items()}
+        self.chunks.append(replace(packed.index, chunk_start_offset=at, message_index_offsets=places))
+        for channel, count in packed.counts.items():
+            self.counts[channel] = self.counts.get(channel, 0) + count
 
     def finish(self) -> None:
         """Write the chunks that wait, the end of the data section, the summary with its CRC, the footer."""
