@@ -10,10 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex, Footer, MetadataIndex, Statistics
-from numpy.typing import NDArray
 from zlib_ng.zlib_ng import crc32
 
 from stillpoint.datasets.errors import BadFile
@@ -26,7 +24,6 @@ from stillpoint.datasets.mcap.scan import (
     Scan,
     iterate_records,
     parse_record,
-    read_offsets,
     unpack_chunk,
 )
 
@@ -192,15 +189,15 @@ def _end(chunk: ChunkIndex) -> int:
     return chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
 
 
-def _unpack(data: bytes, index: ChunkIndex) -> tuple[bytes, list[NDArray[np.int64]]]:
-    """Return the bytes of a chunk, and the offsets in the message indexes behind it."""
+def _unpack(data: bytes, index: ChunkIndex) -> tuple[bytes, list[bytes]]:
+    """Return the bytes of a chunk, and the message indexes behind it."""
     unpacked = b""
     listed = []
     for opcode, body in iterate_records(data):
         if opcode == Opcode.CHUNK:
             unpacked = unpack_chunk(parse_record(Chunk, body))
         elif opcode == Opcode.MESSAGE_INDEX:
-            listed.append(read_offsets(body))
+            listed.append(body)
     if len(unpacked) != index.uncompressed_size:
         raise DamagedError("a chunk has another size than its index says")
     return unpacked, listed

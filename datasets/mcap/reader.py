@@ -40,7 +40,7 @@ Columns = Mapping[str, tuple[str, ...]]  # name of a column -> the leaves side b
 class Part:
     """Messages of a topic that agree in what leaves they have and in their shapes."""
 
-    rows: NDArray[np.int64]  # (M,) their places among the messages of the topic
+    rows: NDArray[np.int64]  # (M,) their places among the messages of the topic, rising
     columns: dict[str, NDArray[Any]]  # leaf -> (M,) or (M, k); strings as bytes
 
 
@@ -227,6 +227,7 @@ class _Gather:
         self.columns = columns
         self.refusal = ""
         self.count = 0
+        self.room = 0  # for how many messages arrays are made: as many as the last piece had
         self.t_ns = _Growing()
         self.rows: dict[Any, _Growing] = {}  # by the leaves and shapes that the messages agree in
         self.found: dict[Any, dict[str, _Growing]] = {}
@@ -253,52 +254,48 @@ class _Gather:
         if self.refusal:
             return
         heads = block.heads[channel]
-        if (heads["log_time"] > np.iinfo(np.int64).max).any():
+        t_ns = self.t_ns.add(len(heads), np.dtype(np.int64))
+        t_ns[...] = heads["log_time"]
+        if (t_ns < 0).any():
             self.refusal = "a log time lies beyond 2^63 ns"
             return
-        self.t_ns.add(len(heads), np.dtype(np.int64))[:] = heads["log_time"]
         try:
+            if channel in block.steps:
+                size = int(heads["length"][0]) + RECORD_HEAD.itemsize
+                form = np.dtype((np.void, size))
+                step = (block.steps[channel],)
+                self._take_equal(np.ndarray((len(rows),), form, block.data, int(offsets[0]), step), rows, size)
+                return
             for length in _list_once(heads["length"]):
                 same = heads["length"] == length
                 some = slice(None) if same.all() else same
-                self._take_equal(block.data, offsets[some], rows[some], length + RECORD_HEAD.itemsize)
+                size = length + RECORD_HEAD.itemsize
+                self._take_equal(take_records(block.data, size, offsets[some]), rows[some], size)
         except cdr.Undecodable as error:
             self.refusal = str(error)
             self.found.clear()
 
-    def _take_equal(self, data: bytes, offsets: NDArray[np.int64], rows: NDArray[np.int64], size: int) -> None:
+    def _take_equal(self, records: NDArray[np.void], rows: NDArray[np.int64], size: int) -> None:
         """Take messages of equal length: those that one layout fits together, then the rest by the next layout."""
-        records = take_records(data, size, offsets)
         view = self.views.get(size)
         while len(rows):
             if view is None:
-                view = _View(cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :]))
+                layout = cdr.layout_of(self.type, records[0].tobytes()[MESSAGE_HEAD.itemsize :])
+                view = _View(layout, self.columns)
             fits = view.fits(records)
             if fits.all():
                 self.views[size] = view
-                self._keep(rows, records.view(view.dtype)["body"])
+                self._keep(rows, records, view)
                 return
             if fits.any():
-                self._keep(rows[fits], records[fits].view(view.dtype)["body"])
+                self._keep(rows[fits], records[fits], view)
                 records, rows = records[~fits], rows[~fits]
             view = None
 
-    def _keep(self, rows: NDArray[np.int64], body: NDArray[np.void]) -> None:
+    def _keep(self, rows: NDArray[np.int64], records: NDArray[np.void], view: "_View") -> None:
         """Copy the wanted leaves of messages that one layout fits."""
-        leaves: Any = body.dtype.fields or {}
-        wanted = {leaf: (leaf,) for leaf in leaves} if self.columns is None else self.columns
-        forms = {}
-        for name, parts in wanted.items():
-            if not all(part in leaves for part in parts):
-                raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
-            base, shape = leaves[parts[0]][0].base, leaves[parts[0]][0].shape
-            forms[name] = (base, shape) if len(parts) == 1 else (np.dtype(np.float64), (len(parts),))
-        for name, room in self._make_room(rows, forms).items():
-            if len(wanted[name]) == 1:
-                room[...] = body[wanted[name][0]]
-            else:
-                for k, part in enumerate(wanted[name]):
-                    room[:, k] = body[part]
+        for name, room in self._make_room(rows, view.forms).items():
+            view.copy(name, records, room)
 
     def _keep_columns(self, rows: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
         """Keep rows that were taken before."""
@@ -312,15 +309,16 @@ class _Gather:
         """Note the places of more messages with columns of these forms; return the room for each column."""
         key = tuple((name, base.kind, shape) for name, (base, shape) in forms.items())
         if key not in self.found:
-            self.rows[key] = _Growing()
-            self.found[key] = {name: _Growing() for name in forms}
+            self.rows[key] = _Growing(self.room)
+            self.found[key] = {name: _Growing(self.room) for name in forms}
         self.rows[key].add(len(rows), rows.dtype)[:] = rows
         return {name: self.found[key][name].add(len(rows), base, shape) for name, (base, shape) in forms.items()}
 
     def release(self, path: Path, name: str, type_name: str, until_ns: int | None) -> Topic:
         """Return what was collected before a time (None: everything), by time; the rest stays."""
         topic = self._topic(path, name, type_name)
-        self.count, self.t_ns, self.rows, self.found = 0, _Growing(), {}, {}
+        self.room = max(self.room, self.count)
+        self.count, self.t_ns, self.rows, self.found = 0, _Growing(self.room), {}, {}
         if until_ns is None:
             return topic
         before = cut_topic(topic, last_ns=until_ns - 1)
@@ -329,9 +327,10 @@ class _Gather:
         if self.count:
             self.t_ns.add(self.count, np.dtype(np.int64))[:] = topic.t_ns[n:]
         for part in topic.parts:
-            rest = part.rows >= n
-            if rest.any():
-                self._keep_columns(part.rows[rest] - n, {leaf: values[rest] for leaf, values in part.columns.items()})
+            first = int(np.searchsorted(part.rows, n))
+            if first < len(part.rows):
+                rest = {leaf: values[first:] for leaf, values in part.columns.items()}
+                self._keep_columns(part.rows[first:] - n, rest)
         return before
 
     def _topic(self, path: Path, name: str, type_name: str) -> Topic:
@@ -362,19 +361,21 @@ def cut_topic(topic: Topic, first_ns: int | None = None, last_ns: int | None = N
     last = len(topic.t_ns) if last_ns is None else int(np.searchsorted(topic.t_ns, last_ns, side="right"))
     parts = []
     for part in topic.parts:
-        inside = (part.rows >= first) & (part.rows < last)
-        if inside.all():
-            parts.append(Part(part.rows - first, part.columns))
-        elif inside.any():
-            cut = {name: values[inside] for name, values in part.columns.items()}
-            parts.append(Part(part.rows[inside] - first, cut))
+        inside = slice(*np.searchsorted(part.rows, [first, last]).tolist())
+        rows = part.rows[inside]
+        if len(rows):
+            parts.append(Part(rows - first, {name: values[inside] for name, values in part.columns.items()}))
     return replace(topic, t_ns=topic.t_ns[first:last], parts=tuple(parts))
 
 
 class _View:
-    """A layout as it looks at whole records."""
+    """A layout as it looks at whole records, and the columns to take from them.
 
-    def __init__(self, layout: cdr.Layout) -> None:
+    ``columns`` are the leaves of each column; None: each leaf is one. Raises :class:`cdr.Undecodable` where the layout
+    lacks one.
+    """
+
+    def __init__(self, layout: cdr.Layout, columns: Columns | None) -> None:
         self.dtype = np.dtype([*MESSAGE_HEAD.descr, ("body", layout.dtype)])
         self.words = [int.from_bytes(word, "little") for _, word in layout.words]
         self.of_words = np.dtype(
@@ -385,6 +386,35 @@ class _View:
                 "itemsize": self.dtype.itemsize,
             }
         )
+        leaves: Any = layout.dtype.fields or {}
+        self._columns = {leaf: (leaf,) for leaf in leaves} if columns is None else columns
+        self.forms: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}  # of each column: dtype, shape of a row
+        self._places: dict[str, int] = {}  # of columns that lie in the message as they do in memory
+        for name, parts in self._columns.items():
+            if not all(part in leaves for part in parts):
+                raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
+            base, shape = leaves[parts[0]][0].base, leaves[parts[0]][0].shape
+            self.forms[name] = (base, shape) if len(parts) == 1 else (np.dtype(np.float64), (len(parts),))
+            first = leaves[parts[0]][1]
+            if len(parts) > 1 and all(
+                leaves[part] == (np.dtype(np.float64), first + k * 8) for k, part in enumerate(parts)
+            ):
+                self._places[name] = MESSAGE_HEAD.itemsize + first
+
+    def copy(self, name: str, records: NDArray[np.void], room: NDArray[Any]) -> None:
+        """Copy one column of some records."""
+        parts = self._columns[name]
+        if name in self._places:
+            row = np.dtype((np.void, room.itemsize * room.shape[1]))
+            place: Any = {"names": ["row"], "formats": [row], "offsets": [self._places[name]]}
+            room.view(row)[:, 0] = records.view(np.dtype({**place, "itemsize": records.itemsize}))["row"]
+            return
+        body = records.view(self.dtype)["body"]
+        if len(parts) == 1:
+            room[...] = body[parts[0]]
+        else:
+            for k, part in enumerate(parts):
+                room[:, k] = body[part]
 
     def fits(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
         """Return which records have the lengths of the message that the layout was made from."""
@@ -410,18 +440,19 @@ class _Growing:
     and not twice, as pieces and as their sum.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, room: int = 0) -> None:
         self.array: NDArray[Any] = np.empty(0, np.int64)
-        self.count = 0
+        self.count, self._least = 0, room
 
     def add(self, n: int, dtype: np.dtype[Any], shape: tuple[int, ...] = ()) -> NDArray[Any]:
         """Return room for n more rows, to be filled; of strings, the wider ones widen all."""
         end = self.count + n
-        dtype = dtype.newbyteorder("=")
-        if self.count:
-            dtype = np.promote_types(dtype, self.array.dtype)
+        if dtype != self.array.dtype:
+            dtype = dtype.newbyteorder("=")
+            if self.count:
+                dtype = np.promote_types(dtype, self.array.dtype)
         if end > len(self.array) or dtype != self.array.dtype:
-            array = np.empty((max(end, 2 * len(self.array)), *shape), dtype)
+            array = np.empty((max(end, 2 * len(self.array), self._least), *shape), dtype)
             if self.count:
                 array[: self.count] = self.array[: self.count]
             self.array = array

@@ -8,8 +8,9 @@ raises :class:`~stillpoint.datasets.errors.BadFile`.
 import bz2
 import io
 import struct
+import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -41,7 +42,12 @@ from stillpoint.datasets.files.remote import open_binary
 from stillpoint.datasets.mcap.file import FOOTER_SIZE, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, RECORD_HEAD, take_records
 
 LOOSE_BYTES = 1 << 20  # messages outside chunks are handed out in blocks of about this size
+_MOST_IN_TURN = 16  # topics that follow each other in turn
 _HEAD = struct.Struct("<BQ")
+_CHANNEL = struct.Struct("<H")  # behind the head of a message
+_CHUNK = struct.Struct("<QQQII")  # times of the first and the last message, size, checksum, letters of the compression
+_MOST_LETTERS = 16
+_LENGTH = struct.Struct("<Q")  # of the packed bytes of a chunk
 Record = TypeVar(
     "Record", Schema, Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Attachment, AttachmentIndex, DataEnd, Footer,
     Statistics,
@@ -59,6 +65,7 @@ class Block:
     data: bytes
     offsets: dict[int, NDArray[np.int64]]
     heads: dict[int, NDArray[np.void]]  # MESSAGE_HEAD
+    steps: dict[int, int] = field(default_factory=dict)  # of channels whose messages have one length and lie evenly
 
 
 class Scan:
@@ -103,7 +110,7 @@ class Scan:
     def _data_section(self, records: "_Records") -> Iterator[Block]:
         """Yield all records up to the one that ends the data; what came whole before a damage is handed out first."""
         chunk: bytes | None = None
-        listed: list[NDArray[np.int64]] = []
+        listed: list[bytes] = []  # the message indexes of the chunk
         loose = bytearray()
         damage: DamagedError | None = None
         try:
@@ -117,9 +124,9 @@ class Scan:
                         yield self.read_block(bytes(loose))
                         loose.clear()
                 elif opcode == Opcode.CHUNK:
-                    chunk = unpack_chunk(parse_record(Chunk, body))
+                    chunk = _unpack_record(body)
                 elif opcode == Opcode.MESSAGE_INDEX:
-                    listed.append(read_offsets(body))
+                    listed.append(body)
                 else:
                     self.take_fact(opcode, body)
         except DamagedError as error:
@@ -149,21 +156,28 @@ class Scan:
                 raise DamagedError(f"the checksum of the attachment {attachment.name} differs")
             self.attachments[attachment.name] = attachment.data
 
-    def read_block(self, data: bytes, listed: Sequence[NDArray[np.int64]] = ()) -> Block:
-        """Find the messages in the bytes of a chunk; ``listed`` are the offsets in its message indexes, a hint."""
-        offsets, others = _records_of(data, np.concatenate(listed) if listed else np.empty(0, np.int64))
+    def read_block(self, data: bytes, listed: Sequence[bytes] = ()) -> Block:
+        """Find the messages in the bytes of a chunk; its message indexes are a hint."""
+        block = _find_turns(data) or self._find_messages(data, listed)
+        for channel, heads in block.heads.items():
+            if channel not in self.channels:
+                raise DamagedError(f"a message belongs to channel {channel}, which is not declared")
+            self.counts[channel] = self.counts.get(channel, 0) + len(heads)
+        return block
+
+    def _find_messages(self, data: bytes, listed: Sequence[bytes]) -> Block:
+        """Find the messages in the bytes of a chunk in any order, and take the other records in it."""
+        places = [read_offsets(body) for body in listed]
+        offsets, others = _records_of(data, np.concatenate(places) if places else np.empty(0, np.int64))
         for opcode, begin, end in others:
             self.take_fact(opcode, data[begin:end])
         block = Block(data, {}, {})
         channels = take_records(data, MESSAGE_HEAD.itemsize, offsets).view(MESSAGE_HEAD)["channel"]
         present = np.flatnonzero(np.bincount(channels)).tolist()
         for channel in present:
-            if channel not in self.channels:
-                raise DamagedError(f"a message belongs to channel {channel}, which is not declared")
             own = offsets if len(present) == 1 else offsets[channels == channel]
             block.offsets[channel] = own
             block.heads[channel] = take_records(data, MESSAGE_HEAD.itemsize, own).view(MESSAGE_HEAD)
-            self.counts[channel] = self.counts.get(channel, 0) + len(own)
         return block
 
     def _read_summary(self, rest: bytes) -> None:
@@ -190,11 +204,11 @@ class _Records:
 
     def __init__(self, file: IO[bytes], size: int) -> None:
         self.file, self.size = file, size
-        self.start = file.tell()
+        self.start = self._end = file.tell()
         self.ended = False  # the record that ends the data was read
 
     def _next(self) -> tuple[bytes, bytes]:
-        self.start = self.file.tell()
+        self.start = self._end
         head = self.file.read(_HEAD.size)
         if len(head) < _HEAD.size:
             raise DamagedError("it ends within a record")
@@ -202,6 +216,7 @@ class _Records:
         left = self.size - self.start - _HEAD.size
         if opcode == 0 or length > left:
             raise DamagedError(f"a record of kind {opcode} claims {length} bytes, {left} are left")
+        self._end += _HEAD.size + length
         return head, self.file.read(length)
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
@@ -265,16 +280,33 @@ def parse_record(kind: type[Record], body: bytes) -> Record:
 
 def unpack_chunk(chunk: Chunk) -> bytes:
     """Return the bytes of a chunk, tested against its length and its checksum."""
+    return _unpack_checked(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
+
+
+def _unpack_record(body: bytes) -> bytes:
+    """Return what :func:`unpack_chunk` returns, from the body of a chunk's record, which is not copied."""
+    if len(body) >= _CHUNK.size:
+        _, _, size, crc, letters = _CHUNK.unpack_from(body)
+        begin = _CHUNK.size + letters + _LENGTH.size
+        if letters <= _MOST_LETTERS and begin <= len(body):
+            name = body[_CHUNK.size : _CHUNK.size + letters].decode("utf-8", "replace")
+            (length,) = _LENGTH.unpack_from(body, begin - _LENGTH.size)
+            if begin + length == len(body):
+                return _unpack_checked(memoryview(body)[begin:], name, size, crc)
+    return unpack_chunk(parse_record(Chunk, body))
+
+
+def _unpack_checked(packed: bytes | memoryview, compression: str, size: int, crc: int) -> bytes:
     try:
-        data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
+        data = unpack(packed, compression, size)
     except ValueError as error:
         raise DamagedError(str(error)) from error
-    if chunk.uncompressed_crc not in (0, crc32(data)):
+    if crc not in (0, crc32(data)):
         raise DamagedError("the checksum of a chunk differs")
     return data
 
 
-def unpack(packed: bytes, compression: str, size: int) -> bytes:
+def unpack(packed: bytes | memoryview, compression: str, size: int) -> bytes:
     """Return ``size`` bytes from their packed form; no more memory is taken than that.
 
     ``compression`` is zstd, lz4, bz2 or none (also ""). Raises ``ValueError`` for any other size, for one above the
@@ -286,13 +318,13 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
         if compression == "zstd":
             if packed and zstandard.frame_content_size(packed) not in (-1, size):
                 raise ValueError(f"a chunk claims {size} and {zstandard.frame_content_size(packed)} bytes")
-            data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size) if packed else b""
+            data = _find_decompressor().decompress(packed, max_output_size=size) if packed else b""
         elif compression == "lz4":
             data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
         elif compression == "bz2":
             data = bz2.BZ2Decompressor().decompress(packed, max_length=size + 1)
         elif compression in ("", "none"):
-            data = packed
+            data = bytes(packed)
         else:
             raise ValueError(f"a chunk is compressed by {compression!r}, which is not known here")
     except (zstandard.ZstdError, RuntimeError, EOFError, OSError, MemoryError) as error:
@@ -304,12 +336,71 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
     return data
 
 
+_OF_THREAD = threading.local()
+
+
+def _find_decompressor() -> zstandard.ZstdDecompressor:
+    """Return the decompressor of this thread: making one takes as long as to unpack a short chunk."""
+    if not hasattr(_OF_THREAD, "decompressor"):
+        _OF_THREAD.decompressor = zstandard.ZstdDecompressor()
+    made: zstandard.ZstdDecompressor = _OF_THREAD.decompressor
+    return made
+
+
 def read_offsets(body: bytes) -> NDArray[np.int64]:
     """Return the offsets of a message index."""
     usable = (len(body) - 6) // INDEX_ENTRY.itemsize * INDEX_ENTRY.itemsize
     if usable <= 0:
         return np.empty(0, np.int64)
     return np.frombuffer(body, INDEX_ENTRY, offset=6, count=usable // INDEX_ENTRY.itemsize)["offset"].astype(np.int64)
+
+
+def _find_turns(data: bytes) -> Block | None:
+    """Return the messages of a chunk whose channels follow each other in turn, each with one length; else None.
+
+    So the messages of one sensor nearly always lie, and those of topics with the same times.
+    """
+    first = _read_first_turn(data)
+    if not first:
+        return None
+    turn = sum(size for _, _, size in first)
+    offsets, heads = {}, {}
+    covered = 0
+    for channel, at, size in sorted(first):
+        count = (len(data) - at - size) // turn + 1
+        covered += count * size
+        # The eleven bytes of opcode, length and channel, as two overlapping numbers.
+        for begin in (at, at + _HEAD.size + _CHANNEL.size - 8):
+            numbers: NDArray[np.uint64] = np.ndarray((count,), np.dtype("<u8"), data, begin, (turn,))
+            if not bool((numbers == numbers[0]).all()):
+                return None
+        offsets[channel] = np.arange(at, at + count * turn, turn, dtype=np.int64)
+        heads[channel] = np.ndarray((count,), MESSAGE_HEAD, data, at, (turn,))
+    if covered != len(data):
+        return None
+    return Block(data, offsets, heads, dict.fromkeys(offsets, turn))
+
+
+def _read_first_turn(data: bytes) -> list[tuple[int, int, int]]:
+    """Return channel, offset and size of the first messages, up to that before the first channel comes again.
+
+    Empty where another record is among them, or where a channel comes twice.
+    """
+    found: list[tuple[int, int, int]] = []
+    at = 0
+    while at + MESSAGE_HEAD.itemsize <= len(data):
+        opcode, length = _HEAD.unpack_from(data, at)
+        (channel,) = _CHANNEL.unpack_from(data, at + _HEAD.size)
+        size = _HEAD.size + length
+        if opcode != Opcode.MESSAGE or size < MESSAGE_HEAD.itemsize or at + size > len(data):
+            return []
+        if any(channel == before for before, _, _ in found):
+            return found if channel == found[0][0] else []
+        found.append((channel, at, size))
+        if len(found) > _MOST_IN_TURN:
+            return []
+        at += size
+    return found if at == len(data) else []
 
 
 def _records_of(data: bytes, listed: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[int, int, int]]]:

@@ -7,9 +7,10 @@ file itself is what is kept. Results that are no file, and refusals, lie in a fo
 
 import os
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Generic
@@ -19,6 +20,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from stillpoint.datasets.errors import BadFile, StillpointError
+from stillpoint.datasets.files.remote import is_url
 from stillpoint.datasets.files.result_store import ResultStore, hash_code, key_of, product_version
 from stillpoint.datasets.mcap.facts import from_json, to_json
 from stillpoint.datasets.mcap.store import read_origin, sha256
@@ -30,6 +32,7 @@ from stillpoint.scripts.shared.output import print_line
 _FOLDER = "STILLPOINT_RESULTS"  # the variable that names the folder of results
 _ROW = "row"  # of the record in a file that was made: the facts that the verb prints, as JSON
 _PEERS = ("vqf", "ahrs", "imufusion", "riann")  # packages outside stillpoint whose code gives results
+_SETTLED_NS = 2_000_000_000  # a file that was changed less long ago may change again within a tick of its time
 _FEW = 64  # files whose records this process reads itself
 
 _FORCE = "Compute everything again, also what an earlier run has computed from the same files with the same settings."
@@ -65,15 +68,24 @@ class Task(Generic[Item]):
 
     item: Item
     origin: Mapping[str, str]
+    stamps: Mapping[str, "_Stamp | None"] = field(default_factory=dict)  # of inputs, by name, when they were hashed
 
     def __str__(self) -> str:
         return str(self.item)
 
-    def require_unchanged(self, name: str, digest: str) -> None:
-        """Raise :class:`BadFile` when an input is another one than when the work was planned."""
-        planned = from_json(self.origin["inputs"]).get(name, digest) if self.origin else digest
-        if planned != digest:
-            raise BadFile(f"{name}: was replaced while it was worked on; run the command again")
+    def hash_input(self, path: Path) -> str:
+        """Return the SHA-256 of an input after it was read.
+
+        It is hashed once more only where it may have changed. Raises :class:`BadFile` when it is another one than when
+        the work was planned.
+        """
+        planned = from_json(self.origin["inputs"]).get(path.name) if self.origin else None
+        if planned is not None and (stamp := self.stamps.get(path.name)) is not None and _read_stamp(path) == stamp:
+            return str(planned)
+        digest = sha256(path)
+        if planned not in (None, digest):
+            raise BadFile(f"{path.name}: was replaced while it was worked on; run the command again")
+        return digest
 
     def origin_with(self, row: Mapping[str, Any]) -> Mapping[str, str]:
         """Return the record of a file with the facts that the verb prints; empty where it has no key."""
@@ -112,14 +124,17 @@ def run_kept(
     """
     plans = [decide(item) for item in items]
     store = _Store(_find_folder(keeping.results), result)
-    origins = _describe_origins(function, plans, workers, what)
+    paths = list(dict.fromkeys(path for plan in plans for path in plan.inputs))
+    inputs = dict(zip(paths, _hash_files(paths, workers, what), strict=True))
+    origins = _describe_origins(plans, inputs, what)
     outcomes: list[Outcome[Result] | None] = [None] * len(items)
     if not keeping.force:
         made = _read_targets(plans, origins, workers, what)
         outcomes = [store.find(*of_one) for of_one in zip(plans, origins, made, strict=True)]
     missing = [place for place, outcome in enumerate(outcomes) if outcome is None]
     _say(what, len(items), len(missing))
-    tasks = [Task(items[place], origins[place]) for place in missing]
+    stamps = [{path.name: inputs[path].stamp for path in plans[place].inputs} for place in missing]
+    tasks = [Task(items[place], origins[place], stamp) for place, stamp in zip(missing, stamps, strict=True)]
 
     def keep(number: int, outcome: Outcome[Result]) -> None:
         place = missing[number]
@@ -197,15 +212,13 @@ def _find_folder(asked: Path | None) -> Path | None:
 
 
 def _describe_origins(
-    function: Callable[..., Any], plans: Sequence[Deciding], workers: Workers, what: str
+    plans: Sequence[Deciding], hashed: Mapping[Path, "_Hashed"], what: str
 ) -> list[Mapping[str, str]]:
     """Return the record of each result: its key and what the key was made of. Empty where an input cannot be read."""
-    paths = list(dict.fromkeys(path for plan in plans for path in plan.inputs))
-    digests = dict(zip(paths, _hash_files(paths, workers, what), strict=True))
     code, peers = hash_code(("scripts",))[:12], {name: _find_version(name) for name in _PEERS}
     origins: list[Mapping[str, str]] = []
     for plan in plans:
-        inputs = [(path.name, digests[path]) for path in plan.inputs]
+        inputs = [(path.name, hashed[path].digest) for path in plan.inputs]
         if any(digest is None for _, digest in inputs):
             origins.append({})
             continue
@@ -228,19 +241,51 @@ def _is_settings(value: Any) -> bool:
     return is_dataclass(value) and not isinstance(value, type)
 
 
-def _hash_files(paths: Sequence[Path], workers: Workers, what: str) -> list[str | None]:
-    """Return the SHA-256 of each file, None where it cannot be read: the work on it will say why."""
+@dataclass(frozen=True)
+class _Stamp:
+    """What the file system says about a file; it changes with the content, and where another file takes the name."""
+
+    inode: int
+    size: int
+    modified_ns: int
+    changed_ns: int
+
+
+@dataclass(frozen=True)
+class _Hashed:
+    """The SHA-256 of an input, None where it cannot be read: the work on it will say why."""
+
+    digest: str | None
+    stamp: _Stamp | None  # before it was read; None where none can be had, or where it may not show the next change
+
+
+def _hash_files(paths: Sequence[Path], workers: Workers, what: str) -> list[_Hashed]:
+    """Return the SHA-256 of each file."""
     if workers.scheduler is not None:
-        return [outcome.value for outcome in run_jobs(sha256, paths, workers, f"{what}: hash")]
+        return [_Hashed(outcome.value, None) for outcome in run_jobs(sha256, paths, workers, f"{what}: hash")]
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # hashing lets other threads run
         return list(threads.map(_hash_file, paths))
 
 
-def _hash_file(path: Path) -> str | None:
+def _hash_file(path: Path) -> _Hashed:
+    stamp = _read_stamp(path)
+    if stamp is not None and time.time_ns() - stamp.changed_ns < _SETTLED_NS:
+        stamp = None
     try:
-        return sha256(path)
+        return _Hashed(sha256(path), stamp)
     except StillpointError:
+        return _Hashed(None, None)
+
+
+def _read_stamp(path: Path) -> _Stamp | None:
+    """Return the stamp of a local file, where the system tells when a file was changed."""
+    if os.name != "posix" or is_url(path):
         return None
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return _Stamp(found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
 def _read_targets(

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from stillpoint.datasets import BadRecording, Estimate
 from stillpoint.datasets.calibration.apply import apply_calibration
 from stillpoint.datasets.mcap.pieces import PieceReader, read_ahead
-from stillpoint.datasets.mcap.store import open_trajectory, sha256
+from stillpoint.datasets.mcap.store import open_trajectory
 from stillpoint.filters import estimate as run
 from stillpoint.filters.front.heading_source import Heading
 from stillpoint.filters.precision import Precision
@@ -170,8 +170,7 @@ def _run_in_pieces(task: Task[_Job]) -> dict[str, Any]:
         print_losses(job.source, reader.info)
         if last is None:
             raise BadRecording(f"{job.source}: holds no sample for {chosen.estimator}; restore it from a copy")
-        digest = sha256(job.source)
-        task.require_unchanged(job.source.name, digest)
+        digest = task.hash_input(job.source)
         last = replace(run.close(last), made_from={job.source.name: digest})
         row = _make_row(samples, last)
         out.close(last, task.origin_with(row))
@@ -181,8 +180,8 @@ def _run_in_pieces(task: Task[_Job]) -> dict[str, Any]:
 def _run_whole(task: Task[_Job]) -> dict[str, Any]:
     """Run an estimator over a recording that is read whole, corrected by a calibration where one is asked for."""
     job = task.item
-    recording, digest = open_recording(job.source), sha256(job.source)
-    task.require_unchanged(job.source.name, digest)
+    recording = open_recording(job.source)
+    digest = task.hash_input(job.source)
     known = find_calibration(job.calibration, recording, job.source, digest, _list_folders(job))
     if known is not None:
         recording = apply_calibration(recording, known, digest)

@@ -218,8 +218,8 @@ def _make_one(
 ) -> dict[str, Any]:
     """Read a recording, make its reference, write it, and return the facts of the table."""
     job = task.item
-    recording, digest = open_recording(job.source), sha256(job.source)
-    task.require_unchanged(job.source.name, digest)
+    recording = open_recording(job.source)
+    digest = task.hash_input(job.source)
     begun = perf_counter()
     if force:
         remove_windows(job.target)

@@ -7,6 +7,9 @@ import pytest
 from anything import estimates, recordings
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as OfficialWriter
 
 from stillpoint.datasets import BadFile, BadRecording, Gps, Imu, Info, Mag, Recording, Series, Truth, read, write
 from stillpoint.datasets.mcap.pieces import PieceReader
@@ -107,6 +110,46 @@ def test_an_estimate_written_in_pieces_has_the_bytes_of_one_written_at_once(tmp_
     assert write_in(folder / "a.mcap", rows) == write_in(folder / "b.mcap", len(estimate.t_ns))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"chunk_size": 1 << 20, "compression": CompressionType.ZSTD},
+        {"chunk_size": 50_000, "compression": CompressionType.LZ4},
+        {"chunk_size": 900, "compression": CompressionType.NONE},
+        {"chunk_size": 1 << 20, "index_types": IndexType.NONE},
+        {"use_chunking": False},
+    ],
+)
+def test_topics_between_each_other_in_odd_chunks_give_the_same_recording(tmp_path, options):
+    """As rosbag2 writes them: all topics in the same chunks, by time, with schemas and channels in the first one."""
+    recording = phone(n=32_000)
+    write(tmp_path / "own.mcap", recording)
+    interleave(tmp_path / "own.mcap", tmp_path / "odd.mcap", **options)
+    assert_joined([read(tmp_path / "odd.mcap")], recording)
+    assert_joined(list(PieceReader(tmp_path / "odd.mcap", most=200).recording()), recording)
+
+
+def interleave(source, target, **options):
+    """Write the messages of a file once more with another writer, by time, whatever their topic."""
+    with source.open("rb") as file, target.open("wb") as out:
+        reader, writer = make_reader(file), OfficialWriter(out, **options)
+        writer.start(profile="ros2")
+        summary = reader.get_summary()
+        schemas = {
+            old: writer.register_schema(one.name, one.encoding, one.data) for old, one in summary.schemas.items()
+        }
+        channels = {
+            old: writer.register_channel(one.topic, one.message_encoding, schemas[one.schema_id])
+            for old, one in summary.channels.items()
+        }
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        for _, channel, message in reader.iter_messages(log_time_order=True):
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+
+
 def cut(thing, rows):
     columns = {
         field.name: values[rows]
@@ -139,8 +182,6 @@ def test_streams_of_several_groups_written_in_pieces_have_the_bytes_of_one_writt
 
 
 def read_library(path):
-    from mcap.reader import make_reader
-
     with open(path, "rb") as file:
         return make_reader(file).get_header().library
 

@@ -152,3 +152,61 @@ def test_an_index_that_points_elsewhere_or_leaves_out_messages_does_not_mislead(
         struct.pack_into("<Q", broken, index + 15 + entry * 16 + 8, offset)
         (tmp_path / "y.mcap").write_bytes(broken)
         np.testing.assert_array_equal(read_log(tmp_path / "y.mcap").topics["/x"].vector("vector", XYZ), FIELD[:20])
+
+
+SIZES = {1: 40, 2: 31, 3: 77}  # bytes of a message of each channel
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        [1] * 9,
+        [1, 2] * 5,
+        [1, 2, 3] * 4 + [1, 2],
+        [1, 1, 2] * 4,
+        [1, 2, 2] * 4,
+        [1, 2] * 3 + [2, 1] * 3,
+        [3],
+        [1, 2, 3],
+    ],
+)
+def test_messages_in_turn_lie_where_a_walk_through_them_finds_them(channels):
+    data, starts = pack_messages([(channel, SIZES[channel]) for channel in channels])
+    block = scan_of(SIZES).read_block(data)
+    for channel in set(channels):
+        expected = [at for at, one in zip(starts, channels, strict=True) if one == channel]
+        assert block.offsets[channel].tolist() == expected
+        assert block.heads[channel]["log_time"].tolist() == expected
+        assert block.heads[channel]["length"].tolist() == [SIZES[channel] - 9] * len(expected)
+
+
+@pytest.mark.parametrize("odd", range(6))
+def test_one_message_of_another_length_among_those_in_turn_is_found(odd):
+    sizes = [SIZES[1]] * 6
+    sizes[odd] += 8
+    data, starts = pack_messages([(1, size) for size in sizes])
+    block = scan_of(SIZES).read_block(data)
+    assert block.offsets[1].tolist() == starts
+    assert not block.steps, "they do not lie evenly"
+
+
+@pytest.mark.parametrize("missing", [1, 9, 39])
+def test_a_chunk_that_ends_within_a_message_in_turn_is_damaged(missing):
+    data, _ = pack_messages([(1, 40)] * 5)
+    with pytest.raises(mcap_scan.DamagedError, match="chunk"):
+        scan_of(SIZES).read_block(data[:-missing])
+
+
+def scan_of(channels):
+    scan = mcap_scan.Scan("x.mcap")
+    scan.channels = dict.fromkeys(channels)
+    return scan
+
+
+def pack_messages(messages):
+    """Return records of messages of some channels and sizes, and where each begins, which is its log time too."""
+    data, starts = b"", []
+    for channel, size in messages:
+        starts.append(len(data))
+        data += struct.pack("<BQHIQQ", 5, size - 9, channel, 0, len(data), 0) + bytes(size - MESSAGE_HEAD.itemsize)
+    return data, starts

@@ -1,6 +1,8 @@
 """Results kept by content: nothing is computed twice, and whatever decides a result makes it anew when it changes."""
 
+import os
 import shutil
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +15,7 @@ from stillpoint.datasets import Estimate, write
 from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
 from stillpoint.datasets.mcap.store import read_origin, sha256
 from stillpoint.datasets.recording import Floats
+from stillpoint.scripts.shared import kept
 from stillpoint.scripts.shared.flags import LOCAL, Workers
 from stillpoint.scripts.shared.kept import REUSE, Deciding, Keeping, run_kept
 
@@ -131,7 +134,7 @@ def test_results_that_cannot_be_kept_are_given_all_the_same(tmp_path, log, capfd
 def write_estimate(task, log):
     """Work of a test: write a file that says what made it."""
     note(log, task.item.name)
-    task.require_unchanged(task.item.name, sha256(task.item))
+    task.hash_input(task.item)
     row = {"samples": 2, "sd": float("nan")}
     made = Estimate(np.array([0, 1]), "cf", q_nb=np.tile([1.0, 0, 0, 0], (2, 1)))
     write(target_of(task.item), made, origin=task.origin_with(row))
@@ -183,13 +186,51 @@ def test_a_file_that_is_not_what_was_made_is_made_anew(tmp_path, log, damage):
 def test_an_input_that_is_replaced_meanwhile_is_refused(tmp_path, log):
     def replace_first(task):
         task.item.write_text("another")
-        task.require_unchanged(task.item.name, sha256(task.item))
+        task.hash_input(task.item)
 
     paths = make_files(tmp_path / "in", "a")
     (outcome,) = run_kept(replace_first, paths, decide, LOCAL, REUSE, "measure", Figures)
     assert "was replaced while it was worked on" in outcome.error
     paths[0].write_text("a")
     assert not run(paths, log)[0].kept
+
+
+@pytest.mark.parametrize("change", ["replaced", "overwritten", "overwritten, with its old times"])
+def test_an_input_that_lay_there_for_long_is_hashed_again_only_where_it_may_have_changed(
+    tmp_path, log, monkeypatch, change
+):
+    """The stamp of a file that nothing touched stands for its content; every change of the content changes it."""
+    (path,) = make_files(tmp_path / "in", "a")
+    monkeypatch.setattr(kept, "_SETTLED_NS", 0)
+    hashed = []
+    monkeypatch.setattr(kept, "sha256", lambda one: (hashed.append(one), sha256(one))[1])
+
+    def change_it(task):
+        task.hash_input(task.item)
+        before = task.item.stat()
+        if change == "replaced":
+            other = task.item.with_name("other")
+            other.write_text("b")
+            os.replace(other, task.item)
+        else:
+            time.sleep(0.02)  # a tick of the system's clock
+            task.item.write_text("b")
+        if "old times" in change:
+            os.utime(task.item, ns=(before.st_atime_ns, before.st_mtime_ns))
+        assert hashed == [path], "once, before the work"
+        task.hash_input(task.item)
+
+    (outcome,) = run_kept(change_it, [path], decide, LOCAL, REUSE, "measure", Figures, here_up_to=1)
+    assert "was replaced while it was worked on" in outcome.error
+
+
+def test_an_input_that_was_changed_a_moment_ago_is_hashed_again(tmp_path, log, monkeypatch):
+    """Another change within the same tick of the file system's clock would not show in its times."""
+    (path,) = make_files(tmp_path / "in", "a")
+    hashed = []
+    monkeypatch.setattr(kept, "sha256", lambda one: (hashed.append(one), sha256(one))[1])
+    run_kept(lambda task: task.hash_input(task.item), [path], decide, LOCAL, REUSE, "measure", str, here_up_to=1)
+    assert hashed == [path, path]
 
 
 @pytest.mark.slow
