@@ -28,7 +28,7 @@ def from_plain(kept: Any, like: AnySaved) -> AnySaved:
     Raises :class:`BadParameter` when it is of another one, or of another version of the estimator.
     """
     try:
-        saved = _from_plain(kept, like)
+        saved = _restore_value(kept, like)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadParameter(
             f"the saved state is not one of the present {like.name} ({error}); start without it"
@@ -37,7 +37,7 @@ def from_plain(kept: Any, like: AnySaved) -> AnySaved:
     return saved
 
 
-def _from_plain(kept: Any, like: Any) -> Any:
+def _restore_value(kept: Any, like: Any) -> Any:
     if isinstance(like, np.ndarray):
         array = np.array(kept, dtype=like.dtype)
         if array.shape != like.shape:
@@ -46,9 +46,9 @@ def _from_plain(kept: Any, like: Any) -> Any:
     if hasattr(like, "_asdict"):
         if set(kept) != set(like._fields):
             raise ValueError(f"it holds {', '.join(kept)}")
-        return type(like)(*(_from_plain(kept[name], value) for name, value in like._asdict().items()))
+        return type(like)(*(_restore_value(kept[name], value) for name, value in like._asdict().items()))
     if isinstance(like, tuple):
-        return tuple(_from_plain(value, one) for value, one in zip(kept, like, strict=True))
+        return tuple(_restore_value(value, one) for value, one in zip(kept, like, strict=True))
     if isinstance(like, bool | str) or like is None:
         if type(kept) is not type(like):
             raise ValueError(f"{kept!r} stands for {like!r}")
