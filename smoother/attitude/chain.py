@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, M, V, X
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.factors import CALIBRATION, bias_steps
@@ -23,6 +24,7 @@ from stillpoint.smoother.attitude.params import GraphParams
 from stillpoint.smoother.attitude.samples.compound import compound_samples
 
 _EFFECTIVE_BIAS_SD = np.concatenate([np.full(3, 1e-3), np.full(3, 1e-4)])  # keeps C = B + M z soft enough to factorise
+_SMALL = 1e-4  # square of an angle, rad^2, below which series replace quotients
 _IMU, _CALIBRATION, _SPEED, _PLACE = 9, 6, 3, 3  # rows of each factor
 
 
@@ -251,15 +253,67 @@ class StepPlaces:
 
     whole: Indices  # (k, 24 + 19) of states, bias and calibration of intervals whose effective bias is eliminated
     effective: Indices  # (m - k, 6) effective biases that are unknowns
+    poses: Indices  # (n, 6) of the states
+    velocities: Indices  # (n, 3), D where no factor has the velocity
+    biases: Indices  # (K, 6)
+    calibration: Indices  # (19,)
 
 
-def find_step_places(chain: Chain, structure: Structure) -> StepPlaces:
-    """Return where the steps that :func:`step_effective` needs stand."""
+def find_step_places(chain: Chain, place: Place, structure: Structure) -> StepPlaces:
+    """Return where the changes of the chain's unknowns stand in a step."""
+    states = place.first + np.arange(len(place.poses))
+    velocities = np.full((len(states), 3), structure.first[-1])
+    has_velocity = structure.has(V(0) + states)
+    velocities[has_velocity] = structure.scalars(V(0) + states[has_velocity], 3)
     i, step = chain.interval[~chain.explicit], chain.bias_step[~chain.explicit]
     parts = [(X(0) + i, 6), (V(0) + i, 3), (X(1) + i, 6), (V(1) + i, 3), (B(0) + step, 6), (M(0) + 0 * i, CALIBRATION)]
     whole = [structure.scalars(keys, size) for keys, size in parts]
     explicit = structure.scalars(C(0) + chain.interval[chain.explicit], 6)
-    return StepPlaces(np.concatenate(whole, axis=1), explicit)
+    return StepPlaces(
+        whole=np.concatenate(whole, axis=1),
+        effective=explicit,
+        poses=structure.scalars(X(0) + states, 6),
+        velocities=velocities,
+        biases=structure.scalars(B(place.first_step) + np.arange(len(place.biases)), 6),
+        calibration=structure.scalars([M(0)], CALIBRATION)[0],
+    )
+
+
+def move_place(place: Place, step: Floats, places: StepPlaces) -> Place:
+    """Return the place after a step (D,) as gtsam adds it to values, with unchanged effective biases."""
+    step = np.append(step, 0.0)
+    turn, moved = step[places.poses[:, :3]], step[places.poses[:, 3:]]
+    rotations = place.poses[:, :9].reshape(-1, 3, 3)
+    where = place.poses[:, 9:] + np.einsum("kij,kj->ki", rotations, _push(turn, moved))
+    rotations = rotations @ Rotation.from_rotvec(turn).as_matrix()
+    return replace(
+        place,
+        poses=np.concatenate([rotations.reshape(-1, 9), where], axis=1),
+        velocities=place.velocities + step[places.velocities],
+        biases=place.biases + step[places.biases],
+        calibration=place.calibration + step[places.calibration],
+    )
+
+
+def find_change(before: Place, after: Place) -> tuple[Floats, Floats]:
+    """Return the steps of the poses (n, 6) and velocities (n, 3) by which gtsam moves from one place to another."""
+    back = before.poses[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
+    turn = Rotation.from_matrix(back @ after.poses[:, :9].reshape(-1, 3, 3)).as_rotvec()
+    apart = np.einsum("kij,kj->ki", back, after.poses[:, 9:] - before.poses[:, 9:])
+    along = np.stack([_push(turn, np.broadcast_to(axis, turn.shape)) for axis in np.eye(3)], axis=2)
+    moved = np.linalg.solve(along, apart[:, :, None])[:, :, 0]
+    return np.concatenate([turn, moved], axis=1), after.velocities - before.velocities
+
+
+def _push(turn: Floats, moved: Floats) -> Floats:
+    """Return by how much the exponential of steps (n, 3) moves the place, in the axes at its beginning."""
+    square = (turn**2).sum(axis=1)[:, None]
+    small = square < _SMALL
+    angle = np.sqrt(np.where(small, 1.0, square))
+    once = np.where(small, 0.5 - square / 24, (1 - np.cos(angle)) / angle**2)
+    twice = np.where(small, 1 / 6 - square / 120, (angle - np.sin(angle)) / angle**3)
+    across = np.cross(turn, moved)
+    return np.asarray(moved + once * across + twice * np.cross(turn, across))
 
 
 def step_effective(chain: Chain, place: Place, data: Floats, step: Floats, places: StepPlaces) -> Floats:

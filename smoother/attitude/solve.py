@@ -5,16 +5,19 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import H, X
+from gtsam.symbol_shorthand import H, V, X
 from numpy.typing import NDArray
 
 from stillpoint.datasets.errors import Unobservable
 from stillpoint.datasets.recording import Floats
 from stillpoint.smoother.attitude.build import Graph
 from stillpoint.smoother.attitude.chain import (
+    Place,
     StepPlaces,
+    find_change,
     find_step_places,
     linearise_chain,
+    move_place,
     poses_of,
     read_place,
     split_squares,
@@ -87,18 +90,26 @@ class Layout:
     """
 
     structure: Structure
-    turns: NDArray[np.int64]  # (n, 3) of the states
     of_chain: StepPlaces
-    of_key: list[tuple[int, slice]]  # of each value
+    of_few: list[tuple[int, slice]]  # of each of the few values that gtsam needs
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Where the iterations have come to. To add a step to arrays takes less time than to values of gtsam."""
+
+    place: Place  # of the chain's unknowns
+    few: gtsam.Values  # of all unknowns but the states that only the chain has
+    layout: Layout
 
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """Where the iterations have come to."""
+    """Start values and where the iterations have come to from them."""
 
-    values: gtsam.Values
-    effective: Floats  # (m, 6)
-    layout: Layout | None  # of the linear factors; None before the first iteration
+    values: gtsam.Values  # of all unknowns, at the beginning
+    effective: Floats  # (m, 6) at the beginning
+    reached: Reached | None  # None before the first iteration
     field_scale_ut: float  # scale of the magnetometer's robust weights
     q_steps_rad: tuple[float, ...] = ()  # largest turn of a state in each iteration
 
@@ -125,16 +136,22 @@ def iterate(
 
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
-    values, effective, scale_ut = approach.values, approach.effective, approach.field_scale_ut
-    layout = approach.layout
+    reached, scale_ut = approach.reached, approach.field_scale_ut
+    if reached is None:
+        place, few = read_place(graph.chain, approach.values, approach.effective, states), approach.values
+    else:
+        place, few = reached.place, reached.few
+    layout = None if reached is None else reached.layout
     steps: list[float] = []
     final = measured is None
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
-        rows, residual = linearise(graph, values, effective, states, measured, scale_ut, params)
-        layout = layout or _find_layout(graph, rows, values, states, name)
+        rows, residual = _linearise_at(graph, few, place, measured, scale_ut, params)
+        if layout is None:
+            layout = _find_layout(graph, rows, few, place, states, name)
+            few = _select_values(few, [key for key, _ in layout.of_few])
         step = _solve_linear(rows, layout.structure, name)
-        turns = step[layout.turns]
+        turns = step[layout.of_chain.poses[:, :3]]
         turn = float(np.abs(turns).max())
         if not np.isfinite(turn):
             raise make_unobservable(name)
@@ -142,16 +159,19 @@ def iterate(
         before = turns if longer == 1.0 else None  # after a longer step the next one does not show the rate of decay
         if turn * longer > _STEP_LIMIT_RAD:
             longer = _STEP_LIMIT_RAD / turn
-        place = read_place(graph.chain, values, effective, states)
-        effective = effective + longer * step_effective(graph.chain, place, rows.data, step, layout.of_chain)
-        values = values.retract(_as_vectors(step if longer == 1.0 else longer * step, layout))
+        change = step_effective(graph.chain, place, rows.data, step, layout.of_chain)
+        step = step if longer == 1.0 else longer * step
+        place = move_place(place, step, layout.of_chain)
+        place = replace(place, effective=place.effective + longer * change)
+        few = few.retract(_as_vectors(step, layout.of_few))
         rest = _expect_rest(turn, steps[-1]) if steps and longer == 1.0 else np.inf
         steps.append(turn)
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
         if final and (turn < params.turn_limit_rad or rest < _REST_SHARE * params.turn_limit_rad):
-            return Approach(values, effective, layout, scale_ut, tuple(steps))
+            there = Reached(place, few, layout)
+            return replace(approach, reached=there, field_scale_ut=scale_ut, q_steps_rad=tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -172,17 +192,19 @@ def solve(
     sd_ut, lasting = None, 1.0
     if measured is not None:
         there, counted = _adapt_to_field(graph, there, states, measured, name, params)
-        residual, errors = _find_field_errors(there.values, counted, params)
+        residual, errors = _find_field_errors(there, counted, params)
         sd_ut, lasting = params.magnetic.sd_ut * float(np.median(counted.widening)), errors.lasting
         measured = widen_for_covariance(counted, errors, params.magnetic)
-    assert there.layout is not None
-    values, effective, scale_ut = there.values, there.effective, there.field_scale_ut
-    rows, _ = linearise(graph, values, effective, states, measured, scale_ut, params)
+    assert there.reached is not None
+    place, few, scale_ut = there.reached.place, there.reached.few, there.field_scale_ut
+    rows, _ = _linearise_at(graph, few, place, measured, scale_ut, params)
     squares = split_squares(graph.chain, rows.data)
     of_chain = sum(float(part.sum()) for part in (squares.imu, squares.speed, squares.place))
-    cost = float(graph.others.error(values)) + of_chain / 2
+    cost = float(graph.others.error(few)) + of_chain / 2
     field = scale_ut, measured, sd_ut, lasting
-    return Solution(values, effective, rows, there.layout.structure, *field, there.q_steps_rad, residual, cost)
+    structure = there.reached.layout.structure
+    values = _join_values(graph, there.values, place, few, states)
+    return Solution(values, place.effective, rows, structure, *field, there.q_steps_rad, residual, cost)
 
 
 def _adapt_to_field(
@@ -199,7 +221,7 @@ def _adapt_to_field(
     """
     counted = measured
     for _ in range(_ROUNDS):
-        _, errors = _find_field_errors(there.values, counted, params)
+        _, errors = _find_field_errors(there, counted, params)
         wider = widen_by_errors(measured, errors, params.magnetic)
         if np.abs(np.log(wider.widening / counted.widening)).max() < _SD_SETTLED:
             break
@@ -209,12 +231,11 @@ def _adapt_to_field(
     return there, counted
 
 
-def _find_field_errors(
-    values: gtsam.Values, measured: FieldMeasurements, params: GraphParams
-) -> tuple[Floats, FieldErrors]:
+def _find_field_errors(there: Approach, measured: FieldMeasurements, params: GraphParams) -> tuple[Floats, FieldErrors]:
     """Return the residuals (K, 3) of the magnetometer in uT, and the errors of the field that they show."""
-    rotations = rotations_of(values, measured.state)
-    residual = compute_residuals(measured, rotations, values.atVector(H(0)))
+    assert there.reached is not None
+    rotations = _rotations_at(there.reached.place, measured)
+    residual = compute_residuals(measured, rotations, there.reached.few.atVector(H(0)))
     return residual, measure_errors(rotations, residual, params.magnetic)
 
 
@@ -231,16 +252,33 @@ def linearise(
 
     They are linearised at ``values`` of the ``states`` and what is common to them, and ``effective`` biases (m, 6).
     """
-    of_chain = linearise_chain(graph.chain, read_place(graph.chain, values, effective, states))
-    parts = [replace(graph.chain.keys(), data=of_chain), flatten(graph.others.linearize(values))]
+    place = read_place(graph.chain, values, effective, states)
+    return _linearise_at(graph, values, place, measured, scale_ut, params)
+
+
+def _linearise_at(
+    graph: Graph,
+    few: gtsam.Values,
+    place: Place,
+    measured: FieldMeasurements | None,
+    scale_ut: float,
+    params: GraphParams,
+) -> tuple[Rows, Floats | None]:
+    """Return :func:`linearise` for the place of the chain's unknowns, and the values that gtsam's factors need."""
+    of_chain = linearise_chain(graph.chain, place)
+    parts = [replace(graph.chain.keys(), data=of_chain), flatten(graph.others.linearize(few))]
     if graph.inherited is not None:
-        parts.append(graph.inherited.at(values))
+        parts.append(graph.inherited.at(few))
     if measured is None:
         return join_rows(parts), None
-    rotations = rotations_of(values, measured.state)
-    field = values.atVector(H(0))
+    rotations, field = _rotations_at(place, measured), few.atVector(H(0))
     of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic)
     return join_rows([*parts, of_field]), compute_residuals(measured, rotations, field)
+
+
+def _rotations_at(place: Place, measured: FieldMeasurements) -> Floats:
+    """Return the rotation matrices (K, 3, 3) of the states that have a measurement."""
+    return place.poses[measured.state - place.first, :9].reshape(-1, 3, 3)
 
 
 def rotations_of(values: gtsam.Values, states: Sequence[int] | NDArray[np.int64]) -> Floats:
@@ -264,25 +302,50 @@ def _solve_linear(rows: Rows, structure: Structure, name: str) -> Floats:
         raise make_unobservable(name) from error
 
 
-def _find_layout(graph: Graph, rows: Rows, values: gtsam.Values, states: range, name: str) -> Layout:
-    """Return the layout of linear factors; raises :class:`Unobservable` where nothing ties a state to the others."""
+def _find_layout(graph: Graph, rows: Rows, values: gtsam.Values, place: Place, states: range, name: str) -> Layout:
+    """Return the layout of linear factors; raises :class:`Unobservable` where nothing ties a state to the others.
+
+    Of the states, those are among the few values that gtsam's factors or those of the windows before have.
+    """
     structure = _find_structure(rows, states, name)
+    inherited = np.empty(0, dtype=np.int64) if graph.inherited is None else graph.inherited.rows.keys
+    needed = np.concatenate([np.array(graph.others.keyVector(), dtype=np.int64), inherited])
     keys = np.array(values.keys(), dtype=np.int64)
-    keys = keys[structure.has(keys)]
+    of_state = np.isin(keys, V(0) + np.array(states)) | np.isin(keys, X(0) + np.array(states))
+    keys = keys[structure.has(keys) & (~of_state | np.isin(keys, needed))]
     numbers = structure.numbers(keys)
     begins, sizes = structure.key_begin[numbers], structure.key_size[numbers]
     return Layout(
         structure=structure,
-        turns=structure.scalars(X(0) + np.array(states), 3),
-        of_chain=find_step_places(graph.chain, structure),
-        of_key=list(zip(keys.tolist(), map(slice, begins.tolist(), (begins + sizes).tolist()), strict=True)),
+        of_chain=find_step_places(graph.chain, place, structure),
+        of_few=list(zip(keys.tolist(), map(slice, begins.tolist(), (begins + sizes).tolist()), strict=True)),
     )
 
 
-def _as_vectors(step: Floats, layout: Layout) -> gtsam.VectorValues:
-    """Return a step (D,) in the form in which gtsam adds it to values."""
+def _select_values(values: gtsam.Values, keys: Sequence[int]) -> gtsam.Values:
+    """Return the values of some keys."""
+    few = gtsam.Values(values)
+    for key in np.setdiff1d(np.array(values.keys(), dtype=np.int64), keys).tolist():
+        few.erase(key)
+    return few
+
+
+def _join_values(graph: Graph, start: gtsam.Values, place: Place, few: gtsam.Values, states: range) -> gtsam.Values:
+    """Return the values of all unknowns: the start values, moved to a place, and the few that gtsam has moved."""
+    poses, velocities = find_change(read_place(graph.chain, start, place.effective, states), place)
     vectors = gtsam.VectorValues()
-    for key, rows in layout.of_key:
+    for i, pose, velocity in zip(states, poses, velocities, strict=True):
+        vectors.insert(X(i), pose)
+        vectors.insert(V(i), velocity)
+    values = start.retract(vectors)
+    values.update(few)
+    return values
+
+
+def _as_vectors(step: Floats, of_few: Sequence[tuple[int, slice]]) -> gtsam.VectorValues:
+    """Return the few parts of a step (D,) in the form in which gtsam adds them to values."""
+    vectors = gtsam.VectorValues()
+    for key, rows in of_few:
         vectors.insert(key, step[rows])
     return vectors
 

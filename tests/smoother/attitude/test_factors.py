@@ -266,7 +266,7 @@ def test_effective_biases_may_be_eliminated_beforehand(explicit):
         structure = find_structure(rows, SIZES)
         eliminated = eliminate(structure, rows)
         step = optimise(eliminated)
-        change = chain.step_effective(made, at, data, step, chain.find_step_places(made, structure))
+        change = chain.step_effective(made, at, data, step, chain.find_step_places(made, at, structure))
         covariances = compute_covariances(eliminated, [(X(n - 1), X(n - 1)), (B(0), B(0)), (M(0), M(0))])
         steps = [step[structure.scalars([key], size)[0]] for key, size in ((X(n - 1), 6), (V(3), 3), (M(0), 19))]
         found.append([*steps, change, *covariances])
