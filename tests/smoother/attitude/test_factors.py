@@ -291,6 +291,37 @@ def test_residuals_of_an_eliminated_bias_are_those_of_the_best_one():
         np.testing.assert_allclose(squares.calibration[i], np.sum(((at.effective[i] + best) / sd) ** 2), rtol=1e-6)
 
 
+def test_states_move_as_gtsam_moves_them():
+    """A step of the arrays is one of gtsam's values, and the change between two places is that step."""
+    motion, keys, attitude = turning(RATE)
+    made, n = explicit_chain(motion, keys, np.zeros(3)), len(keys.t_s)
+    values, random = values_of(keys, attitude), np.random.default_rng(4)
+    at = chain.read_place(made, values, np.zeros((n - 1, 6)), range(n))
+    system = gtsam.NonlinearFactorGraph()
+    for i in range(n):
+        system.push_back(gtsam.PriorFactorPose3(X(i), gtsam.Pose3(), gtsam.noiseModel.Unit.Create(6)))
+    anchors = flatten(system.linearize(values))
+    structure = find_structure(join_rows([replace(made.keys(), data=chain.linearise_chain(made, at)), anchors]), SIZES)
+    step = random.normal(size=structure.first[-1]) * np.repeat([1e-3, 1.0], [30, structure.first[-1] - 30])
+    moved = chain.move_place(at, step, chain.find_step_places(made, at, structure))
+    vectors = gtsam.VectorValues()
+    for key, size in [
+        (B(0), 6),
+        (M(0), factors.CALIBRATION),
+        *((X(i), 6) for i in range(n)),
+        *((V(i), 3) for i in range(n)),
+    ]:
+        vectors.insert(key, step[structure.scalars([key], size)[0]])
+    wanted = chain.read_place(made, values.retract(vectors), np.zeros((n - 1, 6)), range(n))
+    for name in ("poses", "velocities", "biases", "calibration"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(wanted, name), atol=1e-12)
+    poses, velocities = chain.find_change(at, moved)
+    of_poses = np.concatenate([structure.scalars([X(i)], 6) for i in range(n)])
+    small = np.linalg.norm(step[of_poses[:, :3]], axis=1) < np.pi
+    np.testing.assert_allclose(poses[small], step[of_poses[small]], atol=1e-9)
+    np.testing.assert_allclose(velocities, moved.velocities - at.velocities, atol=1e-12)
+
+
 def _spread(size):
     return gtsam.noiseModel.Isotropic.Sigma(size, 0.01)
 
