@@ -53,7 +53,7 @@ VARIANTS = (
     Variant("neither matrices nor delay", {**_NO_CALIBRATION, "inertial.accel_late_sd_s": 1e-5}),
     Variant("no delay of the magnetometer", {"magnetic.late_sd_s": 1e-5}),
     Variant("no matrix of the magnetometer", {"magnetic.matrix_sd": 1e-6}),
-    Variant("gyro bias constant", {"inertial.gyro_bias_walk": 1e-7}),
+    Variant("gyro bias constant", {"inertial.gyro_bias_walk": 1e-7, "inertial.gyro_bias_shift_radps": 2e-7}),
     Variant("no magnetometer", magnetometer=False),
     Variant("no returns", returns=False),
     Variant("no returns, no magnetometer", returns=False, magnetometer=False),

@@ -17,6 +17,7 @@ stand as arrays in chain.py. The calibration enters the preintegrated IMU factor
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -45,16 +46,31 @@ class Anchors:
 
 
 def bias_steps(keys: Keys, params: GraphParams) -> np.ndarray:
-    """Return the number of the bias that holds at each state, (n,)."""
-    return ((keys.t_s - keys.t_s[0]) / params.inertial.bias_step_s).astype(np.int64)
+    """Return the number of the bias that holds at each state, (n,).
+
+    A new one begins where rest and motion change, and every ``bias_step_s`` after that.
+    """
+    changes = np.diff(keys.at_rest)
+    begun_s = keys.t_s[np.maximum.accumulate(np.where(np.append(False, changes), np.arange(len(changes) + 1), 0))]
+    within = ((keys.t_s[: len(begun_s)] - begun_s) / params.inertial.bias_step_s).astype(np.int64)
+    begins = np.zeros(len(keys.t_s), dtype=np.int64)
+    begins[1:-1] = changes | (np.diff(within) > 0)
+    return np.cumsum(begins)
 
 
 def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Iterator:
-    """Keep the first bias near its start value, let it walk, and keep the calibration near identity."""
+    """Keep the first bias near its start value, let it walk, and keep the calibration near identity.
+
+    Between rest and motion the gyro's bias shifts: vibration and a changed specific force act on it.
+    """
     p, step = params.inertial, bias_steps(keys, params)
-    walk = np.concatenate([np.full(3, p.accel_bias_walk), np.full(3, p.gyro_bias_walk)]) * np.sqrt(p.bias_step_s)
-    for k in range(step[keys.first], step[keys.held[-1]]):
-        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), _FREE, _diagonal(walk))
+    begins = np.searchsorted(step, np.arange(step[keys.first], step[keys.held[-1]] + 1))
+    for k, (begin, end) in enumerate(pairwise(begins.tolist()), step[keys.first]):
+        seconds = keys.t_s[end] - keys.t_s[begin]
+        shift = p.gyro_bias_shift_radps if keys.at_rest[end] != keys.at_rest[end - 1] else 0.0
+        accel, gyro = p.accel_bias_walk * np.sqrt(seconds), np.hypot(p.gyro_bias_walk * np.sqrt(seconds), shift)
+        sizes = _diagonal(np.repeat([accel, gyro], 3))
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), _FREE, sizes)
     if keys.first > 0:
         return
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)

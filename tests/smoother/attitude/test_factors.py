@@ -146,6 +146,24 @@ def test_bias_and_calibration_begin_at_their_start():
     assert made[0].error(values) == pytest.approx(1.5)  # one sd on three axes
 
 
+def test_the_gyros_bias_shifts_between_rest_and_motion_and_walks_otherwise():
+    """25 s of motion, 15 s of rest, 12 s of motion: a bias for 10 s at the most, and a new one at each change."""
+    motion, _, _ = turning(RATE, seconds=52.0)
+    at_rest = (motion.t_s[1:] > 25.0) & (motion.t_s[1:] < 40.0)
+    keys = choose_keys(replace(motion, at_rest=np.append(False, at_rest)), KeyParams(resting_s=0.1))
+    step = factors.bias_steps(keys, PARAMS)
+    begins = np.searchsorted(step, np.arange(step[-1] + 1))
+    assert keys.t_s[begins] == pytest.approx([0.0, 10.0, 20.0, 25.0, 35.0, 40.0, 50.0], abs=0.25)
+    p, change = PARAMS.inertial, np.full(3, 1e-3)
+    for k, factor in enumerate(list(factors.bias_factors(keys, np.zeros(3), PARAMS))[: step[-1]]):
+        values = gtsam.Values()
+        values.insert(B(k), gtsam.imuBias.ConstantBias())
+        values.insert(B(k + 1), gtsam.imuBias.ConstantBias(np.zeros(3), change))
+        shift = p.gyro_bias_shift_radps if k in (2, 4) else 0.0
+        seconds = keys.t_s[begins[k + 1]] - keys.t_s[begins[k]]
+        assert factor.error(values) == pytest.approx(1.5e-6 / (p.gyro_bias_walk**2 * seconds + shift**2), rel=1e-6)
+
+
 def test_bounds_of_the_motion_ask_for_standstill_at_the_origin():
     """A state that moves by 1 m/s, 2 m away, is off by these over their sd."""
     motion, keys, attitude = turning(RATE)
