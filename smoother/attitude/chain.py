@@ -51,7 +51,7 @@ class Chain:
         """Return rows without data, for their keys."""
         whole, i = self.interval[~self.explicit], self.interval[self.explicit]
         k, m = len(whole), len(i)
-        of_states = np.stack([X(0) + whole, V(0) + whole, X(1) + whole, V(1) + whole], axis=1)
+        of_states = np.stack([V(0) + whole, X(0) + whole, V(1) + whole, X(1) + whole], axis=1)
         of_whole = np.column_stack([of_states, B(0) + self.bias_step[~self.explicit], np.full(k, M(0))])
         imu = np.stack([X(0) + i, V(0) + i, X(1) + i, V(1) + i, C(0) + i], axis=1)
         calibration = np.stack([C(0) + i, B(0) + self.bias_step[self.explicit], np.full(m, M(0))], axis=1)
@@ -164,8 +164,8 @@ def read_place(chain: Chain, values: gtsam.Values, effective: Floats, states: ra
     )
 
 
-def linearise_chain(chain: Chain, place: Place) -> Floats:
-    """Return the data of the chain's rows at a place, in the order of :meth:`Chain.keys`."""
+def linearise_chain(chain: Chain, place: Place, more: int = 0) -> Floats:
+    """Return the data of the chain's rows at a place, in the order of :meth:`Chain.keys`, and room for more behind."""
     begin = chain.interval - place.first
     poses, velocities = place.poses, place.velocities
     imu = linearise_intervals(
@@ -178,7 +178,7 @@ def linearise_chain(chain: Chain, place: Place) -> Floats:
         (poses[begin], poses[begin + 1]),
         (velocities[begin], velocities[begin + 1]),
     )
-    data = np.empty(sum(int(np.prod(shape)) for shape in _shapes(chain)))
+    data = np.empty(sum(int(np.prod(shape)) for shape in _shapes(chain)) + more)
     whole, alone, calibration, speed, bound = _split_rows(chain, data)
     by_matrix, excess = chain.by_matrix, _compute_excess(chain, place)
     if len(alone):
@@ -186,22 +186,22 @@ def linearise_chain(chain: Chain, place: Place) -> Floats:
         _fill_calibration(calibration, by_matrix[chain.explicit], excess[chain.explicit])
         by_matrix, excess = by_matrix[~chain.explicit], excess[~chain.explicit]
     eliminate_effective(imu, by_matrix, excess, _EFFECTIVE_BIAS_SD**2, whole)
-    speed[:, :3] = np.eye(3) * chain.speed_weight[:, None, None]
-    speed[:, 3] = -chain.speed_weight[:, None] * velocities[chain.fast - place.first]
+    speed[:, :, :3] = np.eye(3) * chain.speed_weight[:, None, None]
+    speed[:, :, 3] = -chain.speed_weight[:, None] * velocities[chain.fast - place.first]
     where = poses[chain.placed - place.first]
-    bound[:, :3] = 0.0  # a step in body axes moves the place by R times it
-    bound[:, 3:6] = chain.place_weight[:, None, None] * where[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
-    bound[:, 6] = -chain.place_weight[:, None] * where[:, 9:]
+    bound[:, :, :3] = 0.0  # a step in body axes moves the place by R times it
+    bound[:, :, 3:6] = chain.place_weight[:, None, None] * where[:, :9].reshape(-1, 3, 3)
+    bound[:, :, 6] = -chain.place_weight[:, None] * where[:, 9:]
     return data
 
 
 def _fill_calibration(rows: Floats, by_matrix: Floats, excess: Floats) -> None:
-    """Write the factors C - B - M z = 0 (m, 12 + 19 + 1, 6) of effective biases that are unknowns."""
+    """Write the factors C - B - M z = 0 (m, 6, 12 + 19 + 1) of effective biases that are unknowns."""
     weight = 1 / _EFFECTIVE_BIAS_SD
-    rows[:, :6] = np.diag(weight)
-    rows[:, 6:12] = -np.diag(weight)
-    rows[:, 12:-1] = -(by_matrix * weight[:, None]).transpose(0, 2, 1)
-    rows[:, -1] = -weight * excess
+    rows[:, :, :6] = np.diag(weight)
+    rows[:, :, 6:12] = -np.diag(weight)
+    rows[:, :, 12:-1] = -(by_matrix * weight[:, None])
+    rows[:, :, -1] = -weight * excess
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,24 +224,24 @@ def split_squares(chain: Chain, data: Floats) -> ChainSquares:
 
 
 def _square(rows: Floats) -> Floats:
-    """Return the squared residuals (m,) of factors (m, columns, rows)."""
-    return np.asarray((rows[:, -1] ** 2).sum(axis=1))
+    """Return the squared residuals (m,) of factors (m, rows, columns)."""
+    return np.asarray((rows[:, :, -1] ** 2).sum(axis=1))
 
 
 def _shapes(chain: Chain) -> list[tuple[int, int, int]]:
     """Return the shapes of the rows of IMU with calibration, IMU alone, calibration alone, speed, and place."""
     k = int(chain.explicit.sum())
     return [
-        (len(chain.interval) - k, 24 + CALIBRATION + 1, _IMU),
-        (k, 25, _IMU),
-        (k, 13 + CALIBRATION, _CALIBRATION),
-        (len(chain.fast), 4, _SPEED),
-        (len(chain.placed), 7, _PLACE),
+        (len(chain.interval) - k, _IMU, 24 + CALIBRATION + 1),
+        (k, _IMU, 25),
+        (k, _CALIBRATION, 13 + CALIBRATION),
+        (len(chain.fast), _SPEED, 4),
+        (len(chain.placed), _PLACE, 7),
     ]
 
 
 def _split_rows(chain: Chain, data: Floats) -> list[Floats]:
-    """Return views of the rows of each kind, column by column."""
+    """Return views of the rows of each kind."""
     shapes = _shapes(chain)
     begin = starts([int(np.prod(shape)) for shape in shapes])
     return [data[begin[k] : begin[k + 1]].reshape(shape) for k, shape in enumerate(shapes)]
@@ -266,7 +266,7 @@ def find_step_places(chain: Chain, place: Place, structure: Structure) -> StepPl
     has_velocity = structure.has(V(0) + states)
     velocities[has_velocity] = structure.scalars(V(0) + states[has_velocity], 3)
     i, step = chain.interval[~chain.explicit], chain.bias_step[~chain.explicit]
-    parts = [(X(0) + i, 6), (V(0) + i, 3), (X(1) + i, 6), (V(1) + i, 3), (B(0) + step, 6), (M(0) + 0 * i, CALIBRATION)]
+    parts = [(V(0) + i, 3), (X(0) + i, 6), (V(1) + i, 3), (X(1) + i, 6), (B(0) + step, 6), (M(0) + 0 * i, CALIBRATION)]
     whole = [structure.scalars(keys, size) for keys, size in parts]
     explicit = structure.scalars(C(0) + chain.interval[chain.explicit], 6)
     return StepPlaces(

@@ -170,7 +170,7 @@ def linearise_measurements(
         keys=keys.ravel(),
         key_first=2 * np.arange(count + 1),
         count=np.full(count, 3),
-        data=columns.transpose(0, 2, 1).ravel(),
+        data=columns.ravel(),
     )
 
 

@@ -265,15 +265,18 @@ def _linearise_at(
     params: GraphParams,
 ) -> tuple[Rows, Floats | None]:
     """Return :func:`linearise` for the place of the chain's unknowns, and the values that gtsam's factors need."""
-    of_chain = linearise_chain(graph.chain, place)
-    parts = [replace(graph.chain.keys(), data=of_chain), flatten(graph.others.linearize(few))]
+    parts = [flatten(graph.others.linearize(few))]
+    residual: Floats | None = None
     if graph.inherited is not None:
         parts.append(graph.inherited.at(few))
-    if measured is None:
-        return join_rows(parts), None
-    rotations, field = _rotations_at(place, measured), few.atVector(H(0))
-    of_field = linearise_measurements(measured, rotations, field, scale_ut, params.magnetic)
-    return join_rows([*parts, of_field]), compute_residuals(measured, rotations, field)
+    if measured is not None:
+        rotations, field = _rotations_at(place, measured), few.atVector(H(0))
+        parts.append(linearise_measurements(measured, rotations, field, scale_ut, params.magnetic))
+        residual = compute_residuals(measured, rotations, field)
+    others = np.concatenate([part.data for part in parts])
+    data = linearise_chain(graph.chain, place, more=len(others))  # a copy of the whole would take as long as this
+    data[len(data) - len(others) :] = others
+    return join_rows([graph.chain.keys(), *parts], data), residual
 
 
 def _rotations_at(place: Place, measured: FieldMeasurements) -> Floats:

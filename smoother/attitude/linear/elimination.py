@@ -108,7 +108,7 @@ def _eliminate(
     last = sizes[0] - 1
     top = int(np.int64(0))  # a plain 0 has a type of its own, for which callees compile again
     stack = np.empty(sizes[1])
-    of_rows, column = np.empty((sizes[2], sizes[3])), np.empty(sizes[3] + 1, dtype=np.int64)
+    room, column = np.empty(sizes[2] * sizes[3]), np.empty(sizes[3] + 1, dtype=np.int64)
     at, entries = np.zeros(m, dtype=np.int64), np.empty(sizes[3], dtype=np.int64)
     children = np.zeros(m, dtype=np.int64)
     waiting, n_waiting = np.empty(m, dtype=np.int64), 0
@@ -132,7 +132,7 @@ def _eliminate(
                 data_first,
                 first,
                 at,
-                of_rows,
+                room,
                 column,
                 entries,
                 front,
@@ -224,34 +224,43 @@ def _add_factor(
     data_first: Indices,
     first: Indices,
     at: Indices,
-    of_rows: Floats,
+    room: Floats,
     column: Indices,
     entries: Indices,
     front: Floats,
 ) -> None:
     """Add the information of a factor to the front."""
-    n, n_keys = count[f], key_first[f + 1] - key_first[f]
+    n, n_keys, in_order = count[f], key_first[f + 1] - key_first[f], True
     for k in range(n_keys):  # keys in the order in which they stand in the front
         to = k
         while to > 0 and begin[entries[to - 1]] > begin[key_first[f] + k]:
             entries[to] = entries[to - 1]
             to -= 1
+            in_order = False
         entries[to] = key_first[f] + k
     columns = 0
     for k in range(n_keys):
         e = entries[k]
-        start, source = at[node[e]] + begin[e] - first[node[e]], data_first[f]
-        for other in range(key_first[f], e):
-            source += size[other] * n
+        start = at[node[e]] + begin[e] - first[node[e]]
         for c in range(size[e]):
             column[columns] = start + c
-            for r in range(n):
-                of_rows[r, columns] = data[source + c * n + r]
             columns += 1
     column[columns] = len(front) - 1
-    for r in range(n):
-        of_rows[r, columns] = data[data_first[f + 1] - n + r]
     columns += 1
+    of_rows = data[data_first[f] : data_first[f + 1]].reshape((n, columns))
+    if not in_order:
+        sorted_rows, to = room[: n * columns].reshape((n, columns)), 0
+        for k in range(n_keys):
+            e, source = entries[k], 0
+            for other in range(key_first[f], e):
+                source += size[other]
+            for r in range(n):
+                for c in range(size[e]):
+                    sorted_rows[r, to + c] = of_rows[r, source + c]
+            to += size[e]
+        for r in range(n):
+            sorted_rows[r, to] = of_rows[r, to]
+        of_rows = sorted_rows
     run = 0
     while run < columns:  # of columns that follow each other in the front
         end = run + 1
@@ -397,19 +406,33 @@ def _substitute(
     x: Floats,
 ) -> None:
     """Replace columns x (D, k) by R^-1 x, with all of R."""
-    m, width = len(first) - 1, x.shape[1]
+    m, later_x = len(first) - 1, np.empty(len(x))
     for j in range(m - 1, -1, -1):
-        n, tie = first[j + 1] - first[j], ties_first[j]
-        for i in range(n):
+        n = first[j + 1] - first[j]
+        for c in range(x.shape[1]):
+            width = 0
             for e in range(later_first[j], later_first[j + 1]):
                 for row in range(first[later[e]], first[later[e] + 1]):
-                    for c in range(width):
-                        x[first[j] + i, c] -= ties[tie] * x[row, c]
-                    tie += 1
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                r = roots[roots_first[j] + i * n + k]
-                for c in range(width):
-                    x[first[j] + i, c] -= r * x[first[j] + k, c]
-            for c in range(width):
-                x[first[j] + i, c] /= roots[roots_first[j] + i * n + i]
+                    later_x[width] = x[row, c]
+                    width += 1
+            i = 0
+            while i + 3 <= n:  # three sums at once, since each waits for its last addition
+                tie = ties_first[j] + i * width
+                u, v, w = x[first[j] + i, c], x[first[j] + i + 1, c], x[first[j] + i + 2, c]
+                for b in range(width):
+                    u -= ties[tie + b] * later_x[b]
+                    v -= ties[tie + width + b] * later_x[b]
+                    w -= ties[tie + 2 * width + b] * later_x[b]
+                x[first[j] + i, c], x[first[j] + i + 1, c], x[first[j] + i + 2, c] = u, v, w
+                i += 3
+            while i < n:
+                u = x[first[j] + i, c]
+                for b in range(width):
+                    u -= ties[ties_first[j] + i * width + b] * later_x[b]
+                x[first[j] + i, c] = u
+                i += 1
+            for i in range(n - 1, -1, -1):
+                root = roots_first[j] + i * n
+                for k in range(i + 1, n):
+                    x[first[j] + i, c] -= roots[root + k] * x[first[j] + k, c]
+                x[first[j] + i, c] /= roots[root + i]

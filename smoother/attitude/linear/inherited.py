@@ -27,8 +27,8 @@ class Inherited:
             keys = self.rows.keys[self.rows.key_first[f] : self.rows.key_first[f + 1]].tolist()
             moved = np.concatenate([_difference(self.values, values, key) for key in keys])
             end = begin + count * (len(moved) + 1)
-            part = data[begin:end].reshape(len(moved) + 1, count)
-            part[-1] -= moved @ part[:-1]
+            part = data[begin:end].reshape(count, len(moved) + 1)
+            part[:, -1] -= part[:, :-1] @ moved
             begin = end
         return replace(self.rows, data=data)
 
@@ -48,7 +48,7 @@ def remaining_rows(eliminated: Eliminated, keys: Sequence[int]) -> Rows:
         tie = e.ties[e.ties_first[j] : e.ties_first[j + 1]].reshape(n, -1)
         right = e.right[s.first[j] : s.first[j + 1], None]
         found.append(s.known[order[np.isin(s.key_node[order], tied)]].tolist())
-        parts.append(np.hstack([root, tie, right]).T.ravel())
+        parts.append(np.hstack([root, tie, right]).ravel())
         counts.append(n)
     return Rows(
         keys=np.array([key for each in found for key in each], dtype=np.int64),

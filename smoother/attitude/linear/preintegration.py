@@ -101,14 +101,14 @@ def linearise_intervals(
     poses: tuple[Floats, Floats],
     velocities: tuple[Floats, Floats],
 ) -> Floats:
-    """Return the whitened [A b] (m, 25, 9) of m intervals, column by column.
+    """Return the whitened [A b] (m, 9, 25) of m intervals.
 
     The columns are those of pose (turn and place in body axes) and velocity at the beginning, at the end, and of the
     bias (accelerometer, gyro). ``bias`` (m, 6) is relative to that of the preintegration; ``poses`` (m, 12) are
     rotation matrices by rows and places at both ends, ``velocities`` (m, 3).
     """
     n = len(zeta)
-    columns = np.zeros((n, 25, 9))
+    rows, by_rows = np.zeros((n, 9, 25)), np.empty((9, 25))
     error, after, slope = np.empty(9), np.empty(9), np.zeros((24, 9))
     turn, jacobian, inverse = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     back, whole, of_end, crossed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -185,13 +185,15 @@ def linearise_intervals(
                 for b in range(3):
                     slope[9 + b, row + a] += crossed[a, b]
         _make_error_a_logarithm(error, slope, inverse, opposite, by_turn, unused)
-        for column in range(25):
-            for a in range(9):
-                total = 0.0
-                for c in range(a + 1):
-                    total += whitening[i, a, c] * (slope[column, c] if column < 24 else -error[c])
-                columns[i, column, a] = total
-    return columns
+        for a in range(9):
+            for column in range(24):
+                by_rows[a, column] = slope[column, a]
+            by_rows[a, 24] = -error[a]
+        for a in range(9):
+            for c in range(a + 1):
+                for column in range(25):  # of a fixed number, which makes fast machine code
+                    rows[i, a, column] += whitening[i, a, c] * by_rows[c, column]
+    return rows
 
 
 @compiled

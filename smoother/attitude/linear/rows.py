@@ -20,18 +20,21 @@ class Rows:
     keys: Indices  # of all factors, one after the other
     key_first: Indices  # (m + 1,) where those of a factor begin
     count: Indices  # (m,) rows of a factor
-    data: Floats  # [A b] of each factor by columns, one after the other
+    data: Floats  # [A b] of each factor by rows, one after the other
 
 
-def join_rows(parts: Sequence[Rows]) -> Rows:
-    """Return the factors of all parts, one part after the other."""
+def join_rows(parts: Sequence[Rows], data: Floats | None = None) -> Rows:
+    """Return the factors of all parts, one part after the other.
+
+    ``data`` are those of all parts where they are together already.
+    """
     before = starts([part.key_first[-1] for part in parts])
     firsts = [part.key_first[1:] + begin for part, begin in zip(parts, before[:-1], strict=True)]
     return Rows(
         keys=np.concatenate([part.keys for part in parts]),
         key_first=np.concatenate([[0], *firsts]),
         count=np.concatenate([part.count for part in parts]),
-        data=np.concatenate([part.data for part in parts]),
+        data=np.concatenate([part.data for part in parts]) if data is None else data,
     )
 
 
@@ -44,7 +47,7 @@ def flatten(system: gtsam.GaussianFactorGraph) -> Rows:
         keys=np.array([key for each in keys for key in each], dtype=np.int64),
         key_first=starts([len(each) for each in keys]),
         count=np.array([len(part) for part in parts], dtype=np.int64),
-        data=np.concatenate([np.empty(0), *(part.ravel(order="K") for part in parts)]),
+        data=np.concatenate([np.empty(0), *(part.ravel() for part in parts)]),
     )
 
 

@@ -28,8 +28,7 @@ def _draw_errors(solution: Solution, states: np.ndarray, rng: np.random.Generato
     """Return errors (n, 3) of states in body axes: the solution of the linear factors with noise of one sd."""
     rows, structure = solution.rows, solution.structure
     columns = np.add.reduceat(structure.key_size[structure.number], structure.key_first[:-1]) + 1
-    ends = np.cumsum(rows.count * columns)
-    right = np.concatenate([np.arange(end - count, end) for end, count in zip(ends, rows.count, strict=True)])
+    right = np.cumsum(np.repeat(columns, rows.count)) - 1
     data = rows.data.copy()
     data[right] = rng.normal(size=len(right))
     step = optimise(eliminate(structure, replace(rows, data=data)))

@@ -61,7 +61,7 @@ def whole_of(rows: Rows, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     for f, count in enumerate(rows.count.tolist()):
         keys = rows.keys[rows.key_first[f] : rows.key_first[f + 1]].tolist()
         at = np.concatenate([structure.scalars([key], LETTERS[key >> 56])[0] for key in keys])
-        part = rows.data[begin : begin + count * (len(at) + 1)].reshape(len(at) + 1, count).T
+        part = rows.data[begin : begin + count * (len(at) + 1)].reshape(count, len(at) + 1)
         information[np.ix_(at, at)] += part[:, :-1].T @ part[:, :-1]
         right[at] += part[:, :-1].T @ part[:, -1]
         begin += part.size
@@ -115,7 +115,7 @@ def test_a_singular_system_is_refused():
     """Two unknowns that only their difference is known of."""
     with pytest.raises(SingularSystem):
         solve(
-            Rows(np.array([B(0), B(1)]), np.array([0, 2]), np.array([2]), np.array([1.0, 0, 0, 1, -1, 0, 0, -1, 0, 0]))
+            Rows(np.array([B(0), B(1)]), np.array([0, 2]), np.array([2]), np.array([1.0, 0, -1, 0, 0, 0, 1, 0, -1, 0]))
         )
 
 

@@ -203,7 +203,7 @@ def test_an_interval_says_what_gtsam_says():
         values.update(C(i), gtsam.imuBias.ConstantBias(effective[i, :3], effective[i, 3:]))
         factor = gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), C(i), between)
         wanted = factor.linearize(values).augmentedJacobian()
-        found = data[225 * i : 225 * (i + 1)].reshape(25, 9).T
+        found = data[225 * i : 225 * (i + 1)].reshape(9, 25)
         there, here = wanted.T @ wanted, found.T @ found
         size = np.sqrt(np.diagonal(there))
         np.testing.assert_allclose(here / np.outer(size, size), there / np.outer(size, size), atol=2e-3)
@@ -245,7 +245,7 @@ def test_the_chain_linearises_as_central_differences_do():
         for f, count in enumerate(rows.count.tolist()):
             keys_of = rows.keys[rows.key_first[f] : rows.key_first[f + 1]]
             columns = sum(size[int(key) >> 56] for key in keys_of) + 1
-            parts.append(data[begin : begin + count * columns].reshape(columns, count).T)
+            parts.append(data[begin : begin + count * columns].reshape(count, columns))
             begin += count * columns
         assert begin == len(data)
         return parts
@@ -300,12 +300,12 @@ def test_residuals_of_an_eliminated_bias_are_those_of_the_best_one():
     at = chain.read_place(every, values, 1e-3 * random.normal(size=(n - 1, 6)), range(n))
     eliminated = every.with_explicit([])
     squares = chain.split_squares(eliminated, chain.linearise_chain(eliminated, at))
-    of_imu = chain.linearise_chain(every, at)[: 225 * (n - 1)].reshape(-1, 25, 9)
+    of_imu = chain.linearise_chain(every, at)[: 225 * (n - 1)].reshape(-1, 9, 25)
     sd = np.repeat([1e-3, 1e-4], 3)
-    for i, columns in enumerate(of_imu):  # bias and calibration are 0, so that the calibration's factor is C / sd
-        system = np.concatenate([columns[18:24].T, np.diag(1 / sd)])
-        best = np.linalg.lstsq(system, np.concatenate([columns[24], -at.effective[i] / sd]), rcond=None)[0]
-        np.testing.assert_allclose(squares.imu[i], np.sum((columns[18:24].T @ best - columns[24]) ** 2), rtol=1e-6)
+    for i, rows in enumerate(of_imu):  # bias and calibration are 0, so that the calibration's factor is C / sd
+        system = np.concatenate([rows[:, 18:24], np.diag(1 / sd)])
+        best = np.linalg.lstsq(system, np.concatenate([rows[:, 24], -at.effective[i] / sd]), rcond=None)[0]
+        np.testing.assert_allclose(squares.imu[i], np.sum((rows[:, 18:24] @ best - rows[:, 24]) ** 2), rtol=1e-6)
         np.testing.assert_allclose(squares.calibration[i], np.sum(((at.effective[i] + best) / sd) ** 2), rtol=1e-6)
 
 

@@ -62,8 +62,8 @@ def linearise(measured, attitude, field):
     rows = linearise_measurements(measured, attitude.as_matrix(), field, PARAMS.sd_ut, PARAMS)
     unit = gtsam.noiseModel.Unit.Create(3)
     return [
-        gtsam.JacobianFactor(int(x), part[:6].T, int(h), part[6:22].T, part[22], unit)
-        for (x, h), part in zip(rows.keys.reshape(-1, 2), rows.data.reshape(-1, 23, 3), strict=True)
+        gtsam.JacobianFactor(int(x), part[:, :6], int(h), part[:, 6:22], part[:, 22], unit)
+        for (x, h), part in zip(rows.keys.reshape(-1, 2), rows.data.reshape(-1, 3, 23), strict=True)
     ]
 
 
