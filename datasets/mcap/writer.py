@@ -51,7 +51,7 @@ _PACKERS = min(os.cpu_count() or 1, 4)  # threads that pack chunks
 _MOST_WAITING = 2 * _PACKERS  # chunks that wait to be packed: some MiB
 _LONG_LEAF = 64  # bytes: a covariance is not copied once more than needed
 _SHORT_GAP = 8  # bytes between two leaves of a message that are copied along
-_SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
+_HEAD_AT = RECORD_HEAD.itemsize + 2  # in a message: where the sequence number is, behind the channel
 _CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")  # all of a chunk's record before its packed bytes
 _INDEX_HEAD = struct.Struct("<BQHI")
 _NO_BYTES = np.empty(0, np.uint8)
@@ -201,8 +201,10 @@ class _Messages:
             at = MESSAGE_HEAD.itemsize + offset
             raw[at : at + len(word)] = np.frombuffer(word, np.uint8)
         self.blank, self.size = raw, dtype.itemsize  # the bytes of a message, (size,)
-        self._stamped = _SECONDS in (layout.dtype.names or ())
-        self._runs = _find_runs(dtype, raw, _list_leaves(layout.dtype, stream.columns))
+        stamp = (layout.dtype.fields or {}).get("header.stamp.sec")
+        assert stamp is None or MESSAGE_HEAD.itemsize + stamp[1] == _HEAD_AT + 24, "a message begins with its header"
+        self._head = np.dtype((np.void, 20 if stamp is None else 32))
+        self._runs = _find_runs(dtype, raw, list(stream.columns))
 
     def take_numbers(self, count: int) -> int:
         """Return the sequence number of the next message, and count these many."""
@@ -210,21 +212,47 @@ class _Messages:
         self.done += count
         return first
 
-    def fill(self, stream: Stream, rows: slice, number: int, buffer: NDArray[np.uint8], begin: int, step: int) -> None:
+    def fill(
+        self, stream: Stream, rows: slice, heads: NDArray[np.uint32], buffer: NDArray[np.uint8], begin: int, step: int
+    ) -> None:
         """Write what differs among the messages of some rows into a buffer that has the rest of them.
 
-        The first message begins at byte ``begin``, each next one ``step`` bytes on; ``number`` is the first one's.
+        The first message begins at byte ``begin``, each next one ``step`` bytes on; ``heads`` are those of all rows.
         """
-        t_ns = stream.t_ns[rows]
-        count = len(t_ns)
-        given = {leaf: column[rows] for leaf, column in stream.columns.items()}
-        given |= {"sequence": np.arange(number, number + count), "log_time": t_ns, "publish_time": t_ns}
-        if self._stamped:
-            seconds = t_ns // 1_000_000_000
-            given |= {_SECONDS: seconds, _NANOSECONDS: t_ns - seconds * 1_000_000_000}
+        own = heads[rows]
+        count = len(own)
+        head: NDArray[np.void] = np.ndarray((count,), self._head, own, 0, (own.strides[0],))
+        np.ndarray((count,), self._head, buffer, begin + _HEAD_AT, (step,))[...] = head
         for run in self._runs:
-            values = run.join(given, count)
+            values = run.join(stream.columns, rows, count)
             np.ndarray((count,), values.dtype, buffer, begin + run.offset, (step,))[...] = values
+
+
+def _make_heads(t_ns: NDArray[np.int64], number: int) -> NDArray[np.uint32]:
+    """Return what stands at the begin of each message from the sequence number to the stamp in its header, (N, 8).
+
+    These are the number (``number`` for the first), log time and publish time in two words each, the four bytes before
+    a body in CDR, and the stamp in seconds and nanoseconds. Messages without a header have the first five.
+    """
+    heads = np.empty((len(t_ns), 8), "<u4")
+    heads[:, 0] = np.arange(number, number + len(t_ns))
+    words = np.ascontiguousarray(t_ns, "<i8").view("<u4").reshape(-1, 2)
+    seconds = t_ns // 1_000_000_000
+    for place, column in ((1, words[:, 0]), (2, words[:, 1]), (3, words[:, 0]), (4, words[:, 1]), (6, seconds)):
+        heads[:, place] = column
+    heads[:, 5] = int.from_bytes(b"\0\1\0\0", "little")
+    heads[:, 7] = t_ns - seconds * 1_000_000_000
+    return heads
+
+
+def _make_heads_once(streams: Sequence[Stream], numbers: Sequence[int]) -> list[NDArray[np.uint32]]:
+    """Return the heads of each stream; those that have the same times and numbers share them."""
+    made: dict[tuple[int, int], NDArray[np.uint32]] = {}
+    for stream, number in zip(streams, numbers, strict=True):
+        key = id(stream.t_ns), number
+        if key not in made:
+            made[key] = _make_heads(stream.t_ns, number)
+    return [made[id(stream.t_ns), number] for stream, number in zip(streams, numbers, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -234,41 +262,32 @@ class _Run:
     offset: int
     leaves: tuple[str, ...]
     form: np.dtype[Any]  # with a field for each leaf
-    blank: NDArray[np.void]  # (1,) what lies between them
+    between: NDArray[np.void] | None  # (1,) what lies between the leaves; None: nothing
 
-    def join(self, given: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.void]:
+    def join(self, columns: Mapping[str, NDArray[Any]], rows: slice, count: int) -> NDArray[np.void]:
         """Return the bytes of these leaves for some messages, (count,)."""
+        whole = np.dtype((np.void, self.form.itemsize))
         if len(self.leaves) == 1:
-            column = given[self.leaves[0]]
+            column = columns[self.leaves[0]][rows]
             if column.dtype == self.form[0].base and column.flags.c_contiguous:
-                return column.reshape(-1).view(self.blank.dtype)  # as it is in memory
-        values = np.empty(count, self.blank.dtype)
-        values[...] = self.blank
+                return column.reshape(-1).view(whole)  # as it is in memory
+        values = np.empty(count, whole)
+        if self.between is not None:
+            values[...] = self.between
         by_leaf = values.view(self.form)
         for name in self.leaves:
             room = by_leaf[name]
-            room[...] = given[name].reshape(room.shape)
+            room[...] = columns[name][rows].reshape(room.shape)
         return values
 
 
-def _list_leaves(body: np.dtype[Any], columns: Mapping[str, NDArray[Any]]) -> dict[str, tuple[np.dtype[Any], int]]:
-    """Return dtype and place, in a whole message, of each part that differs from message to message."""
-    fields: Any = body.fields or {}
-    of_head: Any = MESSAGE_HEAD.fields
-    leaves = {name: of_head[name][:2] for name in ("sequence", "log_time", "publish_time")}
-    stamped = [_SECONDS, _NANOSECONDS] if _SECONDS in fields else []
-    for leaf in (*stamped, *columns):
-        leaves[leaf] = fields[leaf][0], MESSAGE_HEAD.itemsize + fields[leaf][1]
-    return leaves
-
-
-def _find_runs(
-    message: np.dtype[Any], blank: NDArray[np.uint8], leaves: Mapping[str, tuple[np.dtype[Any], int]]
-) -> list[_Run]:
-    """Return the leaves in runs: neighbours with few bytes between them together, long sequences alone."""
+def _find_runs(message: np.dtype[Any], blank: NDArray[np.uint8], leaves: Sequence[str]) -> list[_Run]:
+    """Return leaves of the body in runs: neighbours with few bytes between them together, long sequences alone."""
+    fields: Any = message["body"].fields or {}
+    places = {leaf: (fields[leaf][0], MESSAGE_HEAD.itemsize + fields[leaf][1]) for leaf in leaves}
     runs: list[list[str]] = []
     end = -message.itemsize
-    for leaf, (dtype, offset) in sorted(leaves.items(), key=lambda one: one[1][1]):
+    for leaf, (dtype, offset) in sorted(places.items(), key=lambda one: one[1][1]):
         if dtype.itemsize == 0:
             continue
         alone = dtype.itemsize > _LONG_LEAF
@@ -276,19 +295,20 @@ def _find_runs(
             runs.append([])
         runs[-1].append(leaf)
         end = -message.itemsize if alone else offset + dtype.itemsize
-    forms = []
+    found = []
     for run in runs:
-        first, (last, last_at) = leaves[run[0]][1], leaves[run[-1]]
+        first, (last, last_at) = places[run[0]][1], places[run[-1]]
         spec: Any = {
             "names": run,
-            "formats": [leaves[leaf][0] for leaf in run],
-            "offsets": [leaves[leaf][1] - first for leaf in run],
+            "formats": [places[leaf][0] for leaf in run],
+            "offsets": [places[leaf][1] - first for leaf in run],
             "itemsize": last_at + last.itemsize - first,
         }
         form = np.dtype(spec)
         between = blank[first : first + form.itemsize].copy().view((np.void, form.itemsize))
-        forms.append(_Run(first, tuple(run), form, between))
-    return forms
+        is_full = sum(places[leaf][0].itemsize for leaf in run) == form.itemsize
+        found.append(_Run(first, tuple(run), form, None if is_full else between))
+    return found
 
 
 _Laid = tuple[NDArray[np.uint8], Mapping[int, NDArray[np.void]]]  # the bytes of messages, and their message indexes
@@ -296,12 +316,12 @@ _Laid = tuple[NDArray[np.uint8], Mapping[int, NDArray[np.void]]]  # the bytes of
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of one topic in a part of a chunk, the number of the first one, and where their messages begin."""
+    """Rows of one topic in a part of a chunk, the heads of all rows of its piece, and where the messages begin."""
 
     maker: _Messages
     stream: Stream
     rows: slice
-    number: int
+    heads: NDArray[np.uint32]
     offsets: NDArray[np.int64]
 
 
@@ -321,10 +341,10 @@ class _Part:
         for one in self.topics:
             maker, count = one.maker, len(one.offsets)
             if self.turn:
-                maker.fill(one.stream, one.rows, one.number, buffer, int(one.offsets[0]), self.turn)
+                maker.fill(one.stream, one.rows, one.heads, buffer, int(one.offsets[0]), self.turn)
             else:
                 records = np.tile(maker.blank, count)
-                maker.fill(one.stream, one.rows, one.number, records, 0, maker.size)
+                maker.fill(one.stream, one.rows, one.heads, records, 0, maker.size)
                 windows(buffer, maker.size)[one.offsets] = records.view((np.void, maker.size))
             entries = np.empty(count, INDEX_ENTRY)
             entries["log_time"], entries["offset"] = one.stream.t_ns[one.rows], one.offsets
@@ -405,6 +425,9 @@ class _Group:
             return
         streams = [by_topic[maker.topic] for maker in makers]
         order = _put_in_order([np.asarray(stream.t_ns) for stream in streams], [maker.size for maker in makers])
+        heads = _make_heads_once(
+            streams, [maker.take_numbers(len(stream.t_ns)) for maker, stream in zip(makers, streams, strict=True)]
+        )
         if self.start_ns is None:
             self.start_ns = order.time_of(0)
         first = 0
@@ -419,7 +442,7 @@ class _Group:
             for k, (maker, stream) in enumerate(zip(makers, streams, strict=True)):
                 own, offsets = order.rows_of(k, first, last)
                 if len(offsets):
-                    rows.append(_Rows(maker, stream, own, maker.take_numbers(len(offsets)), offsets))
+                    rows.append(_Rows(maker, stream, own, heads[k], offsets))
             begin = order.end_of(first - 1) if first else 0
             size = order.end_of(last - 1) - begin
             blank = self._find_blank(makers, begin % order.turn, size) if order.turn else _NO_BYTES
