@@ -4,11 +4,13 @@ In memory a quaternion is Hamilton, ``w, x, y, z``, and ``q_nb`` takes body vect
 default and the viewers write ``x, y, z, w``: only :func:`to_xyzw` and :func:`from_xyzw` convert.
 """
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 EulerFrame = Literal["enu", "nwu", "ned"]
@@ -32,12 +34,19 @@ def from_xyzw(q_xyzw: Floats) -> Floats:
     return np.ascontiguousarray(q_xyzw[..., [3, 0, 1, 2]])
 
 
-def rotation(q_wxyz: ArrayLike) -> Rotation:
+def _import_rotation() -> "type[Rotation]":
+    """Return scipy's class, which takes a quarter of a second to import; most streaming estimators need none."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
+def rotation(q_wxyz: ArrayLike) -> "Rotation":
     """Return scipy's ``Rotation`` of wxyz quaternions ``(4,)`` or ``(N, 4)``."""
-    return Rotation.from_quat(np.asarray(q_wxyz, dtype=np.float64), scalar_first=True)
+    return _import_rotation().from_quat(np.asarray(q_wxyz, dtype=np.float64), scalar_first=True)
 
 
-def quaternion(rot: Rotation) -> Floats:
+def quaternion(rot: "Rotation") -> Floats:
     """Return the unit quaternions wxyz of a ``Rotation``, with w >= 0."""
     return np.asarray(rot.as_quat(canonical=True, scalar_first=True), dtype=np.float64)
 
@@ -48,9 +57,9 @@ def wrap(angle_rad: ArrayLike) -> Floats:
     return np.asarray(wrapped, dtype=np.float64)
 
 
-def local_from_enu(frame: EulerFrame) -> Rotation:
+def local_from_enu(frame: EulerFrame) -> "Rotation":
     """Return the rotation that takes ENU vectors to the axes of ``frame``."""
-    return Rotation.from_matrix(_LOCAL_FROM_ENU[frame])
+    return _import_rotation().from_matrix(_LOCAL_FROM_ENU[frame])
 
 
 def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
@@ -70,7 +79,7 @@ def euler(q_nb: Floats, frame: EulerFrame) -> Floats:
 def from_euler(angles_rad: ArrayLike, frame: EulerFrame) -> Floats:
     """Return quaternions ``q_nb`` from roll, pitch, yaw ``(..., 3)`` in rad; the inverse of :func:`euler`."""
     angles = np.asarray(angles_rad, dtype=np.float64)[..., ::-1]
-    rot = Rotation.from_euler("ZYX", -angles if frame == "nwu" else angles)
+    rot = _import_rotation().from_euler("ZYX", -angles if frame == "nwu" else angles)
     return quaternion(local_from_enu(frame).inv() * rot)
 
 
@@ -91,10 +100,10 @@ def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> 
     between = np.flatnonzero((share > 0) & (share < 1))  # elsewhere a sample is hit: nothing to interpolate
     first = rotation(found[between])
     step = first.inv() * rotation(q_wxyz[right[between]])
-    found[between] = quaternion(first * Rotation.from_rotvec(step.as_rotvec() * share[between, None]))
+    found[between] = quaternion(first * _import_rotation().from_rotvec(step.as_rotvec() * share[between, None]))
     return quaternion(rotation(found))
 
 
-def heading_rotation(angle_rad: float) -> Rotation:
+def heading_rotation(angle_rad: float) -> "Rotation":
     """Return the rotation by ``angle_rad`` about up, counter-clockwise seen from above."""
-    return Rotation.from_rotvec([0.0, 0.0, angle_rad])
+    return _import_rotation().from_rotvec([0.0, 0.0, angle_rad])

@@ -50,7 +50,7 @@ class UnitCheck:
         if imu is not None:
             for rows in _iterate_rows(len(imu.t_ns)):
                 gyro, accel = imu.gyro_b_radps[rows], imu.accel_b_mps2[rows]
-                self._fastest_radps = max(self._fastest_radps, float(np.abs(gyro).max()))
+                self._fastest_radps = max(self._fastest_radps, float(gyro.max()), -float(gyro.min()))
                 self._seconds.add(imu.t_ns[rows], accel, gyro)
                 self._forces_mps2.add(_measure_sizes(accel))
         if mag is not None and not self._mag_uncalibrated:

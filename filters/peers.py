@@ -13,17 +13,15 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import BadParameter, BadRecording, Imu, Mag
 from stillpoint.datasets.constants import STANDARD_GRAVITY_MPS2
-from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.frames import heading_rotation, local_from_enu, quaternion, rotation
 from stillpoint.datasets.recording import Floats
 from stillpoint.datasets.settings import Settings, choice, degrees, number
 
 _FIRST_S = 1.0  # of a recording: the dip of its field
-_WEST_OF_NORTH = heading_rotation(np.pi / 2)  # takes North-West-Up to East-North-Up
-_NED_TO_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+_QUARTER_RAD = np.pi / 2  # from North-West-Up to East-North-Up, about up
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def madgwick(data: PeerInput, params: MadgwickParams) -> PeerTrack:
     """Run ``ahrs.filters.Madgwick``: body to North-West-Up, from specific force."""
     gains = {"gain_marg": params.gain_marg_radps, "gain_imu": params.gain_imu_radps}
     found = _ahrs("Madgwick", data, params.magnetometer, data.accel_b_mps2, gains)
-    return PeerTrack(quaternion(_WEST_OF_NORTH * rotation(found)))
+    return PeerTrack(quaternion(heading_rotation(_QUARTER_RAD) * rotation(found)))
 
 
 def mahony(data: PeerInput, params: MahonyParams) -> PeerTrack:
@@ -154,7 +152,7 @@ def ahrs_ekf(data: PeerInput, params: AhrsEkfParams) -> PeerTrack:
     if data.mag_b_ut is not None and params.magnetometer and params.magnetic_ref == "dip":
         settings["magnetic_ref"] = _dip_deg(data)
     found = _ahrs("EKF", data, params.magnetometer, -data.accel_b_mps2, settings)
-    return PeerTrack(quaternion(_NED_TO_ENU * rotation(found)))
+    return PeerTrack(quaternion(local_from_enu("ned").inv() * rotation(found)))
 
 
 def fusion(data: PeerInput, params: FusionParams) -> PeerTrack:

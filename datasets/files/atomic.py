@@ -23,17 +23,18 @@ _CACHED_BYTES = 64 << 20  # of its end that stay in the system's cache
 
 
 @contextmanager
-def write_atomically(path: Path) -> Iterator[IO[bytes]]:
+def write_atomically(path: Path, leaves_cache: bool = False) -> Iterator[IO[bytes]]:
     """Open a binary file that replaces ``path`` when the block ends without an error.
 
     The content is on disk before the name is, so that a power cut leaves the old file or the new one. A link stays a
-    link: its target is replaced. Raises ``OSError`` when the file cannot be written.
+    link: its target is replaced. ``leaves_cache``: all but the end of a long file goes to the disk while it is written,
+    and leaves the system's cache. Raises ``OSError`` when the file cannot be written.
     """
     target = path.resolve()
     _remove_stale_parts_once(target.parent)
     part = target.with_name(_make_part_name(target.name))
     try:
-        with io.BufferedWriter(_SteadyFile(part, "x"), _BUFFER_BYTES) as file:
+        with io.BufferedWriter((_SteadyFile if leaves_cache else io.FileIO)(part, "x"), _BUFFER_BYTES) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -49,8 +50,8 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
 class _SteadyFile(io.FileIO):
     """A file of which all but the end goes to the disk while it is written, and leaves the system's cache.
 
-    Otherwise gigabytes wait for the disk at the end, and each of their pages is memory that the system has to find: of
-    a file of 2.5 GB that takes longer than to compute it.
+    Otherwise gigabytes wait for the disk at the end, and the system has to find memory for them: in a virtual machine
+    that can take longer than to compute them.
     """
 
     _sent = 0  # bytes that were sent to the disk, but for those that stay cached

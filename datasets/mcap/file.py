@@ -52,13 +52,16 @@ def take_records(buffer: Any, size: int, offsets: NDArray[np.int64]) -> NDArray[
 
 
 @contextmanager
-def write_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a binary file that appears under its name whole, on disk, or not at all. Raises :class:`BadFile`."""
+def write_file(path: Path, leaves_cache: bool = False) -> Iterator[IO[bytes]]:
+    """Open a binary file that appears under its name whole, on disk, or not at all.
+
+    ``leaves_cache`` is that of :func:`~stillpoint.datasets.files.atomic.write_atomically`. Raises :class:`BadFile`.
+    """
     target = path.resolve()
     if target.exists() and not target.is_file():
         raise BadFile(f"{path}: is there already and is no ordinary file; name another")
     try:
-        with write_atomically(path) as file:
+        with write_atomically(path, leaves_cache) as file:
             yield file
     except OSError as error:
         raise BadFile(

@@ -97,14 +97,14 @@ class PieceReader:
     def recording(self) -> Iterator[Piece]:
         """Yield the pieces of a recording; raises :class:`BadFile`, also for sizes that do not fit their units."""
         head = self.head
-        units = UnitCheck(head.name, head.info.mag_uncalibrated)
+        units = None if head.info.units_unchecked else UnitCheck(head.name, head.info.mag_uncalibrated)
         for log in self._logs():
             streams, extra = make_checked(log, lambda log=log: make_streams(log, self.facts, self._absent))  # type: ignore[misc]
             piece = Piece(**streams, extra=extra)
-            if not self.info.units_unchecked:
+            if units is not None:
                 units.add(piece.imu, piece.mag)
             yield piece
-        if not self.info.units_unchecked:
+        if units is not None:
             make_checked(self._last, units.raise_doubt)
 
     def trajectory(self) -> Iterator[Reference | SpinReference | Estimate]:

@@ -221,7 +221,7 @@ def open_trajectory(path: Path | str) -> "Iterator[TrajectoryWriter]":
 
     Raises :class:`BadFile` when the file cannot be written.
     """
-    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL) as out:
+    with open_mcap(Path(path), f"stillpoint {version('stillpoint')}", _TRAJECTORY_LEVEL, leaves_cache=True) as out:
         yield TrajectoryWriter(out)
 
 

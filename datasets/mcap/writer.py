@@ -94,12 +94,15 @@ def write_mcap(
 
 
 @contextmanager
-def open_mcap(path: Path, library: str = "stillpoint", level: int = ZSTD_LEVEL) -> "Iterator[MessageWriter]":
+def open_mcap(
+    path: Path, library: str = "stillpoint", level: int = ZSTD_LEVEL, leaves_cache: bool = False
+) -> "Iterator[MessageWriter]":
     """Open a file for messages that come piece by piece; it appears, atomically, when the block ends without an error.
 
-    ``level`` is that of zstd. Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
+    ``level`` is that of zstd, ``leaves_cache`` that of :func:`~stillpoint.datasets.files.atomic.write_atomically`.
+    Raises :class:`~stillpoint.datasets.errors.BadFile` when the file cannot be written.
     """
-    with write_file(path) as file, _open_writer(file, library, level) as out:
+    with write_file(path, leaves_cache) as file, _open_writer(file, library, level) as out:
         messages = MessageWriter(out)
         yield messages
         messages.release(None)

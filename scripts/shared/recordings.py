@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 from stillpoint.datasets.calibration.apply import SensorCalibration, calibration_of, load_calibration
-from stillpoint.datasets.doctor.clocks import list_losses
 from stillpoint.datasets.mcap.store import read_recording, read_reference
 from stillpoint.datasets.recording import Info, Recording, Times
 from stillpoint.scripts.shared.output import print_line
@@ -22,6 +21,10 @@ def open_recording(path: Path) -> Recording:
 
 def print_losses(path: Path, info: Info) -> None:
     """Print to stderr, once, what is lost of a recording that was cut short."""
+    if not info.notes:
+        return
+    from stillpoint.datasets.doctor.clocks import list_losses  # only here: the doctor's tests take long to import
+
     for loss in list_losses(info):
         _print_once(f"stillpoint: {path}: {loss}")
 
