@@ -169,7 +169,7 @@ def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
     for step in steps:
         made = _run(step)
         if made.returncode:
-            reason = _find_last_line(made)
+            reason = " ".join([*re.findall(r"^FAILED (\S+)", made.stdout, re.MULTILINE), _find_last_line(made)])
             could = "failed" if "pytest" in step and step[0] == python else "not checked"
             return Outcome(name, could, f"{' '.join(step[:3])}: {reason}")  # type: ignore[arg-type]
     return Outcome(name, "ok", _find_last_line(made))
