@@ -52,10 +52,10 @@ class UnitCheck:
                 gyro, accel = imu.gyro_b_radps[rows], imu.accel_b_mps2[rows]
                 self._fastest_radps = max(self._fastest_radps, float(gyro.max()), -float(gyro.min()))
                 self._seconds.add(imu.t_ns[rows], accel, gyro)
-                self._forces_mps2.add(_measure_sizes(accel))
+                self._forces_mps2.add(accel, _measure_sizes)
         if mag is not None and not self._mag_uncalibrated:
             for rows in _iterate_rows(len(mag.t_ns)):
-                self._fields_ut.add(_measure_sizes(mag.mag_b_ut[rows]))
+                self._fields_ut.add(mag.mag_b_ut[rows], _measure_sizes)
 
     def raise_doubt(self) -> None:
         """Raise :class:`BadRecording` with the likely unit when a size does not fit."""

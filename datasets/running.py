@@ -1,5 +1,6 @@
 """Statistics of columns that come piece by piece, in memory that does not grow with the column."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,9 +22,10 @@ class ThinnedValues:
         self._most = most
         self._kept: list[NDArray[Any]] = []
 
-    def add(self, values: NDArray[Any]) -> None:
-        """Take the next values (N,) or rows (N, k)."""
-        self._kept.append(values[-self.count % self.stride :: self.stride].copy())
+    def add(self, values: NDArray[Any], measure: Callable[[NDArray[Any]], NDArray[Any]] | None = None) -> None:
+        """Take the next values (N,) or rows (N, k); ``measure`` makes the values of the rows that are kept."""
+        kept = values[-self.count % self.stride :: self.stride].copy()
+        self._kept.append(kept if measure is None else measure(kept))
         self.count += len(values)
         while sum(map(len, self._kept)) > self._most:
             self._kept = [self.values()[::2].copy()]

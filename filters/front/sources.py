@@ -218,8 +218,9 @@ class _Waiting:
 
 def newest_rows(t_ns: Times, at_ns: Times) -> NDArray[np.int64]:
     """Return the row of the newest sample at each of the stamps ``at_ns``, -1 where the stamp before had it already."""
-    rows = np.searchsorted(t_ns, at_ns, side="right") - 1
-    return np.where(np.diff(rows, prepend=-1) > 0, rows, -1).astype(np.int64)
+    rows = np.full(len(at_ns) + 1, -1, np.int64)
+    rows[np.searchsorted(at_ns, t_ns)] = np.arange(len(t_ns))  # of several before one stamp, the newest is the last
+    return rows[:-1]
 
 
 def _report_calibration(state: heading_source.State) -> dict[str, Any]:
