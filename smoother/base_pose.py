@@ -110,8 +110,10 @@ def find_returns(
 
 def _is_same_rest(path: Swing, base: BasePose) -> bool:
     """Return whether a rest was only shaken since the one before, as by a tap: it was not put back."""
+    if np.abs(path.dt_s).sum() >= _SHAKEN_S:
+        return False
     turned_rad = (rotation(base.q_nb).inv() * rotation(path.q_nb)).magnitude()
-    return bool(np.abs(path.dt_s).sum() < _SHAKEN_S and turned_rad.max(initial=0.0) < _SHAKEN_RAD)
+    return bool(turned_rad.max(initial=0.0) < _SHAKEN_RAD)
 
 
 def closure(path: Swing, base: BasePose) -> Rotation:

@@ -58,6 +58,8 @@ _REST_SHARE = 0.25  # of the limit: the turns of all further iterations, by the 
 _ALIKE = 0.95  # cosine between two steps from which on they have the same direction
 _ROUNDS = 3  # in which the sd of the magnetometer is adapted to the errors of the field, at the most
 _SD_SETTLED = 0.1  # relative change of these sd that ends the rounds
+_LITTLE = 0.5  # logarithm of a widening of these sd that is applied before the optimum is found
+_EARLY = 3  # iterations that do so
 _SLOWEST = 0.98  # largest ratio of their lengths that is extrapolated
 
 
@@ -111,6 +113,7 @@ class Approach:
     effective: Floats  # (m, 6) at the beginning
     reached: Reached | None  # None before the first iteration
     field_scale_ut: float  # scale of the magnetometer's robust weights
+    counted: FieldMeasurements | None = None  # with the sd of the last iteration
     q_steps_rad: tuple[float, ...] = ()  # largest turn of a state in each iteration
 
 
@@ -129,10 +132,12 @@ def iterate(
     measured: FieldMeasurements | None,
     name: str,
     params: GraphParams,
+    adapts: bool = False,
 ) -> Approach:
     """Iterate until the scale of the weights has settled and no state turns by more than ``turn_limit_rad``.
 
-    An iteration that would turn them by much less than that is spared.
+    An iteration that would turn them by much less than that is spared. Where it ``adapts``, the first iterations widen
+    the sd of a field whose errors are a little large (:func:`_widen_little`), which spares one at the optimum.
 
     Raises :class:`Unobservable` when the system is singular, :class:`NoOptimum` when the iterations do not converge.
     """
@@ -143,10 +148,11 @@ def iterate(
         place, few = reached.place, reached.few
     layout = None if reached is None else reached.layout
     steps: list[float] = []
-    final = measured is None
+    final, counted = measured is None, measured
     before: Floats | None = None  # turns of the last step
     while len(steps) < params.iterations:
-        rows, residual = _linearise_at(graph, few, place, measured, scale_ut, params)
+        used = counted
+        rows, residual = _linearise_at(graph, few, place, used, scale_ut, params)
         if layout is None:
             layout = _find_layout(graph, rows, few, place, states, name)
             few = _select_values(few, [key for key, _ in layout.of_few])
@@ -169,9 +175,12 @@ def iterate(
         if residual is not None:
             smaller = shrink_scale(scale_ut, residual, params.magnetic)
             final, scale_ut = smaller == scale_ut, smaller
+        if adapts and final and measured is not None and used is not None and len(steps) <= _EARLY:
+            counted = _widen_little(Reached(place, few, layout), measured, params)
+            final = _has_settled(counted, used)
         if final and (turn < params.turn_limit_rad or rest < _REST_SHARE * params.turn_limit_rad):
             there = Reached(place, few, layout)
-            return replace(approach, reached=there, field_scale_ut=scale_ut, q_steps_rad=tuple(steps))
+            return Approach(approach.values, approach.effective, there, scale_ut, used, tuple(steps))
     raise NoOptimum(
         f"{name}: no optimum in {len(steps)} iterations (the last turned a state by {np.rad2deg(steps[-1]):.2g} deg); "
         "the sensors contradict each other, or the motion is not what the preset says: run the doctor"
@@ -187,12 +196,13 @@ def solve(
     params: GraphParams,
 ) -> Solution:
     """Return the optimum of the graph and the magnetometer's measurements; raises errors as :func:`iterate`."""
-    there = iterate(graph, approach, states, measured, name, params)
+    there = iterate(graph, approach, states, measured, name, params, adapts=approach.reached is not None)
     residual: Floats | None = None
     sd_ut, lasting = None, 1.0
     if measured is not None:
         there, counted = _adapt_to_field(graph, there, states, measured, name, params)
-        residual, errors = _find_field_errors(there, counted, params)
+        assert there.reached is not None
+        residual, errors = _find_field_errors(there.reached, counted, params)
         sd_ut, lasting = params.magnetic.sd_ut * float(np.median(counted.widening)), errors.lasting
         measured = widen_for_covariance(counted, errors, params.magnetic)
     assert there.reached is not None
@@ -217,13 +227,15 @@ def _adapt_to_field(
 ) -> tuple[Approach, FieldMeasurements]:
     """Return the optimum where each measurement of the field counts as its errors deserve, and the measurements.
 
-    ``there`` is the optimum with the sd of ordinary rooms. It stays where the errors of the field are not larger.
+    ``there`` is an optimum, by default with the sd of ordinary rooms. It stays where the errors of the field are not
+    larger than its sd allows for.
     """
-    counted = measured
+    counted = there.counted or measured
     for _ in range(_ROUNDS):
-        _, errors = _find_field_errors(there, counted, params)
+        assert there.reached is not None
+        _, errors = _find_field_errors(there.reached, counted, params)
         wider = widen_by_errors(measured, errors, params.magnetic)
-        if np.abs(np.log(wider.widening / counted.widening)).max() < _SD_SETTLED:
+        if _has_settled(wider, counted):
             break
         counted, before = wider, there
         there = iterate(graph, before, states, counted, name, params)
@@ -231,11 +243,29 @@ def _adapt_to_field(
     return there, counted
 
 
-def _find_field_errors(there: Approach, measured: FieldMeasurements, params: GraphParams) -> tuple[Floats, FieldErrors]:
+def _widen_little(reached: Reached, measured: FieldMeasurements, params: GraphParams) -> FieldMeasurements:
+    """Return measurements that count as their errors near the optimum deserve, where these are a little large.
+
+    Such an sd hardly changes the errors that it is taken from, so that it is right at the optimum too. Other
+    measurements are returned as they are.
+    """
+    _, errors = _find_field_errors(reached, measured, params)
+    wider = widen_by_errors(measured, errors, params.magnetic)
+    little = float(np.log(wider.widening / measured.widening).max()) < _LITTLE
+    return wider if little and not _has_settled(wider, measured) else measured
+
+
+def _has_settled(one: FieldMeasurements, other: FieldMeasurements) -> bool:
+    """Return whether the sd of measurements are about the same."""
+    return float(np.abs(np.log(one.widening / other.widening)).max()) < _SD_SETTLED
+
+
+def _find_field_errors(
+    reached: Reached, measured: FieldMeasurements, params: GraphParams
+) -> tuple[Floats, FieldErrors]:
     """Return the residuals (K, 3) of the magnetometer in uT, and the errors of the field that they show."""
-    assert there.reached is not None
-    rotations = _rotations_at(there.reached.place, measured)
-    residual = compute_residuals(measured, rotations, there.reached.few.atVector(H(0)))
+    rotations = _rotations_at(reached.place, measured)
+    residual = compute_residuals(measured, rotations, reached.few.atVector(H(0)))
     return residual, measure_errors(rotations, residual, params.magnetic)
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.compiled import compiled, compiled_apart, compiled_entry
-from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
-from stillpoint.datasets.quaternion import multiply
+from stillpoint.datasets.frames import quaternion, rotation, wrap
+from stillpoint.datasets.quaternion import Quaternion, Vector, conjugate, exp, multiply
 from stillpoint.datasets.recording import Floats, Mag
 from stillpoint.smoother.attitude.keys import Motion
 from stillpoint.smoother.missing import LONG_GAP_S
@@ -305,9 +305,9 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
     step_s = motion.dt_s.copy()
     step_s[starts] = 0.0
     turn = np.empty((len(motion.t_s), 4))
-    levels: list[Rotation] = []
+    levels = []
     offsets = np.zeros(len(starts))
-    before: Rotation | None = None
+    before: Quaternion | None = None
     for block, (first, last) in enumerate(zip(starts, ends, strict=True)):
         rate = motion.gyro_b_radps[first:last] - bias
         turn[first:last] = integrate(np.array([1.0, 0.0, 0.0, 0.0]), rate, step_s[first:last])
@@ -316,16 +316,15 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
         up = np.median(some.apply(motion.accel_b_mps2[rows].copy()), axis=0)
         level = _level_block(up, before, rate[0], motion.dt_s[first])
         levels.append(level)
-        before = level * rotation(turn[last - 1])
+        before = multiply(level, tuple(turn[last - 1].tolist()))
         if field_b is not None:
-            east, north, _ = level.apply(np.median(some.apply(field_b[rows] - iron), axis=0))
+            east, north, _ = _rotate(level, np.median(some.apply(field_b[rows] - iron), axis=0))
             offsets[block] = np.arctan2(east, north)
     if field_b is not None:
         piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
         offsets = np.concatenate([_take_circular_median(offsets[piece == number]) for number in np.unique(piece)])
-    pairs = zip(offsets.tolist(), levels, strict=True)
-    of_block = np.array([quaternion(heading_rotation(angle) * level) for angle, level in pairs])
-    _turn_blocks(of_block, starts, turn)
+    headings = Rotation.from_rotvec(offsets[:, None] * np.array([0.0, 0.0, 1.0]))
+    _turn_blocks(quaternion(headings * rotation(levels)), starts, turn)
     return turn
 
 
@@ -353,12 +352,23 @@ def _take_circular_median(angles: Floats) -> Floats:
     return agreed
 
 
-def _level_block(up: Floats, before: Rotation | None, rate: Floats, dt_s: float) -> Rotation:
+def _level_block(up: Floats, before: Quaternion | None, rate: Floats, dt_s: float) -> Quaternion:
     """Return the rotation that levels a block and continues the heading of the attitude before it."""
-    predicted = Rotation.identity() if before is None else before * Rotation.from_rotvec(rate * min(dt_s, LONG_GAP_S))
+    predicted: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    if before is not None:
+        x, y, z = (rate * min(dt_s, LONG_GAP_S)).tolist()
+        predicted = multiply(before, exp((x, y, z)))
     if not up.any():
         return predicted  # a sensor that reads nothing but zeros
-    x, y, z = predicted.apply(up / np.linalg.norm(up))
-    # The smallest rotation of (x, y, z) to (0, 0, 1); half a turn about x where that points straight down.
-    tilt = rotation([1 + z, y, -x, 0.0] if z > -1 + 1e-12 else [0.0, 1.0, 0.0, 0.0])
-    return tilt * predicted
+    x, y, z = _rotate(predicted, up / np.linalg.norm(up))
+    if z <= -1 + 1e-12:
+        return multiply((0.0, 1.0, 0.0, 0.0), predicted)  # straight down: half a turn about x
+    size = float(np.sqrt((1 + z) ** 2 + x**2 + y**2))
+    return multiply(((1 + z) / size, y / size, -x / size, 0.0), predicted)  # the smallest rotation to (0, 0, 1)
+
+
+def _rotate(q: Quaternion, vector: Floats) -> Vector:
+    """Return a vector (3,) rotated by a quaternion, which takes scipy a hundred times as long."""
+    x, y, z = vector.tolist()
+    _, x, y, z = multiply(multiply(q, (0.0, x, y, z)), conjugate(q))
+    return x, y, z
