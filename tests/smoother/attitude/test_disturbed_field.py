@@ -15,7 +15,12 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.simulate.measure import draw_gauss_markov
 from stillpoint.scoring import score
 from stillpoint.smoother import reference
+from stillpoint.smoother.attitude import solve as solving
+from stillpoint.smoother.attitude.build import build_graph
+from stillpoint.smoother.attitude.evidence import gather_evidence
+from stillpoint.smoother.attitude.params import HANDHELD
 from stillpoint.smoother.attitude.plausibility import Contradiction, refuse_wrong_axes
+from stillpoint.smoother.attitude.windows import join_graphs, start_window
 
 FLIPPED = np.diag([-1.0, 1.0, 1.0])
 SWAPPED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -173,3 +178,27 @@ def test_a_magnetometer_for_a_part_of_the_time_points_north_not_south(hand, firs
     assert made.calibration.field_n_ut[1] > 0
     found = score(made, hand.truth, "none")
     assert found.heading_rmse_deg < 4 * np.rad2deg(made.heading_sd_rad)
+
+
+@pytest.mark.slow
+def test_a_field_that_is_a_little_disturbed_is_widened_on_the_way_to_the_optimum(table, monkeypatch):
+    """The sd with which readings count and the attitudes are those of a widening at the optimum."""
+    mag = table.mag
+    step_s = float(np.median(np.diff(mag.t_ns))) / 1e9
+    recording = with_field(table, mag.mag_b_ut + draw_gauss_markov(3.0, 5.0, step_s, len(mag.t_ns), 5, "field"))
+    evidence = gather_evidence(recording, HANDHELD)
+    of_states = build_graph(recording, evidence, evidence.start.gyro_bias_b_radps, HANDHELD)
+    graph = join_graphs([of_states], evidence.find_votes(), None, HANDHELD)
+    problem = evidence.keys.held, evidence.measured, recording.name
+    start = solving.begin(*start_window(evidence, None, (), HANDHELD), HANDHELD)
+    near = solving.iterate(graph, start, *problem, replace(HANDHELD, turn_limit_rad=np.deg2rad(0.5)))
+    on_the_way = solving.solve(graph, near, *problem, HANDHELD)
+    monkeypatch.setattr(solving, "_EARLY", 0)
+    at_the_end = solving.solve(graph, near, *problem, HANDHELD)
+    assert at_the_end.field_sd_ut > 1.1 * HANDHELD.magnetic.sd_ut
+    assert on_the_way.field_sd_ut == pytest.approx(at_the_end.field_sd_ut, rel=0.01)
+    one, other = (
+        Rotation.from_matrix(solving.rotations_of(found.values, evidence.keys.held))
+        for found in (on_the_way, at_the_end)
+    )
+    assert (one.inv() * other).magnitude().max() < HANDHELD.turn_limit_rad
