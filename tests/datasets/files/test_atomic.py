@@ -1,5 +1,6 @@
 """Atomic files: the old content or the new one, and no debris of processes that were killed."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from stillpoint.datasets.files import atomic
 from stillpoint.datasets.files.atomic import remove_stale_parts, write_atomically, write_folder_atomically
 
 WRITE_AND_WAIT = """
@@ -31,6 +33,23 @@ def start_writer(target: Path) -> subprocess.Popen[str]:
 
 def list_parts(folder: Path) -> list[Path]:
     return list(folder.glob(".*.part"))
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system takes no such advice")
+def test_a_long_file_leaves_the_cache_but_for_its_end_and_holds_what_was_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(atomic, "_BUFFER_BYTES", 1000)
+    monkeypatch.setattr(atomic, "_STRIDE_BYTES", 20_000)
+    monkeypatch.setattr(atomic, "_CACHED_BYTES", 50_000)
+    sent = []
+    monkeypatch.setattr(os, "posix_fadvise", lambda file, begin, length, advice: sent.append((begin, length)))
+    blocks = [bytes([k % 251]) * 1700 for k in range(100)]
+    with write_atomically(tmp_path / "long", leaves_cache=True) as file:
+        for block in blocks:
+            file.write(block)
+    assert (tmp_path / "long").read_bytes() == b"".join(blocks)
+    assert len(sent) == 120_000 // 20_000 - 1, "a stride at a time"
+    assert all(begin == 0 and length <= 170_000 - 50_000 for begin, length in sent)
+    assert sorted(sent) == sent
 
 
 def test_failed_write_leaves_the_old_content_and_no_part(tmp_path):
