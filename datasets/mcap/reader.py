@@ -389,7 +389,7 @@ class _View:
         leaves: Any = layout.dtype.fields or {}
         self._columns = {leaf: (leaf,) for leaf in leaves} if columns is None else columns
         self.forms: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}  # of each column: dtype, shape of a row
-        self._places: dict[str, int] = {}  # of columns that lie in the message as they do in memory
+        self._rows: dict[str, np.dtype[Any]] = {}  # of columns that lie in the message as they do in memory
         for name, parts in self._columns.items():
             if not all(part in leaves for part in parts):
                 raise cdr.Undecodable(f"its messages have no {', '.join(parts)}")
@@ -399,15 +399,16 @@ class _View:
             if len(parts) > 1 and all(
                 leaves[part] == (np.dtype(np.float64), first + k * 8) for k, part in enumerate(parts)
             ):
-                self._places[name] = MESSAGE_HEAD.itemsize + first
+                row: Any = {"names": ["row"], "formats": [(np.void, 8 * len(parts))]}
+                row |= {"offsets": [MESSAGE_HEAD.itemsize + first], "itemsize": self.dtype.itemsize}
+                self._rows[name] = np.dtype(row)
 
     def copy(self, name: str, records: NDArray[np.void], room: NDArray[Any]) -> None:
         """Copy one column of some records."""
         parts = self._columns[name]
-        if name in self._places:
-            row = np.dtype((np.void, room.itemsize * room.shape[1]))
-            place: Any = {"names": ["row"], "formats": [row], "offsets": [self._places[name]]}
-            room.view(row)[:, 0] = records.view(np.dtype({**place, "itemsize": records.itemsize}))["row"]
+        if name in self._rows:
+            rows = records.view(self._rows[name])["row"]
+            room.view(rows.dtype)[:, 0] = rows
             return
         body = records.view(self.dtype)["body"]
         if len(parts) == 1:

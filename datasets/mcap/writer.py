@@ -204,7 +204,8 @@ class _Messages:
             at = MESSAGE_HEAD.itemsize + offset
             raw[at : at + len(word)] = np.frombuffer(word, np.uint8)
         self.blank, self.size = raw, dtype.itemsize  # the bytes of a message, (size,)
-        stamp = (layout.dtype.fields or {}).get("header.stamp.sec")
+        places: Any = layout.dtype.fields or {}
+        stamp = places.get("header.stamp.sec")
         assert stamp is None or MESSAGE_HEAD.itemsize + stamp[1] == _HEAD_AT + 24, "a message begins with its header"
         self._head = np.dtype((np.void, 20 if stamp is None else 32))
         self._runs = _find_runs(dtype, raw, list(stream.columns))
