@@ -25,11 +25,13 @@ def print_table(
     sections: Iterable[Iterable[Sequence[str]]],
     texts: int = 2,
     wanted: str | None = None,
+    widest_first: int | None = None,
 ) -> None:
     """Print rows of text under ``columns``, with a line between sections; the first ``texts`` columns to the left.
 
-    ``wanted`` is the value of --columns: "all", or names of columns with commas between. Raises :class:`BadParameter`
-    for a name that no column has.
+    ``wanted`` is the value of --columns: "all", or names of columns with commas between. On a terminal, texts of the
+    first column that are longer than ``widest_first`` go on in the next line. Raises :class:`BadParameter` for a name
+    that no column has.
     """
     columns = list(map(make_printable, columns))
     rows = [[list(map(make_printable, row)) for row in section] for section in sections]
@@ -39,10 +41,11 @@ def print_table(
     if not console.is_terminal:
         _print_lines(title, columns, rows, chosen)
         return
-    shown = list(chosen) if wanted is not None else fit_columns(columns, rows, console.width)
+    shown = list(chosen) if wanted is not None else fit_columns(columns, rows, console.width, widest_first)
     table = Table(title=Text(title), title_justify="left")
     for k in shown:
-        table.add_column(Text(columns[k]), justify="left" if k < texts else "right", overflow="fold")
+        widest = widest_first if k == 0 else None
+        table.add_column(Text(columns[k]), justify="left" if k < texts else "right", overflow="fold", max_width=widest)
     for section in rows:
         for row in section:
             table.add_row(*(Text(row[k]) for k in shown))
@@ -66,12 +69,18 @@ def choose_columns(columns: Sequence[str], wanted: str) -> list[int]:
     return chosen
 
 
-def fit_columns(columns: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], width: int) -> list[int]:
+def fit_columns(
+    columns: Sequence[str],
+    sections: Sequence[Sequence[Sequence[str]]],
+    width: int,
+    widest_first: int | None = None,
+) -> list[int]:
     """Return the places of the leftmost columns that fit into ``width`` characters, at least the first two."""
     cells = [columns, *(row for section in sections for row in section)]
     taken, fitting = 1, []
     for k in range(len(columns)):
-        taken += _BORDER + max(len(line[k]) for line in cells)
+        needed = max(len(line[k]) for line in cells)
+        taken += _BORDER + (min(needed, widest_first) if k == 0 and widest_first is not None else needed)
         if taken > width and k >= 2:
             break
         fitting.append(k)

@@ -56,6 +56,7 @@ _COLUMNS = (
     "mounting, deg",
     "time, ms",
 )
+_SOURCE_WIDTH = 20  # characters of a line: names of sources are sentences
 _SOURCE_COLUMNS = (
     "source",
     "method",
@@ -257,7 +258,9 @@ def _print(rows: list[ValidationRow], means: list[dict[str, Any]], align: str, w
     ]
     print_table(f"against the truth, aligned: {align}", _COLUMNS, [named, below], wanted=wanted)
     by_source = [_format_source(one) for one in summarise_sources(rows)]
-    print_table("by source: means, and how many references carry a warning", _SOURCE_COLUMNS, [by_source])
+    title = "by source: means, and how many references carry a warning"
+    every = wanted if wanted == "all" else None
+    print_table(title, _SOURCE_COLUMNS, [by_source], wanted=every, widest_first=_SOURCE_WIDTH)
     left_out = ((row.magnetometer_left_out, row.recording) for row in rows if row.magnetometer_left_out is not None)
     print_refusals("without magnetometer", left_out)
     print_refusals("not scored", ((row.error, row.method) for row in rows if row.error is not None))

@@ -56,3 +56,10 @@ def test_a_name_that_no_column_has_is_refused_with_those_there_are() -> None:
 
 def test_the_first_two_columns_are_shown_however_narrow_the_window() -> None:
     assert fit_columns(COLUMNS, [ROWS], width=10) == [0, 1]
+
+
+def test_a_long_text_of_the_first_column_goes_on_in_the_next_line_and_leaves_room_for_figures():
+    rows = [["a benchmark with a name as long as a sentence", "graph", "0.35"]]
+    columns = ["source", "method", "total, deg"]
+    assert fit_columns(columns, [rows], width=60) == [0, 1]
+    assert fit_columns(columns, [rows], width=60, widest_first=20) == [0, 1, 2]
