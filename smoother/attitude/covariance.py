@@ -112,15 +112,16 @@ class Factors:
 def choose_factors(closing_squares: Sequence[float], has_rest: bool, blind: bool, params: GraphParams) -> Factors:
     """Return the factors on the covariances: calibrated ones, that of the heading updated by the closing squares.
 
-    The expectation of a closing square is the factor of the heading. The calibrated factor counts as ``prior_returns``
-    of them, and any number of returns as MOST_RETURNS at most: an error that is the same each time does not show. The
-    factors were calibrated on recordings that miss nothing: of a ``blind`` one, with a gap or with samples dropped from
-    a slow log, they are at least 1.
+    With returns, the expectation of a closing square is the factor of the heading. The calibrated factor counts as
+    ``prior_returns`` of them, and any number of returns as MOST_RETURNS at most: an error that is the same each time
+    does not show. Without returns the errors of the field decide, which need no factor. The factors were calibrated on
+    recordings that miss nothing: of a ``blind`` one, with a gap or with samples dropped from a slow log, they are at
+    least 1.
     """
-    heading, count = params.heading_variance_factor, min(len(closing_squares), _MOST_RETURNS)
+    heading, count = params.variance_factor, min(len(closing_squares), _MOST_RETURNS)
     if count:
-        closing = count * float(np.mean(closing_squares))
-        heading = (params.prior_returns * heading + closing) / (params.prior_returns + count)
+        trusted = params.prior_returns * params.heading_variance_factor
+        heading = (trusted + count * float(np.mean(closing_squares))) / (params.prior_returns + count)
     tilt = params.rest_variance_factor if has_rest else params.variance_factor
     least = 1.0 if blind else 0.0
     return Factors(max(tilt, least), max(heading, least), max(params.variance_factor, least))

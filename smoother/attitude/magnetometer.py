@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import H, X
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.frames import rotation
@@ -30,6 +31,7 @@ _LONGEST_S = 10.0  # over which errors of the field are compared with each other
 _LEAST_CORRELATION = 0.05  # an autocorrelation below this ends the sum
 _STRETCH_S = 20.0  # over which the size of the field's errors is taken
 _ORDINARY = 0.5  # times ``sd_ut``: beyond it by so much, the sd of errors is still one of ordinary rooms
+_MEDIAN_LENGTH = 1.538  # of a vector (3,) of independent errors of sd 1
 _LATE_S = 0.04  # a phone's magnetometer is late by about this; the rate is averaged over this time before a state
 
 
@@ -178,7 +180,8 @@ def linearise_measurements(
 class FieldErrors:
     """How large the field's errors are, and how long they last."""
 
-    size_ut: Floats  # (K,) sd per axis in the stretch around each measurement
+    size_ut: Floats  # (K,) sd per axis in the stretch around each measurement, of errors that keep their weight
+    typical_ut: Floats  # (K,) the same by the median of all errors, which no weight makes smaller
     lasting: float  # factor on the sd of a mean of many: K readings count as K / lasting^2
 
 
@@ -193,7 +196,7 @@ def measure_errors(rotations: Floats, residual_ut: Floats, params: FieldParams) 
     error = np.einsum("kij,kj->ki", rotations, residual_ut * root[:, None])
     n, total = len(error), float((error**2).sum())
     if total == 0.0:
-        return FieldErrors(np.zeros(n), 1.0)
+        return FieldErrors(np.zeros(n), np.zeros(n), 1.0)
     lags = range(1, min(n // 4, int(_LONGEST_S / params.step_s)))
     alike = np.array([float((error[k:] * error[:-k]).sum()) / total * n / (n - k) for k in lags])
     ends = np.flatnonzero(alike < _LEAST_CORRELATION)
@@ -201,7 +204,9 @@ def measure_errors(rotations: Floats, residual_ut: Floats, params: FieldParams) 
     stretch = np.ones(min(n, 2 * int(_STRETCH_S / params.step_s / 2) + 1))
     count = np.convolve(np.ones(n), stretch, "same")
     square = np.convolve((error**2).mean(axis=1), stretch, "same") / count
-    return FieldErrors(np.sqrt(square), float(lasting))
+    size = np.sqrt(square)
+    typical = median_filter(np.linalg.norm(residual_ut, axis=1), len(stretch), mode="reflect") / _MEDIAN_LENGTH
+    return FieldErrors(size, np.maximum(size, typical), float(lasting))
 
 
 def widen_by_errors(measured: FieldMeasurements, errors: FieldErrors, params: FieldParams) -> FieldMeasurements:
@@ -216,9 +221,12 @@ def widen_by_errors(measured: FieldMeasurements, errors: FieldErrors, params: Fi
 
 
 def widen_for_covariance(counted: FieldMeasurements, errors: FieldErrors, params: FieldParams) -> FieldMeasurements:
-    """Return measurements that count in an estimate with the sd that its covariance allows for."""
-    hidden = errors.size_ut * errors.lasting**2 / params.sd_ut
-    return replace(counted, widening=np.maximum(np.maximum(counted.widening, errors.lasting), hidden))
+    """Return measurements that count in an estimate with the sd that its covariance allows for.
+
+    The size of the errors is their median here, because weights take a third off the rms of errors of 5 uT.
+    """
+    hidden = errors.typical_ut * errors.lasting**2 / params.sd_ut
+    return replace(counted, widening=np.maximum(counted.widening, hidden))
 
 
 def shrink_scale(scale_ut: float, residual: Floats, params: FieldParams) -> float:

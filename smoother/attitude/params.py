@@ -104,9 +104,11 @@ class GraphParams(Settings):
     rest: RestParams = field(default_factory=RestParams)
     returns: ReturnParams = field(default_factory=ReturnParams)
     turn_limit_rad: float = degrees(0.02, 1e-5, 5.0, "the solution is found when no key turns by more in an iteration")
-    variance_factor: float = number(1.0, 0.01, 100.0, "on the variances of tilt and mean heading")
+    variance_factor: float = number(1.0, 0.01, 100.0, "on all variances but the two below")
     rest_variance_factor: float = number(0.4, 0.01, 100.0, "on that of the tilt where there is a rest")
-    heading_variance_factor: float = number(0.45, 0.01, 100.0, "on that of the heading around its mean")
+    heading_variance_factor: float = number(
+        0.45, 0.01, 100.0, "on that of the heading around its mean where there are returns"
+    )
     prior_returns: float = number(12.0, 0.01, 100.0, "how many returns' worth of trust that factor deserves")
     iterations: float = number(40.0, 1.0, 200.0, "that the solution may take")
 

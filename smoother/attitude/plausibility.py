@@ -43,6 +43,7 @@ _USELESS_SHARE = 0.12  # of the field's measurements: with fewer that fit there 
 _MISFIT_LIMIT_SD = 0.9  # largest median residual of the field, in units of ``FieldParams.sd_ut``
 _RAW_MISFIT_LIMIT_SD = 0.7  # the same for a raw sensor, which bends to a disturbed field: good ones stay below 0.5
 _WIDE = 1.5  # times ``FieldParams.sd_ut``: the sd of a reading from which on errors of the field are said to last
+_TYPICAL = 1.1  # times ``FieldParams.sd_ut``: the median residual from which on the same is said; clean phones: 0.7
 _DIP_LIMIT_RAD = np.deg2rad(45.0)  # between the dip of the field found and that of the place
 _MINUTE_NS = 60 * 10**9
 _APART_NS = 10 * 10**9  # a gap in a stream of any rate
@@ -195,13 +196,17 @@ def describe_disturbed_field(fit: Fit, params: GraphParams) -> str:
 
 
 def describe_lasting_errors(fit: Fit, params: GraphParams) -> str:
-    """Return how little the magnetometer counts because errors of the field are large and last, "" if it counts."""
-    if fit.field_sd_ut is None or fit.field_sd_ut < _WIDE * params.magnetic.sd_ut:
+    """Return how large the field's errors are where the magnetometer's weight shows them, "" if they are ordinary."""
+    if fit.field_sd_ut is None or fit.field_misfit_ut is None:
         return ""
-    return (
-        f"errors of the field last for seconds: a reading of the magnetometer counts with an sd of "
-        f"{fit.field_sd_ut:.0f} uT"
-    )
+    if fit.field_sd_ut >= _WIDE * params.magnetic.sd_ut:
+        return (
+            f"errors of the field last for seconds: a reading of the magnetometer counts with an sd of "
+            f"{fit.field_sd_ut:.0f} uT"
+        )
+    if fit.field_misfit_ut >= _TYPICAL * params.magnetic.sd_ut:
+        return f"half of the magnetometer's readings are more than {fit.field_misfit_ut:.0f} uT off"
+    return ""
 
 
 def refuse_disturbed_field(fit: Fit, name: str, params: GraphParams) -> None:

@@ -141,7 +141,7 @@ def test_many_returns_count_as_six() -> None:
     many, six = choose_factors([0.06] * 900, True, False, HANDHELD), choose_factors([0.06] * 6, True, False, HANDHELD)
     assert many.heading == pytest.approx(six.heading)
     usual = HANDHELD.heading_variance_factor
-    assert choose_factors([], True, False, HANDHELD).heading == usual
+    assert choose_factors([], True, False, HANDHELD).heading == HANDHELD.variance_factor  # the field needs no factor
     assert (
         choose_factors([4.0] * 3, True, False, HANDHELD).heading
         > usual

@@ -212,7 +212,17 @@ def test_errors_of_ordinary_rooms_change_nothing_of_the_estimate():
     given, errors = measure_drawn(1.5, 1.0)
     counted = widen_by_errors(given, errors, PARAMS)
     np.testing.assert_array_equal(counted.widening, 1.0)
-    np.testing.assert_array_equal(widen_for_covariance(counted, errors, PARAMS).widening, errors.lasting)
+    hidden = errors.typical_ut * errors.lasting**2 / PARAMS.sd_ut
+    np.testing.assert_array_equal(widen_for_covariance(counted, errors, PARAMS).widening, np.maximum(1.0, hidden))
+
+
+def test_the_covariance_takes_errors_of_the_field_as_large_as_they_are():
+    """Robust weights make errors of 5 uT a third smaller; in a mean of many they count with 5 sqrt(2 x 2 s / 0.5 s)."""
+    given, errors = measure_drawn(5.0, 2.0)
+    assert errors.size_ut.mean() < 4.0
+    assert errors.typical_ut.mean() == pytest.approx(5.0, rel=0.1)
+    counted = widen_for_covariance(widen_by_errors(given, errors, PARAMS), errors, PARAMS)
+    assert np.median(counted.widening) * PARAMS.sd_ut > 5.0 * np.sqrt(2 * 2.0 / PARAMS.step_s)
 
 
 def test_large_errors_that_last_take_weight_from_the_magnetometer():
