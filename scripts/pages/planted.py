@@ -174,9 +174,10 @@ def main(*files: Path) -> None:
         outcomes = run_jobs(partial(_score_copy, name=name), files, LOCAL, name)
         found = [outcome.value for outcome in outcomes if outcome.value is not None]
         totals, inside = [one.total_rmse_deg for one, _ in found], [one.coverage95 or 0.0 for one, _ in found]
-        cells = [f"{mean(totals):.2f}", f"{max(totals):.2f}", f"{mean(inside):.2f}", f"{min(inside):.2f}"]
+        figures = (mean(totals), max(totals), mean(inside), min(inside)) if found else ()
+        cells = [f"{figure:.2f}" for figure in figures] or ["–"] * 4
         counts = f"{sum(warned for _, warned in found)} | {len(files) - len(found)}"
-        print(f"| {name} | {' | '.join(cells if found else ['–'] * 4)} | {counts} |", flush=True)
+        print(f"| {name} | {' | '.join(cells)} | {counts} |", flush=True)
 
 
 def _score_copy(path: Path, name: str) -> tuple[Score, bool]:
