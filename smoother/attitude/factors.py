@@ -69,8 +69,8 @@ def bias_factors(keys: Keys, bias_b_radps: Floats, params: GraphParams) -> Itera
         seconds = keys.t_s[end] - keys.t_s[begin]
         shift = p.gyro_bias_shift_radps if keys.at_rest[end] != keys.at_rest[end - 1] else 0.0
         accel, gyro = p.accel_bias_walk * np.sqrt(seconds), np.hypot(p.gyro_bias_walk * np.sqrt(seconds), shift)
-        sizes = _diagonal(np.repeat([accel, gyro], 3))
-        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), _FREE, sizes)
+        change = _diagonal(np.repeat([accel, gyro], 3))
+        yield gtsam.BetweenFactorConstantBias(B(k), B(k + 1), _FREE, change)
     if keys.first > 0:
         return
     start = gtsam.imuBias.ConstantBias(np.zeros(3), bias_b_radps)
