@@ -53,7 +53,7 @@ _DEBUG, _LARGE = "--debug", "--large"
 # New objects between two searches for cycles. Python's 700 makes 360 searches of the 140 000 objects that imports
 # make, none of which ever goes: a tenth of the start.
 GARBAGE_THRESHOLD = 50_000
-_TERMINATED = 143  # the exit code after SIGTERM
+_INTERRUPTED, _TERMINATED = 130, 143  # the exit codes after Ctrl-C and SIGTERM
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
 
@@ -88,23 +88,39 @@ def main(argv: Sequence[str] | None = None) -> None:
     if argv is None:  # a user waits; see datasets/machine_code.py, which would import numba here
         os.environ["STILLPOINT_SAY_COMPILING"] = "1"
         gc.set_threshold(GARBAGE_THRESHOLD)
-    before = signal.signal(signal.SIGTERM, _end_by_signal)
+    terminated = False
+
+    def end_as_after_interrupt(*_: object) -> NoReturn:
+        """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
+        nonlocal terminated
+        terminated = True
+        sys.exit(_TERMINATED)
+
+    before = signal.signal(signal.SIGTERM, end_as_after_interrupt)
     try:
         _run(tokens, debug)
     except KeyboardInterrupt:
         _flush_without_waiting()
-        sys.exit(130)
+        sys.exit(_INTERRUPTED)
     except SystemExit as end:
         if end.code == _TERMINATED:
             _flush_without_waiting()
         raise
+    except Exception as error:
+        # The import of a compiled module that a signal interrupts raises ImportError instead.
+        if not terminated and not _is_by_interrupt(error):
+            raise
+        _flush_without_waiting()
+        sys.exit(_TERMINATED if terminated else _INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-def _end_by_signal(*_: object) -> NoReturn:
-    """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
-    sys.exit(_TERMINATED)
+def _is_by_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error was raised because of Ctrl-C."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:

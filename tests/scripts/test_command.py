@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -122,6 +123,24 @@ def test_the_readable_files_are_shown_and_the_others_named(call, oddities, capsy
     assert call(verb, "full", "--json", "-") == 2
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert any("text.mcap" in str(row.get("error") or row.get("message")) for row in rows)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_during_the_import_of_a_compiled_module_is_no_defect(
+    number: int, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a module raises ImportError instead of what the signal raised."""
+
+    def interrupted() -> None:
+        try:
+            signal.raise_signal(number)
+        except BaseException as raised:
+            raise ImportError("cannot import") from (raised if number == signal.SIGINT else None)
+
+    monkeypatch.setattr(command, "app", lambda: lambda *_, **__: interrupted())
+    with pytest.raises(SystemExit) as stop:
+        command.main(["info", "x"])
+    assert stop.value.code == code
 
 
 @pytest.mark.slow
