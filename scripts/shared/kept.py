@@ -243,7 +243,7 @@ def _is_settings(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class _Stamp:
-    """What the file system says about a file; it changes with the content, and where another file takes the name."""
+    """Hold what the file system says about a file; it changes with the content and when another takes the name."""
 
     inode: int
     size: int

@@ -13,6 +13,7 @@ import numpy as np
 
 from stillpoint.datasets.compiled import compiled_entry
 from stillpoint.datasets.recording import Floats
+from stillpoint.smoother.attitude.linear.preintegration import invert_root
 
 _OF_STATES, _OF_BIAS = 18, 24  # where the columns of the states and of the bias end
 
@@ -34,15 +35,8 @@ def eliminate_effective(
                 total = 1.0 if a == b else 0.0
                 for c in range(_OF_STATES, _OF_BIAS):
                     total += intervals[i, a, c] * variance[c - _OF_STATES] * intervals[i, b, c]
-                for c in range(b):
-                    total -= root[a, c] * root[b, c]
-                root[a, b] = np.sqrt(total) if a == b else total / root[b, b]
-        for b in range(9):
-            for a in range(b, 9):
-                total = 1.0 if a == b else 0.0
-                for c in range(b, a):
-                    total -= root[a, c] * inverse[c, b]
-                inverse[a, b] = total / root[a, a]
+                root[a, b] = total
+        invert_root(root, inverse)
         for a in range(9):
             for column in range(_OF_BIAS + 1):
                 whole[a, column] = 0.0

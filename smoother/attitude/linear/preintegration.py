@@ -86,7 +86,7 @@ def preintegrate(
                 zeta[i, 3 + a] += (zeta[i, 6 + a] + 0.5 * pushed[a] * dt) * dt
                 zeta[i, 6 + a] += pushed[a] * dt
                 zeta[i, a] += rolled[a] * dt
-        _invert_root(cov, whitening[i])
+        invert_root(cov, whitening[i])
     return zeta, by_bias, whitening
 
 
@@ -332,7 +332,7 @@ def _multiply_left(left: Floats, right: Floats, out: Floats) -> None:
 
 
 @compiled
-def _invert_root(covariance: Floats, out: Floats) -> None:
+def invert_root(covariance: Floats, out: Floats) -> None:
     """Write L^-1 for a covariance L L' (9, 9), which is replaced by L."""
     for a in range(9):
         for b in range(a + 1):

@@ -122,7 +122,7 @@ def test_an_estimate_written_in_pieces_has_the_bytes_of_one_written_at_once(tmp_
     ],
 )
 def test_topics_between_each_other_in_odd_chunks_give_the_same_recording(tmp_path, options):
-    """As rosbag2 writes them: all topics in the same chunks, by time, with schemas and channels in the first one."""
+    """The file is as rosbag2 writes it: all topics in the same chunks, by time, schemas and channels in the first."""
     recording = phone(n=32_000)
     write(tmp_path / "own.mcap", recording)
     interleave(tmp_path / "own.mcap", tmp_path / "odd.mcap", **options)
