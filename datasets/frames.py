@@ -104,6 +104,6 @@ def slerp(t_ns: NDArray[np.int64], q_wxyz: Floats, at_ns: NDArray[np.int64]) -> 
     return quaternion(rotation(found))
 
 
-def heading_rotation(angle_rad: float) -> "Rotation":
-    """Return the rotation by ``angle_rad`` about up, counter-clockwise seen from above."""
-    return _import_rotation().from_rotvec([0.0, 0.0, angle_rad])
+def heading_rotation(angle_rad: float | Floats) -> "Rotation":
+    """Return the rotation by an angle, or those by angles (N,), about up, counter-clockwise seen from above."""
+    return _import_rotation().from_rotvec(np.multiply.outer(angle_rad, [0.0, 0.0, 1.0]))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.errors import StillpointError
-from stillpoint.datasets.frames import quaternion, rotation, slerp
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
 from stillpoint.datasets.simulate.measure import draw_gauss_markov
@@ -47,14 +47,14 @@ def turn_last_return(recording: Recording, angle_deg: float) -> Recording:
     def turn_body(t_ns: Times, vector_b: Floats) -> Floats:
         """Return vectors (N, 3) of n as the turned body measures them."""
         q_nb = _find_attitude(truth, t_ns)
-        about_up = _turn_about_up(angle_rad(t_ns))
+        about_up = heading_rotation(angle_rad(t_ns))
         return np.asarray((q_nb.inv() * about_up.inv() * q_nb).apply(np.array(vector_b)))
 
     up_b = _find_attitude(truth, imu.t_ns).as_matrix()[:, 2]
     rate = np.gradient(angle_rad(imu.t_ns), imu.t_ns / 1e9)
     gyro = imu.gyro_b_radps + rate[:, None] * up_b
     mag = recording.mag and Mag(recording.mag.t_ns, turn_body(recording.mag.t_ns, recording.mag.mag_b_ut))
-    q_nb = quaternion(_turn_about_up(angle_rad(truth.t_ns)) * rotation(truth.q_nb))
+    q_nb = quaternion(heading_rotation(angle_rad(truth.t_ns)) * rotation(truth.q_nb))
     return replace(
         recording,
         imu=Imu(imu.t_ns, gyro, turn_body(imu.t_ns, imu.accel_b_mps2)),
@@ -193,11 +193,6 @@ def _thin_out(truth: Truth) -> Truth:
     step_s = float(np.median(np.diff(truth.t_ns))) / 1e9
     every = slice(None, None, max(1, round(1 / _SCORED_HZ / step_s)))
     return Truth(truth.t_ns[every], truth.q_nb[every], truth.moving[every])
-
-
-def _turn_about_up(angle_rad: Floats) -> Rotation:
-    """Return rotations about up by angles (N,)."""
-    return Rotation.from_rotvec(angle_rad[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
 def _find_attitude(truth: Truth, t_ns: Times) -> Rotation:

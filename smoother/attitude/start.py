@@ -15,10 +15,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets.compiled import compiled, compiled_apart, compiled_entry
-from stillpoint.datasets.frames import quaternion, rotation, wrap
+from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, wrap
 from stillpoint.datasets.quaternion import Quaternion, Vector, conjugate, exp, multiply
 from stillpoint.datasets.recording import Floats, Mag
 from stillpoint.smoother.attitude.keys import Motion
@@ -323,8 +322,7 @@ def _compute_attitudes(motion: Motion, field_b: Floats | None, bias: Floats, iro
     if field_b is not None:
         piece = np.cumsum(motion.dt_s[starts] > LONG_GAP_S)
         offsets = np.concatenate([_take_circular_median(offsets[piece == number]) for number in np.unique(piece)])
-    headings = Rotation.from_rotvec(offsets[:, None] * np.array([0.0, 0.0, 1.0]))
-    _turn_blocks(quaternion(headings * rotation(levels)), starts, turn)
+    _turn_blocks(quaternion(heading_rotation(offsets) * rotation(levels)), starts, turn)
     return turn
 
 
