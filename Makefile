@@ -27,18 +27,18 @@ quick: .venv/.dev
 # unless FUZZ_SEED is given; it is printed, to repeat a run.
 FUZZ_MINUTES ?= 10
 fuzz: .venv/.dev
-	$(BIN)/python tests/support/fuzz.py --minutes $(FUZZ_MINUTES) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED))
+	$(BIN)/python tests/support/formats/fuzz.py --minutes $(FUZZ_MINUTES) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED))
 
 # Kill every command that writes, take away what it needs, and write docs/faults.md about it: on an idle machine under
 # ten minutes. On a busy one give the kills more time (FAULTS_SECONDS=2600), and compile beforehand (make kernels).
 FAULTS_SECONDS ?= 540
 faults: .venv/.dev
-	$(BIN)/python tests/support/faults.py --longest-s $(FAULTS_SECONDS)
+	$(BIN)/python tests/support/faults/faults.py --longest-s $(FAULTS_SECONDS)
 
 # An hour of `stillpoint stream` at 1 kHz: nothing lost, no growth, latency stated. For every night.
 SOAK_MINUTES ?= 60
 soak: .venv/.dev
-	$(BIN)/python tests/support/soak.py --minutes $(SOAK_MINUTES)
+	$(BIN)/python tests/support/faults/soak.py --minutes $(SOAK_MINUTES)
 
 # The property tests with new examples at every run, twenty times as many; `make test` repeats the same ones.
 properties: .venv/.dev
