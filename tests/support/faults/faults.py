@@ -1,7 +1,7 @@
 """Kill every command that writes, take away what it needs, and write ``docs/faults.md`` about what was seen.
 
-``python tests/support/faults/faults.py`` (``make faults``) makes at least 400 kills in under ten minutes on two cores. The
-exit code is 1 when anything broken was seen. ``--kills 40 -o FILE`` makes a short run. ``--only leaderboard tune``
+``python tests/support/faults/faults.py`` (``make faults``) makes at least 400 kills in under ten minutes on two cores.
+The exit code is 1 when anything broken was seen. ``--kills 40 -o FILE`` makes a short run. ``--only leaderboard tune``
 kills these commands alone, and adds the kills to those that the page has of them.
 """
 

@@ -1,7 +1,8 @@
 """Feed ``stillpoint stream`` at 1 kHz for a long time: it must lose nothing, not grow, and say its latency.
 
-``python tests/support/faults/soak.py --minutes 60`` (``make soak``). The exit code is 1 when an estimate is missing or out of
-order, when the memory grows by more than ``GROWTH_MB`` after the first tenth, or when the stream ends with an error.
+``python tests/support/faults/soak.py --minutes 60`` (``make soak``). The exit code is 1 when an estimate is missing or
+out of order, when the memory grows by more than ``GROWTH_MB`` after the first tenth, or when the stream ends with an
+error.
 Latency is stated and not judged: it belongs to the machine.
 """
 

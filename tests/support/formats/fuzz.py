@@ -1,8 +1,8 @@
 """Damage small valid inputs of every kind and read them: each must give a recording or one line of error.
 
-``python tests/support/formats/fuzz.py --minutes 10`` (``make fuzz``), or ``--count 3000``. An input fails when it ends in an
-exception that is no error of stillpoint, in an error of more than one line, in the death of the process, after more
-than 10 s, or with more than 512 MB. Failing inputs are kept in ``build/fuzz``.
+``python tests/support/formats/fuzz.py --minutes 10`` (``make fuzz``), or ``--count 3000``. An input fails when it ends
+in an exception that is no error of stillpoint, in an error of more than one line, in the death of the process, after
+more than 10 s, or with more than 512 MB. Failing inputs are kept in ``build/fuzz``.
 """
 
 import argparse
