@@ -33,7 +33,6 @@ from stillpoint.datasets.archive.incoming import Change, Given, Incoming, Wanted
 from stillpoint.datasets.archive.locks import hold_lock
 from stillpoint.datasets.archive.query import parse_query
 from stillpoint.datasets.archive.record import (
-    SHA256,
     Record,
     now,
     record_from_bytes,
@@ -461,11 +460,6 @@ def resolve_paths(place: str | Path, lines: Iterable[str]) -> list[Path]:
     with open_archive(place) as archive:
         words = [line.split()[0] for line in lines if line.strip()]
         return [archive.path_of(archive.resolve(word)) for word in words]
-
-
-def _is_sha256(text: str) -> bool:
-    """Return whether a text is a whole SHA-256 in hex."""
-    return SHA256.fullmatch(text) is not None
 
 
 def _home(storage: Storage) -> Path:

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from stillpoint.datasets import frames
 
-SQRT_HALF = np.sqrt(0.5)
 finite = st.floats(-1.0, 1.0)
 quaternions = (
     st.tuples(finite, finite, finite, finite)
@@ -48,7 +47,7 @@ def test_euler_angles_are_inverse_to_from_euler(q_nb: np.ndarray, frame: frames.
 
 @pytest.mark.filterwarnings("ignore:Gimbal lock")
 @given(quaternions)
-def test_nwu_angles_are_those_of_paper_002(q_nb: np.ndarray) -> None:
+def test_nwu_angles_are_those_of_the_phone_paper(q_nb: np.ndarray) -> None:
     """Eqs (4)-(6) of Elmi Aziz and Mohseni Araste 2021, literally, on this attitude's gravity and field."""
     from_nwu = frames.rotation(q_nb).inv() * frames.local_from_enu("nwu").inv()
     a1, a2, a3 = from_nwu.apply([0.0, 0.0, 9.81])
@@ -63,7 +62,7 @@ def test_nwu_angles_are_those_of_paper_002(q_nb: np.ndarray) -> None:
     assert frames.wrap(frames.euler(q_nb, "nwu") - [roll, pitch, yaw]) == pytest.approx([0, 0, 0], abs=1e-6)
 
 
-def test_yaw_of_paper_002_is_the_azimuth_of_the_x_axis() -> None:
+def test_nwu_yaw_is_the_azimuth_of_the_x_axis() -> None:
     """Phone flat, top (y) to the north: its x axis points east, azimuth 90 deg."""
     assert np.rad2deg(frames.euler(np.array([1.0, 0, 0, 0]), "nwu")) == pytest.approx([0, 0, 90])
 

@@ -11,10 +11,9 @@ from stillpoint.datasets.calibration.device import DeviceFile, read_device, writ
 from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
-from stillpoint.smoother.device import BIAS_SD_MPS2, PAIRS, calibrate_device
+from stillpoint.smoother.device import BIAS_SD_MPS2, calibrate_device
 
 PRIOR_SD = 0.005
-UPPER = [3 * i + j for i, j in PAIRS]
 
 
 def made(seed, device, bias=(0.02, -0.01, 0.03), data_sd=1e-3, seen=18):

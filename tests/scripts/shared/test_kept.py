@@ -12,7 +12,7 @@ import pytest
 from farm_work import lines, note
 
 from stillpoint.datasets import Estimate, write
-from stillpoint.datasets.errors import BadParameter, StillpointError, Unobservable
+from stillpoint.datasets.errors import BadParameter, Unobservable
 from stillpoint.datasets.mcap.store import read_origin, sha256
 from stillpoint.datasets.recording import Floats
 from stillpoint.scripts.shared import kept
@@ -237,9 +237,6 @@ def test_an_input_that_was_changed_a_moment_ago_is_hashed_again(tmp_path, log, m
 def test_the_pool_keeps_results_as_they_arrive(tmp_path, log):
     """A run that is stopped in the middle has kept what was done before."""
     paths = make_files(tmp_path / "in", *"abcd")
-
-    class StoppedError(StillpointError):
-        pass
 
     def stop_after_two(task):
         if len(lines(log)) == 2:

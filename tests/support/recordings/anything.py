@@ -22,7 +22,6 @@ from stillpoint.datasets import (
 )
 
 ANY = {"allow_nan": False, "allow_infinity": False, "width": 64}
-FAR = {"min_value": -1e12, "max_value": 1e12, **ANY}
 
 
 def floats(*shape, elements=None):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stillpoint.datasets import Recording
-from stillpoint.datasets.frames import heading_rotation, quaternion, rotation
+from stillpoint.datasets.frames import quaternion, rotation
 from stillpoint.datasets.recording import Imu, Mag, Truth
 
 
@@ -66,18 +66,6 @@ def turned_at_rest(recording: Recording, at_s: float, angle_rad: float, within_s
         mag=replace(mag, mag_b_ut=seen),
         truth=replace(truth, q_nb=quaternion(about_up * rotation(truth.q_nb))),
     )
-
-
-def heading_of(recording: Recording, q_nb: np.ndarray) -> float:
-    """Angle about up between an attitude (4,) and the first of the truth."""
-    back = quaternion(rotation(q_nb) * rotation(recording.truth.q_nb[0]).inv())
-    return float(2 * np.arctan2(back[3], back[0]))
-
-
-def turned_north(recording: Recording, angle_rad: float) -> Recording:
-    """The same truth with another north."""
-    turned = quaternion(heading_rotation(angle_rad) * rotation(recording.truth.q_nb))
-    return replace(recording, truth=replace(recording.truth, q_nb=turned))
 
 
 def _rows(recording: Recording, keep) -> Recording:
