@@ -1,6 +1,7 @@
 """The command ``stillpoint VERB``: finds the verb, runs it, and turns errors into one line and an exit code.
 
-Exit codes: 0 done; 2 the user can put it right (one line on stderr); 1 a defect of stillpoint (traceback).
+Exit codes: 0 done; 2 the user can put it right (one line on stderr); 1 a defect of stillpoint (traceback); 130 after
+Ctrl-C and 143 after SIGTERM.
 Verbs are imported when they are called, so that ``stillpoint --help`` loads neither numpy nor numba nor gtsam.
 """
 
@@ -13,6 +14,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
+
+from stillpoint.scripts.shared.signals import Unwinding
 
 if TYPE_CHECKING:  # imported where Ctrl-C ends it quietly
     from cyclopts import App
@@ -53,7 +56,6 @@ _DEBUG, _LARGE = "--debug", "--large"
 # New objects between two searches for cycles. Python's 700 makes 360 searches of the 140 000 objects that imports
 # make, none of which ever goes: a tenth of the start.
 GARBAGE_THRESHOLD = 50_000
-_INTERRUPTED, _TERMINATED = 130, 143  # the exit codes after Ctrl-C and SIGTERM
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a full or broken standard output
 
 
@@ -70,6 +72,7 @@ def app() -> "App":
         version=lambda: metadata.version("stillpoint"),
         version_flags=_VERSION,
         help_flags=_HELP,
+        suppress_keyboard_interrupt=False,  # main ends the process
     )
     for place, (verb, (target, summary)) in enumerate(VERBS.items()):
         cli.command(f"stillpoint.scripts.verbs.{target}", name=verb, help=summary, sort_key=place)
@@ -88,39 +91,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     if argv is None:  # a user waits; see datasets/machine_code.py, which would import numba here
         os.environ["STILLPOINT_SAY_COMPILING"] = "1"
         gc.set_threshold(GARBAGE_THRESHOLD)
-    terminated = False
-
-    def end_as_after_interrupt(*_: object) -> NoReturn:
-        """End as after Ctrl-C, so that half-written files and processes are cleaned up."""
-        nonlocal terminated
-        terminated = True
-        sys.exit(_TERMINATED)
-
-    before = signal.signal(signal.SIGTERM, end_as_after_interrupt)
+    unwinding = Unwinding((signal.SIGINT, signal.SIGTERM))  # half-written files and processes are cleaned up
     try:
         _run(tokens, debug)
-    except KeyboardInterrupt:
-        _flush_without_waiting()
-        sys.exit(_INTERRUPTED)
-    except SystemExit as end:
-        if end.code == _TERMINATED:
-            _flush_without_waiting()
-        raise
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
         # The import of a compiled module that a signal interrupts raises ImportError instead.
-        if not terminated and not _is_by_interrupt(error):
+        if not unwinding.told and not isinstance(error, KeyboardInterrupt):
             raise
         _flush_without_waiting()
-        sys.exit(_TERMINATED if terminated else _INTERRUPTED)
+        sys.exit(128 + (unwinding.told[0] if unwinding.told else signal.SIGINT))
     finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _is_by_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error was raised because of Ctrl-C."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+        unwinding.stop(kill=argv is None)  # nothing is half-written now
 
 
 def _run(tokens: Sequence[str], debug: bool) -> NoReturn:

@@ -20,10 +20,11 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import Any, Generic, TypeVar
 
 from stillpoint.datasets.errors import BadFile, BadParameter, StillpointError
 from stillpoint.scripts.main import GARBAGE_THRESHOLD
+from stillpoint.scripts.shared.signals import Unwinding
 
 # A process that is asked to end first removes the file that it is writing, and native code, as that of the compiler,
 # hears of a signal only when it returns.
@@ -188,40 +189,45 @@ def _hide_main(function: bytes) -> Iterator[None]:
 
 def _work(pipe: Connection, pickled: bytes, surroundings: Surroundings) -> None:
     """Work on items until the pipe is closed. On SIGTERM the stack unwinds, so that a half-written file is removed."""
-    signal.signal(signal.SIGTERM, _unwind)
+    unwinding = Unwinding((signal.SIGTERM,), once=True)  # a second one comes of the group, or of the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.environ.update(surroundings.environment)
-    if surroundings.folder is not None and Path(surroundings.folder).is_dir():
-        os.chdir(surroundings.folder)
-    gc.set_threshold(GARBAGE_THRESHOLD)
-    function = pickle.loads(pickled)
-    if surroundings.memory_limit_bytes is not None:
-        _limit_memory(surroundings.memory_limit_bytes)
-    _serve(pipe, function)
-    # Nothing is half-written now, and unwinding the end of the interpreter would print a traceback.
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        os.environ.update(surroundings.environment)
+        if surroundings.folder is not None and Path(surroundings.folder).is_dir():
+            os.chdir(surroundings.folder)
+        gc.set_threshold(GARBAGE_THRESHOLD)
+        function = pickle.loads(pickled)
+        if surroundings.memory_limit_bytes is not None:
+            _limit_memory(surroundings.memory_limit_bytes)
+        for outcome in _work_on_items(pipe, function):
+            if unwinding.told:  # what the signal raised was caught, as the import of a compiled module does
+                sys.exit(1)
+            _send(pipe, outcome)
+    except (KeyboardInterrupt, Exception):
+        if not unwinding.told:
+            raise
+        sys.exit(1)
+    unwinding.stop(kill=True)  # nothing is half-written now
 
 
-def _unwind(*_: object) -> NoReturn:
-    """Unwind the stack once. A second signal, as of the group and of the parent, would interrupt the cleaning up."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    sys.exit(1)
-
-
-def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    """Send the outcome of each item until the pipe is closed."""
+def _work_on_items(pipe: Connection, function: Callable[[Any], Any]) -> Iterator[Outcome[Any]]:
+    """Yield the outcome of each item until the pipe is closed."""
     while True:
         try:
             item = pipe.recv()
         except (EOFError, OSError):
             return
-        outcome = run_item(function, item)
-        try:
-            pipe.send(outcome)
-        except OSError:
-            return
-        except Exception as error:  # a result that does not pickle
-            pipe.send(Outcome(error=_describe_defect(error), defect=True))
+        yield run_item(function, item)
+
+
+def _send(pipe: Connection, outcome: Outcome[Any]) -> None:
+    """Send an outcome; a parent that is gone takes none, which the next item shows."""
+    try:
+        pipe.send(outcome)
+    except OSError:
+        return
+    except Exception as error:  # a result that does not pickle
+        pipe.send(Outcome(error=_describe_defect(error), defect=True))
 
 
 def _limit_memory(limit_bytes: int) -> None:

@@ -98,16 +98,6 @@ def _format_estimate(t_ns: int, name: str, output: Output | SpinAnswer) -> str:
     return json.dumps(facts, separators=(",", ":")) + "\n"
 
 
-@contextmanager
-def quit_at_interrupt() -> Iterator[None]:
-    """End the process at once on SIGINT: nothing is to be saved yet, and callbacks of the compiler lose exceptions."""
-    before = signal.signal(signal.SIGINT, lambda *_: os._exit(130))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class _Ended(Exception):
     """Raised when a signal comes while a pipe is waited for."""
 

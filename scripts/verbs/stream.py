@@ -22,7 +22,7 @@ from stillpoint.scripts.shared.output import STDOUT, JsonFile, check_writable, p
 from stillpoint.scripts.shared.recordings import open_recording
 from stillpoint.scripts.streaming.heading_watch import HeadingWatch
 from stillpoint.scripts.streaming.lines import ATTITUDE, Arrival, SpinArrival, make_spin_layout
-from stillpoint.scripts.streaming.pipe import Counts, quit_at_interrupt, run_pipe
+from stillpoint.scripts.streaming.pipe import Counts, run_pipe
 from stillpoint.scripts.streaming.streams import (
     Live,
     Make,
@@ -131,8 +131,7 @@ def stream(
     else:
         layout = make_spin_layout(len(spin.accel_axis_b), len(spin.gyro_axis_b))
         makes = {run.estimator: make_spin_stream(run, spin) for run in runs}
-    with quit_at_interrupt():
-        streams = open_streams(makes, resume, kind)
+    streams = open_streams(makes, resume, kind)
     if sys.stdin is None or sys.stdout is None:
         raise BadParameter("the standard input or output is closed; samples come on the one, estimates on the other")
     watch, units = HeadingWatch(list(streams), heading), UnitWatch()

@@ -162,7 +162,7 @@ def _end_while_writing(place: Places, rng: random.Random, number: signal.Signals
         fork.send(number)
         ended = fork.wait()
         fault = f"exit code {ended.code}: {ended.last_line}" if ended.code not in (0, 128 + number) else ""
-        fault = fault or ("a traceback" if "Traceback" in ended.err else "")
+        fault = fault or ("a traceback" if "Traceback" in ended.err or "ignored" in ended.err else "")
         fault = fault or (f"{ended.orphans} processes stay" if ended.orphans else "")
         answers.append((words, fault or _name_broken(folder)))
     how = "in processes of their own (--jobs 2)" if jobs > 1 else "in one process"
