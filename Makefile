@@ -4,6 +4,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+COMPILE := echo "compiling all estimators, once (about a minute)" && $(BIN)/python -m stillpoint.scripts.kernels
 PYTEST := $(BIN)/python -m pytest
 # The tests of a file share its fixtures: a file goes to one worker, in the order in which pytest found it.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
@@ -47,9 +48,10 @@ properties: .venv/.dev
 test-data: .venv/.dev
 	$(PYTEST) -q -n auto -m real_data
 
-# Compile all estimators beforehand, for any processor of this platform (80 s on an idle machine).
+# Compile all estimators and the reference again, for any processor of this platform, after a change of their sources:
+# what is compiled beforehand does not make its first user wait. An installation by make does it too.
 kernels: .venv/.run
-	$(BIN)/python -m stillpoint.scripts.kernels
+	@$(COMPILE)
 
 # A wheel that carries them: its first estimate does not compile, with the Python and numba it was built with.
 wheel: kernels
@@ -92,10 +94,12 @@ release-check: .venv/.release
 
 .venv/.run: .venv/.python pyproject.toml constraints.txt
 	$(INSTALL) --editable '.[peers]'
+	-@$(COMPILE)
 	touch $@
 
 .venv/.dev: .venv/.python pyproject.toml constraints.txt
 	$(INSTALL) --editable '.[all,dev]'
+	-@$(COMPILE)
 	touch $@ .venv/.run
 
 .venv/.release: .venv/.dev

@@ -50,6 +50,8 @@ def test_a_kernel_is_loaded_into_an_empty_cache_and_not_for_other_sources(tmp_pa
 COMPILE = """
 import sys, time
 from pathlib import Path
+from stillpoint.datasets import machine_code
+machine_code.KERNELS = Path(sys.argv[1]) / "none"
 from stillpoint.filters.spin import front
 Path(sys.argv[1], sys.argv[2]).touch()
 while len(list(Path(sys.argv[1]).glob("ready-*"))) < 2:
