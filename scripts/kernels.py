@@ -14,6 +14,7 @@ from multiprocessing import get_context
 import numba
 
 from stillpoint.datasets.machine_code import KERNELS, TARGET, hash_sources
+from stillpoint.scripts.shared.program import run_program
 
 _REFERENCE = "reference"
 _PROCESSES_AT_MOST = 4  # they share most functions, and wait for each other's
@@ -83,4 +84,4 @@ def _compile(name: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

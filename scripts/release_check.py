@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from stillpoint.scripts.shared.program import run_program
+
 _ROOT = Path.cwd()  # make runs it in the checkout
 _OUT = _ROOT / "build" / "release"
 _PYTHONS = ("3.11", "3.12", "3.13")
@@ -72,7 +74,7 @@ def main() -> int:
 
 def check_wheel() -> Iterator[Outcome]:
     """Build the wheel of the last commit twice, in two folders, and compare the bytes."""
-    stamp = _run(["git", "log", "-1", "--format=%ct"]).stdout.strip()
+    stamp = _run_command(["git", "log", "-1", "--format=%ct"]).stdout.strip()
     hashes = []
     for name in ("first", "second"):
         source, out = _OUT / name / "source", _OUT / name
@@ -81,7 +83,7 @@ def check_wheel() -> Iterator[Outcome]:
         archive = subprocess.run(["git", "archive", "HEAD"], capture_output=True, check=True).stdout
         subprocess.run(["tar", "-x", "-C", str(source)], input=archive, check=True)
         command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(out), str(source)]
-        built = _run(command, SOURCE_DATE_EPOCH=stamp)
+        built = _run_command(command, SOURCE_DATE_EPOCH=stamp)
         wheels = sorted(out.glob("*.whl"))
         if built.returncode or not wheels:
             yield Outcome("reproducible wheel", "failed", f"the wheel is not built: {_find_last_line(built)}")
@@ -95,7 +97,7 @@ def check_wheel() -> Iterator[Outcome]:
 def check_materials() -> Iterator[Outcome]:
     """Write the bill of materials of this environment in CycloneDX."""
     target = _OUT / "sbom.cdx.json"
-    made = _run([_find_tool("cyclonedx-py"), "environment", sys.executable, "--output-file", str(target)])
+    made = _run_command([_find_tool("cyclonedx-py"), "environment", sys.executable, "--output-file", str(target)])
     if made.returncode:
         yield Outcome("bill of materials", "failed", _find_last_line(made))
         return
@@ -105,7 +107,7 @@ def check_materials() -> Iterator[Outcome]:
 
 def check_licences() -> Iterator[Outcome]:
     """Look for packages whose licence is not among those that an MIT package may depend on."""
-    made = _run([_find_tool("pip-licenses"), "--python", sys.executable, "--from=mixed", "--format=json"])
+    made = _run_command([_find_tool("pip-licenses"), "--python", sys.executable, "--from=mixed", "--format=json"])
     if made.returncode:
         yield Outcome("licences", "failed", _find_last_line(made))
         return
@@ -122,7 +124,7 @@ def _is_free(name: str, licence: str) -> bool:
 
 def check_vulnerabilities() -> Iterator[Outcome]:
     """Ask the public database for known vulnerabilities of the pinned versions."""
-    made = _run([_find_tool("pip-audit"), "--requirement", "constraints.txt", "--no-deps", "--disable-pip",
+    made = _run_command([_find_tool("pip-audit"), "--requirement", "constraints.txt", "--no-deps", "--disable-pip",
                  "--format=json", "--progress-spinner=off"])  # fmt: skip
     try:
         found = [d["name"] for d in json.loads(made.stdout)["dependencies"] if d.get("vulns")]
@@ -145,7 +147,7 @@ def check_citation() -> Iterator[Outcome]:
 def check_versions() -> Iterator[Outcome]:
     """Run the fast tests with the lowest and the newest versions of pyproject.toml, on every Python there is."""
     for python in _PYTHONS:
-        found = _run([_find_tool("uv"), "python", "find", "--no-python-downloads", python])
+        found = _run_command([_find_tool("uv"), "python", "find", "--no-python-downloads", python])
         for resolution in ("lowest-direct", "highest"):
             name = f"Python {python}, {'lowest' if resolution == 'lowest-direct' else 'newest'} versions"
             if found.returncode:
@@ -155,6 +157,7 @@ def check_versions() -> Iterator[Outcome]:
 
 
 def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
+    """Run the fast tests in a new environment with this interpreter and these versions."""
     home = _OUT / "environments" / name.replace(" ", "-").replace(",", "")
     shutil.rmtree(home, ignore_errors=True)
     uv, python = _find_tool("uv"), str(home / "bin" / "python")
@@ -167,7 +170,7 @@ def _run_tests(name: str, interpreter: str, resolution: str) -> Outcome:
         [python, "-m", "pytest", "-q", "-m", "not slow and not wheel", *_TESTS],
     ]  # fmt: skip
     for step in steps:
-        made = _run(step)
+        made = _run_command(step)
         if made.returncode:
             reason = " ".join([*re.findall(r"^FAILED (\S+)", made.stdout, re.MULTILINE), _find_last_line(made)])
             could = "failed" if "pytest" in step and step[0] == python else "not checked"
@@ -180,7 +183,8 @@ def _find_tool(name: str) -> str:
     return str(beside) if beside.exists() else name
 
 
-def _run(command: Sequence[str], **environment: str) -> subprocess.CompletedProcess[str]:
+def _run_command(command: Sequence[str], **environment: str) -> subprocess.CompletedProcess[str]:
+    """Return a command's result; one that is not installed gives exit code 127 and says how to install it."""
     try:
         return subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | environment)
     except FileNotFoundError:
@@ -193,4 +197,4 @@ def _find_last_line(made: "subprocess.CompletedProcess[str]") -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_program(main)

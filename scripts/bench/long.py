@@ -8,7 +8,6 @@ With ``--phone`` it is a simulated phone in the hand without its truth, which ha
     python -m stillpoint.scripts.bench.long FOLDER --hours 24 --rate 100 --phone reference
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,7 +21,9 @@ import numpy as np
 from stillpoint.datasets.mcap.store import open_recording, write
 from stillpoint.datasets.recording import Gps, Head, Imu, Info, Mag, Piece, Truth
 from stillpoint.datasets.simulate import simulate
+from stillpoint.scripts.shared.flags import Whole
 from stillpoint.scripts.shared.output import print_line
+from stillpoint.scripts.shared.program import run_program
 
 _START_NS = 1_700_000_000_000_000_000
 _PIECE_S = 600
@@ -74,6 +75,7 @@ def write_phone_recording(path: Path, hours: float, rate_hz: int, seed: int = 0)
 
 
 def _make_pieces(hours: float, rate_hz: int, seed: int, with_truth: bool) -> Iterator[Piece]:
+    """Yield a recording of this length in pieces: rests and turns about up, with noise of this seed."""
     rng = np.random.default_rng(seed)
     for begin_s in range(0, round(hours * 3600), _PIECE_S):
         n = _PIECE_S * rate_hz
@@ -115,26 +117,37 @@ def _measure_verb(verb: str, path: Path) -> dict[str, float]:
     return measured
 
 
-def _main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--rate", type=int, default=200)
-    parser.add_argument("--truth", action="store_true", help="with a truth, for score")
-    parser.add_argument("--phone", action="store_true", help="a simulated phone in the hand, for reference")
-    parser.add_argument("verbs", nargs="*", help="a verb with its options, in quotes")
-    given = parser.parse_intermixed_args()
-    kind = "phone" if given.phone else "long"
-    path = given.folder / f"{kind}-{given.hours:g}h-{given.rate}hz{'-truth' * given.truth}.mcap"
+def main(
+    folder: Path, *verbs: str, hours: float = 1.0, rate: Whole = 200, truth: bool = False, phone: bool = False
+) -> None:
+    """Make the recording where it is missing, and print time and memory of each verb.
+
+    Parameters
+    ----------
+    folder
+        Where the recording is kept.
+    verbs
+        A verb with its options, in quotes.
+    hours
+        Length of the recording.
+    rate
+        Samples of the IMU per second.
+    truth
+        With a truth, for score.
+    phone
+        A simulated phone in the hand, for reference.
+    """
+    kind = "phone" if phone else "long"
+    path = folder / f"{kind}-{hours:g}h-{rate}hz{'-truth' * truth}.mcap"
     if not path.exists():
         begun = time.perf_counter()
-        if given.phone:
-            count = write_phone_recording(path, given.hours, given.rate)
+        if phone:
+            count = write_phone_recording(path, hours, rate)
         else:
-            count = write_long_recording(path, given.hours, given.rate, with_truth=given.truth)
+            count = write_long_recording(path, hours, rate, with_truth=truth)
         seconds, size_mb = time.perf_counter() - begun, path.stat().st_size / 1e6
         print_line(f"{path.name}: {count} samples, {size_mb:.0f} MB in {seconds:.0f} s", flush=True)
-    for verb in given.verbs:
+    for verb in verbs:
         found = _measure_verb(verb, path)
         print_line(
             f"{verb}: {found['wall_s']:.1f} s, CPU {found['user_s']:.1f} s, peak {found['peak_mb']:.0f} MB, "
@@ -144,4 +157,4 @@ def _main() -> None:
 
 
 if __name__ == "__main__":
-    _main()
+    run_program(main)

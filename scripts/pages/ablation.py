@@ -3,14 +3,13 @@
 Recordings with truth are solved with one ingredient off at a time; docs/history.md holds the tables.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from statistics import mean, median
 
-from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Recording
 from stillpoint.datasets.settings import choose_settings
@@ -20,6 +19,7 @@ from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.inputs import recordings
 from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother.attitude.evidence import gather_evidence
 from stillpoint.smoother.attitude.graph import reference_from_evidence
 from stillpoint.smoother.attitude.params import HANDHELD
@@ -74,7 +74,9 @@ VARIANTS = (
 
 
 def main(*folders: Path) -> None:
-    """Print one table per folder and alignment."""
+    """Print one table per folder and alignment. Raises :class:`BadParameter` without a folder."""
+    if not folders:
+        raise BadParameter("ablation: name folders of recordings with truth")
     for folder in folders:
         sources = recordings([folder])
         rows = [(variant.name, _score_variant(variant, sources)) for variant in VARIANTS]
@@ -93,6 +95,7 @@ def _score_variant(variant: Variant, sources: Sequence[Path]) -> list[dict[Align
 
 
 def _score_recording(source: Path, variant: Variant) -> dict[AlignKind, Score]:
+    """Return the scores of a variant on a recording, by alignment; raises :class:`StillpointError` without truth."""
     recording = read_recording(source)
     if recording.truth is None:
         raise StillpointError(f"{source}: has no independent truth; an ablation needs one")
@@ -126,4 +129,4 @@ def _format_cells(scores: Sequence[Score]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_program(main)

@@ -5,7 +5,6 @@ what ``stillpoint estimate`` and ``stillpoint score --align heading`` give.
 """
 
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from stillpoint.datasets.recording import Recording
 from stillpoint.filters import ESTIMATORS, estimate
 from stillpoint.filters.table import ATTITUDES
 from stillpoint.scoring import score
+from stillpoint.scripts.shared.program import run_program
 
 _PAGE = Path("docs/estimator-accuracy.md")
 _BETWEEN_MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -54,4 +54,4 @@ def replace_table(text: str, trials: Sequence[Recording], totals: Mapping[str, S
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(Path, sys.argv[2:]))
+    run_program(main)

@@ -6,7 +6,6 @@ BOARD is the folder of a leaderboard over raw phones with both inputs: ``stillpo
 
 import json
 import re
-import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters import ESTIMATORS
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.studies.leaderboard import Leaderboard
 from stillpoint.studies.leaderboard.board import Run
 from stillpoint.studies.leaderboard.study import NONE, REFERENCE
@@ -62,22 +62,23 @@ def make_table(runs: Sequence[Run]) -> str:
 
 
 def _make_row(name: str, raw: dict[str, Run], calibrated: dict[str, Run]) -> list[str]:
+    """Return the row of an estimator: medians over the phones, before and after calibration."""
     phones = sorted(set(raw) & set(calibrated))
 
-    def errors(runs: dict[str, Run], figure: str) -> list[float]:
+    def list_errors(runs: dict[str, Run], figure: str) -> list[float]:
         return [getattr(runs[phone], f"{figure}_rmse_deg") for phone in phones]
 
-    before, after = errors(raw, "heading"), errors(calibrated, "heading")
+    before, after = list_errors(raw, "heading"), list_errors(calibrated, "heading")
     ratios = [late / early for early, late in zip(before, after, strict=True)]
-    total = errors(calibrated, "total")
+    total = list_errors(calibrated, "total")
     return [
         f"`{name}`" + (" (peer)" if ESTIMATORS[name].is_peer else ""),
         f"{np.median(before):.1f}",
         f"{np.median(after):.1f}",
         f"{np.median(ratios):.2f}",
         f"{max(ratios):.2f}",
-        f"{np.median(errors(raw, 'inclination')):.2f}",
-        f"{np.median(errors(calibrated, 'inclination')):.2f}",
+        f"{np.median(list_errors(raw, 'inclination')):.2f}",
+        f"{np.median(list_errors(calibrated, 'inclination')):.2f}",
         f"{np.median(total):.2f}",
         f"{np.mean(total):.2f}",
         f"{max(total):.2f}",
@@ -85,4 +86,4 @@ def _make_row(name: str, raw: dict[str, Run], calibrated: dict[str, Run]) -> lis
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(Path, sys.argv[2:]))
+    run_program(main)

@@ -3,7 +3,6 @@
 Each simulated phone with as many seeds as asked for; docs/accuracy.md holds the table.
 """
 
-import sys
 from functools import partial
 from statistics import mean
 
@@ -11,15 +10,16 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.datasets.trajectory import Reference
 from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
-from stillpoint.scripts.shared.flags import LOCAL
+from stillpoint.scripts.shared.flags import LOCAL, Whole
 from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import reference
 
 _MINUTES = {"phone-1": 2.0, "phone-2": 4.0, "phone-3": 4.0}
 _HEAD = "| | seeds | total, deg | worst total | in 95 % | NEES/3 | of single seeds | refused |"
 
 
-def main(seeds: int = 30) -> None:
+def main(seeds: Whole = 30) -> None:
     """Print a Markdown table, one row per kind of phone."""
     print(f"{_HEAD}\n|{'---|' * _HEAD.count('| ')}")
     for kind in _MINUTES:
@@ -29,6 +29,7 @@ def main(seeds: int = 30) -> None:
 
 
 def _score_seed(kind: str, seed: int) -> Score:
+    """Return the score of the reference of one simulated recording against its truth."""
     recording = simulate(kind, seed=seed, minutes=_MINUTES[kind])
     assert recording.truth is not None
     made = reference(recording)
@@ -48,4 +49,4 @@ def _format_cells(scores: list[Score]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    run_program(main)

@@ -6,12 +6,12 @@ OUT is the folder of ``stillpoint validate --fidelity``, which holds ``fidelity.
 import json
 import re
 import shutil
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from stillpoint.datasets.errors import BadParameter
+from stillpoint.scripts.shared.program import run_program
 
 _PAGE = Path("docs/leaderboard.md")
 _README = Path("README.md")
@@ -62,14 +62,14 @@ def _make_bias_table(found: Mapping[str, Any]) -> str:
 def make_sentence(found: Mapping[str, Any]) -> str:
     """Return what the README says about our judge."""
     ours = _find_ours(found)
-    count = len({row["estimator"] for row in found["rows"]})
+    count = _format_count(len({row["estimator"] for row in found["rows"]}))
     wrong = ours["wrong_verdicts"]
     verdicts = "none" if wrong == 0 else str(wrong)
     other = ours["wrong_verdicts_other_half"] / max(ours["verdicts_other_half"], 1)
     share = _format_share(ours["relative_rmse_median"])
     told = f"**{verdicts} of {ours['verdicts']} verdicts is contradicted by the truth**"
     lines = [
-        f"On {found['recordings']} recordings with optical truth (BROAD), {_count(count)} estimators were ranked by",
+        f"On {found['recordings']} recordings with optical truth (BROAD), {count} estimators were ranked by",
         f"the optical truth and by our reference: Kendall's τ is {ours['tau_pooled']:.3f}, RMSE differs by {share}",
         f"(median), and {told} ({_format_share(other)} with the truth of the other half).",
     ]
@@ -85,7 +85,7 @@ def _find_ours(found: Mapping[str, Any]) -> Mapping[str, Any]:
     raise BadParameter(f"fidelity.json: {_OURS} is not among the judges; leave out --method")
 
 
-def _count(number: int) -> str:
+def _format_count(number: int) -> str:
     return _SMALL[number] if number < len(_SMALL) else str(number)
 
 
@@ -103,4 +103,4 @@ def _replace(page: Path, name: str, made: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run_program(main)

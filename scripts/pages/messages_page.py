@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from stillpoint.scripts.shared.program import run_program
+
 _ROOT = Path(__file__).parents[2]
 _FOLDERS = ("datasets", "filters", "smoother", "scoring", "studies", "scripts")
 _ERRORS = ("BadSource", "BadParameter", "BadFile", "BadRecording", "Unobservable")
@@ -62,4 +64,4 @@ def _show(node: ast.expr) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

@@ -16,6 +16,7 @@ from stillpoint.filters.spin import front as spin_front
 from stillpoint.filters.spin.noise import SpinParams, make_channels
 from stillpoint.filters.spin.sample import SpinLog
 from stillpoint.scripts.pages.cortex_m import FLAGS, OnTarget, run_on_cortex_m4
+from stillpoint.scripts.shared.program import run_program
 
 PAGE = Path(__file__).parents[2] / "docs" / "microcontroller.md"
 _SAMPLES = 1500
@@ -57,6 +58,11 @@ def make_logs() -> dict[str, Log | SpinLog]:
     }
 
 
+def main(page: Path = PAGE) -> None:
+    """Measure all filters and write the page."""
+    page.write_text(_make_page(_measure_filters()), encoding="utf-8")
+
+
 def _measure_filters() -> dict[str, OnTarget]:
     """Run every exported filter in the emulator."""
     logs, found = make_logs(), {}
@@ -78,4 +84,4 @@ def _make_page(found: Mapping[str, OnTarget]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(_make_page(_measure_filters()), encoding="utf-8")
+    run_program(main)

@@ -9,6 +9,8 @@ from pathlib import Path
 import nbformat
 from nbclient import NotebookClient
 
+from stillpoint.scripts.shared.program import run_program
+
 _FOLDER = Path("docs/notebooks")
 _FIGURES = Path("docs/figures/notebooks")
 _LONGEST_S = 900  # of one cell
@@ -50,4 +52,4 @@ def make_page(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

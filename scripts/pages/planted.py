@@ -4,7 +4,6 @@ Each copy of a recording with truth has something planted in it: a turned return
 gyro. docs/method.md holds the table. An answer must lie within its covariance, or be refused.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,7 +13,7 @@ from statistics import mean
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stillpoint.datasets.errors import StillpointError
+from stillpoint.datasets.errors import BadParameter, StillpointError
 from stillpoint.datasets.frames import heading_rotation, quaternion, rotation, slerp
 from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.datasets.recording import Floats, Imu, Mag, Recording, Times, Truth
@@ -23,6 +22,7 @@ from stillpoint.scoring import score
 from stillpoint.scoring.score import Score
 from stillpoint.scripts.shared.flags import LOCAL
 from stillpoint.scripts.shared.jobs import run_jobs
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import attitude_reference
 
 _RAMP_S = 2.0  # over which a return is turned before a rest, and turned back after it
@@ -166,7 +166,9 @@ _PLANTED: dict[str, Callable[[Recording], Recording]] = {
 
 
 def main(*files: Path) -> None:
-    """Print one row for each kind of copy."""
+    """Print one row for each kind of copy. Raises :class:`BadParameter` without a file."""
+    if not files:
+        raise BadParameter("planted: name recordings with truth")
     print(
         "| planted | mean total, deg | worst | mean in 95 % | least | warned | refused |\n|---|---|---|---|---|---|---|"
     )
@@ -213,4 +215,4 @@ def _require_mag(recording: Recording) -> Mag:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_program(main)

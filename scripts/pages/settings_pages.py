@@ -13,6 +13,7 @@ from stillpoint.filters import ESTIMATORS
 from stillpoint.filters.c.export import EXPORTED
 from stillpoint.filters.front import guard, heading_source
 from stillpoint.filters.table import Estimator, SpinEstimator, find_estimator
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import METHODS, SPIN_METHODS
 
 _PEERS = "peers"  # the family of other packages' estimators; those of ours have the names of their folders
@@ -56,6 +57,7 @@ def find_family(name: str) -> str:
 
 
 def _list_estimators() -> str:
+    """Return the table of all estimators in Markdown."""
     lines = ["| name | what | covariance | live | C |", "|---|---|---|---|---|"]
     for name, entry in ESTIMATORS.items():
         peer = "peer: " if entry.is_peer else ""
@@ -85,6 +87,7 @@ def _find_defaults(name: str) -> Settings:
 
 
 def _list_settings(settings: Settings) -> str:
+    """Return the table of settings in Markdown."""
     lines = ["| setting | default | range | meaning |", "|---|---|---|---|"]
     for one in describe(settings):
         lines.append(f"| `{one.name}` | {one.default} | {one.allowed} | {one.meaning} |")
@@ -92,4 +95,4 @@ def _list_settings(settings: Settings) -> str:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_program(main)

@@ -15,6 +15,7 @@ from stillpoint.datasets.simulate.spin_sensor import make_white_noise
 from stillpoint.datasets.trajectory import Estimate, SpinReference
 from stillpoint.filters import estimate
 from stillpoint.scoring.spin import score_roll
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import reference
 from stillpoint.studies.papers.spin.study import CONSTANT, FILTERS, make_settings
 
@@ -82,6 +83,7 @@ def main() -> None:
 
 
 def _spoil_trial(recording: Recording, spoil: Callable[[Floats], None]) -> Recording:
+    """Return the recording with the accelerometers' values (N, k) spoiled."""
     spin = recording.spin
     assert spin is not None
     accel = spin.accel_mps2.copy()
@@ -90,10 +92,11 @@ def _spoil_trial(recording: Recording, spoil: Callable[[Floats], None]) -> Recor
 
 
 def _format_cell(recording: Recording, made: Estimate | SpinReference) -> str:
+    """Return the largest error of the angle in deg and the RMSE of the rate in deg/s."""
     assert recording.roll_truth is not None
     found = score_roll(made, recording.roll_truth)
     return f"{found.angle_max_deg:.1f}, {found.rate_rmse_degps:.2f}"
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

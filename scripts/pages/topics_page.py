@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from stillpoint.datasets.mcap.topics import BODY_FRAME, LOCAL_FRAME, TOPICS, Topic
+from stillpoint.scripts.shared.program import run_program
 
 _TITLES = {
     "recording": "Recordings",
@@ -22,6 +23,11 @@ provenance, parameters, rests, calibration) is JSON in the metadata record `stil
 """
 
 
+def main() -> None:
+    """Print the page."""
+    print(make_page(), end="")
+
+
 def make_page() -> str:
     """Return the text of ``docs/topics.md``."""
     parts = [_HEAD]
@@ -35,6 +41,7 @@ def make_page() -> str:
 
 
 def _list_rows(topic: Topic) -> Iterator[str]:
+    """Yield one row of the table per column of a topic; only the first names the topic."""
     frame = f"`{topic.frame}`" if topic.frame else ""
     head = f"`{topic.name}` | {topic.type_name.replace('/msg/', '/')} | {frame}"
     for column in topic.columns:
@@ -47,4 +54,4 @@ def _list_rows(topic: Topic) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    print(make_page(), end="")
+    run_program(main)

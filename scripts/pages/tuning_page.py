@@ -6,7 +6,6 @@ and results are kept in OUT, so that a second run only writes the tables.
 """
 
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,10 +16,11 @@ from stillpoint.datasets.errors import BadParameter
 from stillpoint.datasets.files.result_store import ResultStore
 from stillpoint.filters import ESTIMATORS
 from stillpoint.scripts.shared.children import Outcome
-from stillpoint.scripts.shared.flags import Workers
+from stillpoint.scripts.shared.flags import Whole, Workers
 from stillpoint.scripts.shared.inputs import recordings
 from stillpoint.scripts.shared.jobs import run_jobs
 from stillpoint.scripts.shared.output import print_line, write_text
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.studies.leaderboard import Leaderboard, Pair, Row, Summary, Table, leaderboard
 from stillpoint.studies.leaderboard.board import Source
 from stillpoint.studies.leaderboard.sources import survey_sources
@@ -59,7 +59,7 @@ SEARCHES: dict[str, _Search] = {
 }
 
 
-def main(folder: Path, out: Path, jobs: int = 1, page: Path = _PAGE, names: Sequence[str] = tuple(SEARCHES)) -> None:
+def main(folder: Path, out: Path, jobs: Whole = 1, page: Path = _PAGE, names: Sequence[str] = tuple(SEARCHES)) -> None:
     """Tune on half A, quote on half B, and rewrite the tables of the page."""
     files = recordings([folder])
     sources = [source for source in survey_sources(files, ResultStore(out / "sources")) if source.truth]
@@ -183,4 +183,4 @@ def _replace_table(text: str, kind: str, table: str) -> str:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), jobs=int(sys.argv[3]) if len(sys.argv) > 3 else 1)
+    run_program(main)

@@ -13,7 +13,7 @@ def test_citation_names_the_version_of_the_package():
 
 def test_without_an_answer_of_the_database_vulnerabilities_are_not_checked(monkeypatch):
     silent = subprocess.CompletedProcess([], 1, "", "connection refused")
-    monkeypatch.setattr(release_check, "_run", lambda command: silent)
+    monkeypatch.setattr(release_check, "_run_command", lambda command: silent)
     (outcome,) = release_check.check_vulnerabilities()
     assert (outcome.ended, outcome.detail) == ("not checked", "the database gave no answer: connection refused")
 
@@ -26,6 +26,6 @@ def test_only_licences_that_an_mit_package_may_depend_on_are_free(licence, free)
 
 
 def test_a_missing_tool_is_named():
-    made = release_check._run(["no-such-tool"])
+    made = release_check._run_command(["no-such-tool"])
     assert made.returncode == 127
     assert "no-such-tool is not installed" in made.stderr

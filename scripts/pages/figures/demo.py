@@ -1,6 +1,5 @@
 """``python -m stillpoint.scripts.pages.figures.demo``: draw the demo's errors into docs/figures, as PNG and SVG."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from stillpoint.datasets.simulate import simulate
 from stillpoint.filters import estimate
 from stillpoint.scoring.report.figures import draw_errors, draw_scores, make_view
 from stillpoint.scoring.report.page import Material, Verdict, judge
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.scripts.verbs.demo import KIND, SHOWN
 from stillpoint.smoother import attitude_reference
 
@@ -38,6 +38,7 @@ def main(target: Path = _TARGET) -> None:
 
 
 def _draw_figure(verdict: Verdict) -> Figure:
+    """Return the figure: the errors of each estimate over time, and the scores beside them."""
     figure = Figure(figsize=(7.2, 5.4), layout="constrained")
     grid = figure.add_gridspec(len(verdict.comparisons), 2, width_ratios=(1.5, 1))
     first: Axes = figure.add_subplot(grid[0, 0])
@@ -53,4 +54,4 @@ def _draw_figure(verdict: Verdict) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    run_program(main)

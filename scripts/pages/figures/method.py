@@ -5,7 +5,6 @@ is drawn within the band that the graph states.
 """
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from stillpoint.datasets.mcap.store import read_recording
 from stillpoint.scoring import AlignKind, compare
 from stillpoint.scoring.report.figures import COLOURS, draw_band, make_view
 from stillpoint.scripts.pages.figures.demo import STYLE
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import DEFAULT_METHOD, attitude_reference
 
 _ALIGN: AlignKind = "heading+mounting+time"
@@ -29,9 +29,11 @@ _DPI = 80
 
 
 def main(*files: Path) -> None:
-    """Draw both figures of docs/history.md."""
+    """Draw both figures of docs/history.md. Raises :class:`BadParameter` without tables or recordings."""
     tables = [file for file in files if file.suffix == ".json"]
     recordings = [file for file in files if file.suffix == ".mcap"]
+    if not tables or not recordings:
+        raise BadParameter("method: name JSON files of stillpoint validate, and recordings")
     _TRIALS.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(STYLE):
         _read_trials(tables).savefig(_TRIALS, dpi=_DPI, metadata={"Software": None})
@@ -53,6 +55,7 @@ def _read_trials(tables: Sequence[Path]) -> Figure:
 
 
 def _draw_trials(ax: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str]) -> None:
+    """Draw the RMSE of each method in each trial on a log axis."""
     names = list(dict.fromkeys(row["recording"] for row in rows))
     for k, method in enumerate(methods):
         found = {row["recording"]: row["total_rmse_deg"] for row in rows if row["method"] == method}
@@ -81,4 +84,4 @@ def _draw_bands(recordings: Sequence[Path]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_program(main)

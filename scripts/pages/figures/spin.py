@@ -4,7 +4,6 @@ Geometry and graph are drawings; the errors are of simulated trials, by the grap
 is that of the log given, which is left out without one.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from stillpoint.datasets.trajectory import SpinReference
 from stillpoint.scoring.report.figures import COLOURS
 from stillpoint.scripts.pages.disc_flight import DiscFlight, read_disc_flight
 from stillpoint.scripts.pages.figures.demo import STYLE
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.smoother import reference
 
 _FOLDER = Path("docs/figures")
@@ -60,6 +60,7 @@ def _draw_geometry() -> Figure:
 
 
 def _draw_body(ax: Axes, centre: bool) -> None:
+    """Draw the accelerometers on the spinning body, with those at its centre where there are some."""
     arrow = {"arrowstyle": "-|>", "lw": 2}
     ax.add_patch(Circle((0, 0), 0.6, fill=False, color="0.6"))
     ax.add_patch(Arc((0, 0), 0.5, 0.5, theta1=200, theta2=290, color="0.3", lw=1.5))
@@ -148,6 +149,7 @@ def _add_errors(sensor: SpinSensor, tilt_deg: float) -> SpinSensor:
 
 
 def _draw_band(ax: Axes, made: SpinReference, error_rad: np.ndarray, sd_rad: np.ndarray) -> None:
+    """Draw the error (N,) in deg over the band of two stated standard deviations."""
     t_s = (made.t_ns - made.t_ns[0]) / 1e9
     whole = 2 * np.pi * np.round(np.median(error_rad) / (2 * np.pi))
     band = _BAND_SD * np.rad2deg(sd_rad)
@@ -156,6 +158,7 @@ def _draw_band(ax: Axes, made: SpinReference, error_rad: np.ndarray, sd_rad: np.
 
 
 def _draw_disc(flight: DiscFlight) -> Figure:
+    """Return the figure of the disc: rates by gyro, accelerometer and graph, and what the graph differs by."""
     figure = Figure(figsize=(10, 5), layout="constrained")
     rate, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     plain = np.sqrt(flight.all_force_mps2 / flight.arm_m[0])
@@ -198,4 +201,4 @@ def _describe_disc(flight: DiscFlight) -> list[str]:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_program(main)

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from stillpoint.scripts.main import app
+from stillpoint.scripts.shared.program import run_program
 
 PAGE = Path(__file__).parents[3] / "docs" / "commands.md"
 _HEAD = """# Commands
@@ -35,4 +36,4 @@ def make_page() -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_program(main)

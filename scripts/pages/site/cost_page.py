@@ -5,12 +5,13 @@ The files are those of ``stillpoint bench filters --json`` and ``stillpoint benc
 
 import json
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stillpoint.datasets.errors import BadParameter
 from stillpoint.filters import ESTIMATORS
+from stillpoint.scripts.shared.program import run_program
 
 _PAGE = Path("docs/estimators.md")
 _BETWEEN_MARKS = re.compile(r"(<!-- cost -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -18,8 +19,10 @@ _BETWEEN_MARKS = re.compile(r"(<!-- cost -->\n).*?(<!-- end -->)", re.DOTALL)
 _NAME_OF_ROW = re.compile(r"([\w-]+)(?: \(a hundredth, times 100\))?(, a call of a stream)?")
 
 
-def main(benches: Sequence[Path], page: Path = _PAGE) -> None:
-    """Rewrite the table of the page from the rows of the benches."""
+def main(*benches: Path, page: Path = _PAGE) -> None:
+    """Rewrite the table of the page from the rows of the benches. Raises :class:`BadParameter` without a file."""
+    if not benches:
+        raise BadParameter("cost_page: name JSON files of stillpoint bench")
     rows = [row for bench in benches for row in json.loads(bench.read_text(encoding="utf-8"))["rows"]]
     table = make_table(rows)
     text = page.read_text(encoding="utf-8")
@@ -46,4 +49,4 @@ def make_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    main([Path(argument) for argument in sys.argv[1:]])
+    run_program(main)

@@ -29,9 +29,10 @@ class _Blocks(Preprocessor):
     """Replaces fences by formulas that stand alone, with the number of the equation beside them."""
 
     def run(self, lines: list[str]) -> list[str]:
-        return FENCE.sub(self._store, "\n".join(lines)).split("\n")
+        return FENCE.sub(self._store_formula, "\n".join(lines)).split("\n")
 
-    def _store(self, match: re.Match[str]) -> str:
+    def _store_formula(self, match: re.Match[str]) -> str:
+        """Return the placeholder of a displayed formula, converted to MathML with its number."""
         tags = TAG.findall(match[1])
         number = f'<span class="equation">({tags[0]})</span>' if tags else ""
         formula = convert_formula(TAG.sub("", match[1]), "block")

@@ -7,13 +7,13 @@ page before ``tests/scripts/pages/site/test_papers_page.py`` fails.
 
 import json
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from stillpoint.scripts.shared.program import run_program
 from stillpoint.studies.papers.auv.page import INPUTS
 from stillpoint.studies.papers.auv.study import PRINTED_FIGURES, SEAS
 from stillpoint.studies.papers.phone.parameters import PRINTED, SLOWER, find_frequencies_below_mean
@@ -85,6 +85,7 @@ def replace_tables(text: str, folder: Path) -> str:
     """Return the text of the page with new tables between its marks."""
 
     def write_table(match: re.Match[str]) -> str:
+        """Return a table with its marks; the old one where a file with its figures is missing."""
         table = TABLES[match[2]]
         files = [folder / f"{name}.json" for name in table.files]
         if not all(file.is_file() for file in files):
@@ -97,39 +98,52 @@ def replace_tables(text: str, folder: Path) -> str:
 
 def list_phone(*runs: _Rows) -> list[str]:
     """Return tables 2 to 4 of Elmi Aziz and Mohseni Araste beside ours: RMSE / largest error, means over the trials."""
-    lines = _head("experiment", "method", *AXES)
+    lines = _format_head("experiment", "method", *AXES)
     for scenario, rows in zip(EXPERIMENTS.values(), runs, strict=True):
         for method, printed in scenario.printed.items():
             pairs = [f"{printed[k]:.4g} / {printed[k + 1]:.4g}" for k in (0, 2, 4)]
-            lines.append(_line(f"{scenario.number}, the paper", method, *pairs))
+            lines.append(_format_line(f"{scenario.number}, the paper", method, *pairs))
         for hand, kind in scenario.hands.items():
             for method in PHONE_METHODS[scenario.number]:
                 some = _select(rows, hand=hand, method=method, against="benchmark")
                 if some:
-                    pairs = [f"{_mean(some, f'{a}_rmse_deg')} / {_mean(some, f'{a}_maxae_deg')}" for a in AXES]
-                    lines.append(_line(f"{scenario.number}, `{kind}`", method, *pairs))
+                    pairs = [
+                        f"{_format_mean(some, f'{a}_rmse_deg')} / {_format_mean(some, f'{a}_maxae_deg')}" for a in AXES
+                    ]
+                    lines.append(_format_line(f"{scenario.number}, `{kind}`", method, *pairs))
     return lines
 
 
 def list_long_run(rows: _Rows) -> list[str]:
     """Return errors and time of CF and the Kalman filters over two hours, and what the paper says of its own."""
     gain = PRINTED_KALMAN_GAIN
-    lines = _head("", "filter", "tilt, deg", "heading, deg", "better than CF by: tilt", "heading", "time, of CF's")
-    lines.append(_line("the paper", KALMAN, "–", "–", f"{gain.tilt_deg:g}", f"{gain.heading_deg:g}", _times(gain[2])))
+    lines = _format_head(
+        "", "filter", "tilt, deg", "heading, deg", "better than CF by: tilt", "heading", "time, of CF's"
+    )
+    lines.append(
+        _format_line(
+            "the paper", KALMAN, "–", "–", f"{gain.tilt_deg:g}", f"{gain.heading_deg:g}", _format_ratio(gain[2])
+        )
+    )
     runs = {row["method"]: row for row in rows if "minutes" in row}
     for method, run in runs.items():
         tilt, heading = run["tilt_rmse_deg"], run["heading_rmse_deg"]
         gained = runs[CF]["tilt_rmse_deg"] - tilt, runs[CF]["heading_rmse_deg"] - heading
         figures = [f"{x:.2f}" for x in (tilt, heading, *gained)]
         lines.append(
-            _line(f"{run['minutes']:g} min", method, *figures, _times(run["ns_per_sample"] / runs[CF]["ns_per_sample"]))
+            _format_line(
+                f"{run['minutes']:g} min",
+                method,
+                *figures,
+                _format_ratio(run["ns_per_sample"] / runs[CF]["ns_per_sample"]),
+            )
         )
     return lines
 
 
 def list_spin(scenario: Scenario, offline: _Rows, online: _Rows) -> list[str]:
     """Return one scenario of Asghari et al.: worst trial, and trials that the AEKF wins or shares, paper and ours."""
-    lines = _head(scenario.name, "method", *_SPIN_COLUMNS)
+    lines = _format_head(scenario.name, "method", *_SPIN_COLUMNS)
     for words, rows, printed in (
         ("offline", offline, scenario.printed[False]),
         ("online", online, scenario.printed[True]),
@@ -137,24 +151,24 @@ def list_spin(scenario: Scenario, offline: _Rows, online: _Rows) -> list[str]:
         for method in OF_PAPER:
             figures = [f"{printed.worst.get((method, metric), '–')}" for metric in METRICS]
             if set(figures) != {"–"}:
-                lines.append(_line(f"{words}, the paper", method, *figures))
+                lines.append(_format_line(f"{words}, the paper", method, *figures))
         wins = [str(printed.wins[metric].get("AEKF", 0)) for metric in METRICS]
-        lines.append(_line(f"{words}, the paper", "trials that the AEKF wins", *wins))
+        lines.append(_format_line(f"{words}, the paper", "trials that the AEKF wins", *wins))
         for noise in NOISES:
             by = {method: _select(rows, noise=noise, method=method) for method in OF_PAPER}
             if not all(by.values()):
                 continue
             for method, some in by.items():
                 worst = [f"{max(row[metric] for row in some):.3g}" for metric in METRICS]
-                lines.append(_line(f"{words}, `{noise}`", method, *worst))
+                lines.append(_format_line(f"{words}, `{noise}`", method, *worst))
             wins = [_count_best(by, metric) for metric in METRICS]
-            lines.append(_line(f"{words}, `{noise}`", "trials that the AEKF wins or shares", *wins))
+            lines.append(_format_line(f"{words}, `{noise}`", "trials that the AEKF wins or shares", *wins))
     return lines
 
 
 def list_tens(*runs: _Rows) -> list[str]:
     """Return what each ten of seeds says under ``vibration-f4``, the hypothesis nearest to the printed counts."""
-    lines = _head(
+    lines = _format_head(
         "scenario",
         "seeds",
         "AEKF wins or shares: angle, largest",
@@ -168,7 +182,7 @@ def list_tens(*runs: _Rows) -> list[str]:
         printed = scenario.printed[False]
         wins = [str(printed.wins[metric]["AEKF"]) for metric in METRICS]
         observation = f"{printed.worst['observation', 'angle_rmse_deg']}"
-        lines.append(_line(scenario.name, "the paper", *wins, observation, "–"))
+        lines.append(_format_line(scenario.name, "the paper", *wins, observation, "–"))
         for first in range(0, len({row["seed"] for row in rows}), _TEN):
             ten = [row for row in rows if first <= row["seed"] < first + _TEN]
             by = {method: _select(ten, method=method) for method in OF_PAPER}
@@ -178,16 +192,18 @@ def list_tens(*runs: _Rows) -> list[str]:
                 for one, other in zip(by["EKF"], by["AEKF"], strict=True)
             )
             counts = [_count_best(by, metric) for metric in METRICS]
-            lines.append(_line(scenario.name, f"{first}-{first + _TEN - 1}", *counts, f"{worst:.2f}", f"{apart:.1g}"))
+            lines.append(
+                _format_line(scenario.name, f"{first}-{first + _TEN - 1}", *counts, f"{worst:.2f}", f"{apart:.1g}")
+            )
     return lines
 
 
 def list_auv(rows: _Rows) -> list[str]:
     """Return tables 1 and 2 of Zia beside ours; of means and headings the root mean square over the missions."""
-    lines = _head("missions", "method", *_AUV_COLUMNS.values())
+    lines = _format_head("missions", "method", *_AUV_COLUMNS.values())
     for method, printed in PRINTED_FIGURES.items():
         figures = [f"{printed[key]:.2g}" if key in printed else "–" for key in _AUV_COLUMNS]
-        lines.append(_line("the paper", method, *figures))
+        lines.append(_format_line("the paper", method, *figures))
     for sea in SEAS:
         for method in dict.fromkeys(row["method"] for row in rows):
             some = _select(rows, sea=sea, method=method)
@@ -196,44 +212,45 @@ def list_auv(rows: _Rows) -> list[str]:
                     f"{_summarise(some, key):.2g}" + (" (input)" if (method, key) in INPUTS else "")
                     for key in _AUV_COLUMNS
                 ]
-                lines.append(_line(f"`{sea}`", method, *figures))
+                lines.append(_format_line(f"`{sea}`", method, *figures))
     return lines
 
 
 def list_servo(rows: _Rows) -> list[str]:
     """Return the rms errors of the bench of Byambajav et al., medians over the units, and the one printed number."""
-    lines = _head("rms error, deg", "at rest", "0.1 Hz", "0.4 Hz")
+    lines = _format_head("rms error, deg", "at rest", "0.1 Hz", "0.4 Hz")
     for words, short in _SERVO_ROWS.items():
         medians = [np.median([row[f"{short}_{part}_deg"] for row in rows]) for part in ("rest", "low", "high")]
-        lines.append(_line(words, *(f"{x:.2g}" for x in medians)))
+        lines.append(_format_line(words, *(f"{x:.2g}" for x in medians)))
     drifts = [row["drift_deg"] for row in rows]
-    lines += ["", *_head("the gyro alone after a minute, deg", "median size", "least", "most")]
-    lines.append(_line("the paper, one unit", f"{abs(PRINTED_DRIFT_DEG):g}", f"{PRINTED_DRIFT_DEG:g}", "–"))
+    lines += ["", *_format_head("the gyro alone after a minute, deg", "median size", "least", "most")]
+    lines.append(_format_line("the paper, one unit", f"{abs(PRINTED_DRIFT_DEG):g}", f"{PRINTED_DRIFT_DEG:g}", "–"))
     figures = [f"{x:.0f}" for x in (np.median(np.abs(drifts)), min(drifts), max(drifts))]
-    lines.append(_line(f"ours, {len(drifts)} units (input)", *figures))
+    lines.append(_format_line(f"ours, {len(drifts)} units (input)", *figures))
     return lines
 
 
 def list_gains() -> list[str]:
     """Return at how many frequencies the low pass of CF is below the envelope of the moving average."""
-    lines = _head("CF", "ω0, rad/s", "ζ", "frequencies at which F is smaller than the mean over 7 s")
+    lines = _format_head("CF", "ω0, rad/s", "ζ", "frequencies at which F is smaller than the mean over 7 s")
     for words, pair in (("as printed", PRINTED), ("slower", SLOWER)):
         below = find_frequencies_below_mean(pair)
-        lines.append(_line(words, f"{pair.omega0_radps:g}", f"{pair.zeta:g}", f"{below.sum()} of {len(below)}"))
+        lines.append(_format_line(words, f"{pair.omega0_radps:g}", f"{pair.zeta:g}", f"{below.sum()} of {len(below)}"))
     return lines
 
 
 def _introduce(table: Table) -> str:
+    """Return the commands that give the figures of a table, and the band within which they agree."""
     commands = "; ".join(f"`stillpoint experiment {command}`" for command in table.commands)
     counted = f", counts of trials by {COUNT_BAND}" if table.counts else ""
     return f"{commands}. Band: {100 * SHARE_BAND:g} %{counted}."
 
 
-def _head(*cells: str) -> list[str]:
-    return [_line(*cells), "|" + "---|" * len(cells)]
+def _format_head(*cells: str) -> list[str]:
+    return [_format_line(*cells), "|" + "---|" * len(cells)]
 
 
-def _line(*cells: str) -> str:
+def _format_line(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
@@ -241,16 +258,17 @@ def _select(rows: _Rows, **wanted: str) -> list[_Row]:
     return [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
 
 
-def _mean(rows: _Rows, key: str) -> str:
+def _format_mean(rows: _Rows, key: str) -> str:
     value = float(np.mean([row[key] for row in rows]))
     return f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
-def _times(ratio: float) -> str:
+def _format_ratio(ratio: float) -> str:
     return f"{ratio:.2g} times"
 
 
 def _summarise(rows: _Rows, key: str) -> float:
+    """Return the mean of a column of variances or RMSE, and the root mean square of any other column."""
     values = np.array([row[key] for row in rows])
     return float(values.mean() if key.endswith(("_deg2", "_rmse_deg")) else np.sqrt(np.mean(values**2)))
 
@@ -290,4 +308,4 @@ TABLES: dict[str, Table] = {
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(Path, sys.argv[2:]))
+    run_program(main)
